@@ -31,8 +31,8 @@ from validate.execution.isolated import Limits
 from validate.fmi.description import Package, read_package, unpacked
 from validate.judge.replay import Replay
 from validate.judge.replay.everyday import simulate
-from validate.judge.replay.recording import Run
 from validate.judge.replay.reference import ExchangeModel, integrate
+from validate.judge.replay.result import Run
 from validate.judge.replay.run import replay
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs, Variables

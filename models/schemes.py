@@ -19,9 +19,12 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import Polynomial
+
+if TYPE_CHECKING:
+    from numpy.polynomial import Polynomial
 
 
 class Scheme(Enum):
@@ -82,6 +85,8 @@ def tableau(scheme: Scheme) -> Tableau:
 
 
 def _lagrange(c: np.ndarray, j: int) -> Polynomial:
+    from numpy.polynomial import Polynomial  # 8 ms of the 270 of the child that replays
+
     others = np.delete(c, j)
     return Polynomial.fromroots(others) / float(np.prod(c[j] - others)) if len(others) else Polynomial([1.0])
 

@@ -89,28 +89,6 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
     )
 
 
-def read_gains(path: Path, scene: Scene) -> np.ndarray | None:
-    """Tracking gains of a plan's file.
-
-    Returns
-    -------
-    np.ndarray | None
-        K (steps, nu, 2*nq) [N/m, N s/m and so on]; None if it has none.
-
-    Raises
-    ------
-    TrajectoryError
-        Naming the file and the column.
-    """
-    columns, _ = read_columns(path)
-    names = _gain_columns(scene)
-    if not any(name in columns for name, _ in names):
-        return None
-    steps = max(len(numbers(path, columns, "t", "s")) - 1, 0)
-    stacked = [numbers(path, columns, name, unit, steps) for name, unit in names]
-    return np.column_stack(stacked).reshape(steps, scene.nu, 2 * scene.nq)
-
-
 def read_netcdf(path: Path, scene: Scene) -> Trajectory:
     """Read a plan of this scene. Raises TrajectoryError naming the file and the column."""
     columns, attributes = read_columns(path)

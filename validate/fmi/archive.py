@@ -1,8 +1,8 @@
 """The archive: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
 
-intake = examine(path)        # raises IntakeError at the first problem
-problems(path)                # all that can be told, for a table
-unpack(intake, folder)        # bounded by the sizes that were examined
+archive = check_archive(path)     # raises ArchiveError at the first problem
+problems(path)                    # all that can be found, for a table
+unpack(archive, folder)           # bounded by the sizes that were checked
 
 Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
 """
@@ -27,7 +27,7 @@ from models.errors import MachineError, TouchstoneError
 
 
 @dataclass(frozen=True, kw_only=True)
-class IntakeLimits:
+class ArchiveLimits:
     """Bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text."""
 
     unpacked: int = 2 * 1024**3
@@ -54,6 +54,7 @@ class XmlReader:
         self._keep = keep
 
     def read(self, text: bytes) -> None:
+        """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
         parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
         if self._keep:
@@ -114,8 +115,8 @@ class FmuError(TouchstoneError):
     """An FMU cannot be opened or does not offer what is needed."""
 
 
-class IntakeError(FmuError):
-    """An FMU file that is not let in; `check` says which check it failed."""
+class ArchiveError(FmuError):
+    """An FMU file that is not accepted; `check` says which check it failed."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.sentence)
@@ -123,9 +124,12 @@ class IntakeError(FmuError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intake:
-    """A file that was let in. version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this
-    platform; platforms: folders with binaries; digest: SHA-256 of the file; unpacked [bytes]."""
+class FmuArchive:
+    """An FMU file that was accepted.
+
+    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this platform; platforms: folders with
+    binaries; digest: SHA-256 of the file; unpacked [bytes].
+    """
 
     path: Path
     digest: str
@@ -136,47 +140,48 @@ class Intake:
     unpacked: int
 
 
-def examine(path: Path, limits: IntakeLimits | None = None, *, but_for: str = "") -> Intake:
-    """See the module docstring. but_for: a check that need not hold. Raises IntakeError with the first problem, MachineError if the file cannot be read."""
-    examination = _Examination(path, limits or IntakeLimits())
-    for problem in examination.problems():
+def check_archive(path: Path, limits: ArchiveLimits | None = None, *, but_for: str = "") -> FmuArchive:
+    """See the module docstring. but_for: a check that need not hold. Raises ArchiveError with the first problem, MachineError if the file cannot be read."""
+    check = _ArchiveCheck(path, limits or ArchiveLimits())
+    for problem in check.problems():
         if problem.check != but_for:
-            raise IntakeError(problem)
-    return examination.intake()
+            raise ArchiveError(problem)
+    return check.archive()
 
 
-def problems(path: Path, limits: IntakeLimits | None = None) -> tuple[Problem, ...]:
-    """All problems that can be told: what makes the rest unreadable comes last."""
-    return tuple(_Examination(path, limits or IntakeLimits()).problems())
+def problems(path: Path, limits: ArchiveLimits | None = None) -> tuple[Problem, ...]:
+    """All problems that can be found: what makes the rest unreadable comes last."""
+    return tuple(_ArchiveCheck(path, limits or ArchiveLimits()).problems())
 
 
-def unpack(intake: Intake, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
-    """Unpack an examined file, but for entries whose names begin with one of `leave_out`. Raises IntakeError if it is not what was examined, MachineError if the disk refuses."""
+def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
+    """Unpack a checked file, but for entries whose names begin with one of `leave_out`. Raises ArchiveError if it is not what was checked, MachineError if the disk refuses."""
     try:
-        with zipfile.ZipFile(intake.path) as archive:
-            if sum(item.file_size for item in archive.infolist()) != intake.unpacked:
-                raise IntakeError(Problem("zip", f"FMU {intake.path}: the file changed while it was read; try again."))
-            members = [item for item in archive.infolist() if not item.filename.startswith(leave_out)]
-            archive.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
+        with zipfile.ZipFile(archive.path) as packed:
+            if sum(item.file_size for item in packed.infolist()) != archive.unpacked:
+                raise ArchiveError(Problem("zip", f"FMU {archive.path}: the file changed while it was read; try again."))
+            members = [item for item in packed.infolist() if not item.filename.startswith(leave_out)]
+            packed.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
     except (zipfile.BadZipFile, *_DAMAGED) as error:
-        raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
+        raise ArchiveError(Problem("zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
     except OSError as error:
         raise MachineError(
-            f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there or permit it, or set TMPDIR."
+            f"FMU {archive.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there or permit it, or set TMPDIR."
         ) from error
 
 
-class _Examination:
-    def __init__(self, path: Path, limits: IntakeLimits) -> None:
+class _ArchiveCheck:
+    def __init__(self, path: Path, limits: ArchiveLimits) -> None:
         self._path, self._limits = path, limits
         self._items: list[zipfile.ZipInfo] = []
         self._root: dict[str, str] = {}
         self._kinds: dict[str, dict[str, str]] = {}
         self._names: set[str] = set()
 
-    def intake(self) -> Intake:
+    def archive(self) -> FmuArchive:
+        """What was found, where there are no problems."""
         present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
-        return Intake(
+        return FmuArchive(
             path=self._path,
             digest=_digest(self._path),
             version=self._root.get("fmiVersion", ""),
@@ -309,14 +314,18 @@ class _Examination:
             yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); {has}.")
 
     def _library(self, interface: dict[str, str]) -> str:
-        identifier = interface.get("modelIdentifier", "")
-        return f"binaries/{platform_folder(self._root.get('fmiVersion', ''))}/{identifier}{_ENDINGS.get(_system(), '.so')}"
+        return binary_name(self._root.get("fmiVersion", ""), interface.get("modelIdentifier", ""))
 
     def _platforms(self) -> tuple[str, ...]:
         return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
 
 
-def platform_folder(version: str) -> str:
+def binary_name(version: str, identifier: str) -> str:
+    """Where the archive has the binary for this machine."""
+    return f"binaries/{_platform_folder(version)}/{identifier}{_ENDINGS.get(_system(), '.so')}"
+
+
+def _platform_folder(version: str) -> str:
     """FMI's name of this machine in `binaries/`, which FMI 3 changed."""
     bits = "64" if sys.maxsize > 2**32 else "32"
     if _is_three(version):

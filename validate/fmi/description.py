@@ -1,4 +1,4 @@
-"""An FMU that was let in: FMPy's description of it, what it says that FMPy does not read, and where it lies unpacked.
+"""An FMU that was accepted: FMPy's description of it, what it says that FMPy does not read, and where it lies unpacked.
 
 package = read_package(path)
 package.description.modelVariables, package.can("ModelExchange", "providesDirectionalDerivatives")
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from validate.fmi.archive import FmuError, Intake, examine, unpack
+from validate.fmi.archive import FmuArchive, FmuError, check_archive, unpack
 from validate.store.disk import temporary_folder
 
 # The types of a number in FMI 2.0 and 3.0.
@@ -25,39 +25,43 @@ _NOT_RUN = ("documentation/", "sources/", "terminalsAndIcons/")
 
 @dataclass(frozen=True, kw_only=True)
 class Package:
-    """An FMU that was let in: `description` is FMPy's model description, `intake` what was examined, `folder` where it lies unpacked, if it does."""
+    """An FMU that was accepted: `description` is FMPy's model description, `archive` what was checked, `folder` where it lies unpacked, if it does."""
 
     path: Path
     description: Any
-    intake: Intake
+    archive: FmuArchive
     folder: Path | None = None
 
     @property
     def digest(self) -> str:
-        return self.intake.digest
+        """SHA-256 of the file."""
+        return self.archive.digest
 
     @property
     def is_three(self) -> bool:
-        return self.intake.version.startswith("3.")
+        """Whether it is an FMU of FMI 3.0."""
+        return self.archive.version.startswith("3.")
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether an interface, "ModelExchange" or "CoSimulation", claims an ability, by its name in this version of FMI."""
-        return self.intake.kinds.get(kind, {}).get(ability) in ("true", "1")
+        return self.archive.kinds.get(kind, {}).get(ability) in ("true", "1")
 
     @property
     def exchange(self) -> Any | None:
-        return self.description.modelExchange if "ModelExchange" in self.intake.kinds else None
+        """FMPy's description of Model Exchange; None if it cannot run here."""
+        return self.description.modelExchange if "ModelExchange" in self.archive.kinds else None
 
     @property
     def cosimulation(self) -> Any | None:
-        return self.description.coSimulation if "CoSimulation" in self.intake.kinds else None
+        """FMPy's description of Co-Simulation; None if it cannot run here."""
+        return self.description.coSimulation if "CoSimulation" in self.archive.kinds else None
 
 
 def read_package(path: Path) -> Package:
-    """Examine and describe an FMU, without unpacking it. Raises IntakeError, FmuError, MachineError."""
+    """Check and describe an FMU, without unpacking it. Raises ArchiveError, FmuError, MachineError."""
     import fmpy  # 0.04 s to import, and what names a Package need not
 
-    intake = examine(path)
+    archive = check_archive(path)
     collects = gc.isenabled()
     gc.disable()  # objects that all stay: looking for garbage among them took a third of the time of 400,000 variables
     try:
@@ -67,7 +71,7 @@ def read_package(path: Path) -> Package:
     finally:
         if collects:
             gc.enable()
-    package = Package(path=path, description=description, intake=intake)
+    package = Package(path=path, description=description, archive=archive)
     if package.exchange is None and package.cosimulation is None:
         raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")
     return package
@@ -80,5 +84,5 @@ def unpacked(package: Package) -> Iterator[Package]:
         yield package
         return
     with temporary_folder("touchstone-replay-") as folder:
-        unpack(package.intake, folder, leave_out=_NOT_RUN)
+        unpack(package.archive, folder, leave_out=_NOT_RUN)
         yield replace(package, folder=folder)

@@ -130,7 +130,19 @@ class Instance:
         return f"; it said: {text[:200]}" if text else ""
 
     def initialise(self, time: float, settings: Sequence[tuple[int, float]], inputs: References, u: np.ndarray) -> None:
-        """Through initialisation at `time` [s], with some variables set before, (reference, value), and the first inputs u (nu,) in it."""
+        """Through initialisation, with some variables set before and the first inputs in it.
+
+        Parameters
+        ----------
+        time : start of the run [s].
+        settings : value reference and value [unit of the variable] of what is set before initialisation.
+        inputs : value references of the inputs.
+        u : (nu,) first inputs [unit of each input], set in initialisation.
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses a call.
+        """
         start = References([reference for reference, _ in settings])
         self.time = time
         self.fmu.setup(time, None, None)
@@ -145,6 +157,7 @@ class Instance:
             self.fmu.write("Enumeration", [reference for reference, _ in choices], [value for _, value in choices])
 
     def free(self) -> None:
+        """Free the instance, if it lives and reported no fatal status."""
         if self.fmu.component and not self.fmu.fatal:
             getattr(self.fmu, f"{self.fmu.prefix}FreeInstance")(self.fmu.component)
             self.fmu.component = None
@@ -170,13 +183,32 @@ class Instance:
     # Values
 
     def read(self, references: References) -> np.ndarray:
-        """(n,) values; the same memory at each call."""
+        """Values of some variables, in the same memory at each call.
+
+        Returns
+        -------
+        (n,) values [unit of each variable], in the order of the references.
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses the call.
+        """
         if references.count:
             self.fmu.read_doubles(references.array, references.memory, references.count)
         return references.values
 
     def write(self, references: References, values: Sequence[float] | np.ndarray) -> None:
-        """values (n,)."""
+        """Set some variables.
+
+        Parameters
+        ----------
+        references : value references of the variables.
+        values : (n,) values [unit of each variable], in their order.
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses the call.
+        """
         if references.count:
             references.values[:] = values
             self.fmu.write_doubles(references.array, references.memory, references.count)
@@ -190,9 +222,11 @@ class Instance:
         return place
 
     def restore(self, saved: Any) -> None:
+        """Set the FMU to a saved state. Raises FMICallException."""
         self.fmu.setFMUState(saved)
 
     def forget(self, saved: Any) -> None:
+        """Free the memory of a saved state. Raises FMICallException."""
         self.fmu.freeFMUState(saved)
 
     # Model Exchange
@@ -223,35 +257,38 @@ class Instance:
 
     @property
     def state_count(self) -> int:
+        """Number of continuous states, as the description says."""
         return int(self.description.numberOfContinuousStates)
 
     @property
     def indicator_count(self) -> int:
+        """Number of event indicators, as the description says."""
         return int(self.description.numberOfEventIndicators)
 
     def states(self) -> np.ndarray:
-        """(nx,)"""
+        """Continuous states, (nx,) [unit of each state]. Raises FMICallException if the FMU refuses the call."""
         return self._array(self.fmu.getContinuousStates, self.state_count)
 
     def nominals(self) -> np.ndarray:
-        """(nx,) of the states."""
+        """Nominal values of the continuous states, (nx,) [unit of each state]. Raises FMICallException if the FMU refuses the call."""
         return self._array(self.fmu.getNominalsOfContinuousStates, self.state_count)
 
     def rates(self) -> np.ndarray:
-        """(nx,) derivatives of the states."""
+        """Derivatives of the continuous states, (nx,) [unit of each state per s]. Raises FMICallException if the FMU refuses the call."""
         return self._array(self.fmu.rates, self.state_count)
 
     def indicators(self) -> np.ndarray:
-        """(ni,) of events."""
+        """Event indicators, (ni,) [unit of each indicator]. Raises FMICallException if the FMU refuses the call."""
         return self._array(self.fmu.getEventIndicators, self.indicator_count)
 
     def move(self, time: float, states: np.ndarray) -> None:
-        """To `time` [s] and states (nx,)."""
+        """Set time [s] and continuous states (nx,) [unit of each state]. Raises FMICallException if the FMU refuses."""
         self.set_time(time)
         if self.state_count:
             self.fmu.setContinuousStates((ctypes.c_double * self.state_count)(*states.tolist()), self.state_count)
 
     def set_time(self, time: float) -> None:
+        """Set the time [s] of a Model Exchange FMU. Raises FMICallException."""
         self.time = time
         self.fmu.setTime(time)
 

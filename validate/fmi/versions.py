@@ -34,8 +34,11 @@ _WHOLE_3 = {"Enumeration": "Int64"}
 
 
 class StepAnswer(NamedTuple):
-    """What a communication step answered. event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it returned
-    early; reached: the time it says it reached [s] (FMI 2.0 says nothing: the end of the step)."""
+    """What a communication step answered.
+
+    event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it returned early; reached: the time it says it reached [s]
+    (FMI 2.0 says nothing: the end of the step).
+    """
 
     event: bool
     ends: bool

@@ -1,11 +1,12 @@
-"""Steps: the FMU starts and ends, keeps the time it is told, does not pass its stop time; and what Co-Simulation does with events, with early return, and
-within a step (intermediate update of FMI 3.0, input derivatives of FMI 2.0)."""
+"""Communication steps: start and end, the time that is reported, the stop time, and what Co-Simulation offers besides.
+
+That is events, early return, intermediate update of FMI 3.0 and input derivatives of FMI 2.0.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -25,14 +26,15 @@ _DISCARD = 2
 _FIRST_STEPS, _EVALUATIONS = 5, 30
 
 
-@check("starts and ends", "it loads, is instantiated, initialised, makes some steps, is terminated and freed", Scope.EACH)
+@check("starts and ends", Scope.EACH)
 def lives(subject: Subject, kind: str) -> Finding:
+    """It loads, is instantiated, initialised, makes some steps, is terminated and freed."""
     version = {2: "2.0", 3: "3.0"}[subject.major]
     steps = subject.before_end(kind, _FIRST_STEPS)
     with CheckedInstance(subject, kind) as instance:
-        told = instance.fmu.getVersion()
-        if not told.startswith(version):
-            return failed(f"the binary says that it is FMI {told}, the description says {version}.")
+        answer = instance.fmu.getVersion()
+        if not answer.startswith(version):
+            return failed(f"the binary says that it is FMI {answer}, the description says {version}.")
         instance.begin()
         paces = []
         for step in range(steps):
@@ -49,16 +51,17 @@ def lives(subject: Subject, kind: str) -> Finding:
     return passed(f"{steps} {'evaluations' if kind == 'ME' else f'steps of {subject.step:g} s'}; a step takes about {pace:.1g} s.", pace)
 
 
-@check("time after a step", "the time the FMU tells is the time it was brought to", Scope.EACH)
+@check("time after a step", Scope.EACH)
 def keeps_time(subject: Subject, kind: str) -> Finding:
+    """The time the FMU tells is the time it was brought to."""
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
-    told: set[str] = set()
+    sources: set[str] = set()
     wrong: list[str] = []
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
 
         def look(source: str, value: float, right: float) -> None:
-            told.add(source)
+            sources.add(source)
             if not abs(value - right) <= _SAME * subject.step:
                 wrong.append(f"{source} says {value:.10g} s at t = {right:.10g} s")
 
@@ -75,13 +78,14 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
     if wrong:
         return failed(f"{wrong[0]}.")
-    if not told:
+    if not sources:
         return not_offered("there is no independent variable, and no time is told with a step.")
-    return passed(f"{' and '.join(sorted(told))}: right at {steps} times.")
+    return passed(f"{' and '.join(sorted(sources))}: right at {steps} times.")
 
 
-@check("stop time is respected", "a step up to the stop time is made, a step beyond it is refused", Scope.COSIMULATION)
+@check("stop time is respected", Scope.COSIMULATION)
 def stop_time(subject: Subject, kind: str) -> Finding:
+    """A step up to the stop time is made, a step beyond it is refused."""
     steps = subject.before_end(kind, 4)
     with CheckedInstance(subject, kind) as instance:
         instance.begin(stop=subject.time(steps))
@@ -96,10 +100,10 @@ def stop_time(subject: Subject, kind: str) -> Finding:
         try:
             instance.do_step(subject.time(steps), subject.step)
         except FMICallException as error:
-            told = instance.fmu.last_successful_time() if error.status == _DISCARD else None
-            if told is not None and not abs(told - subject.time(steps)) <= _SAME * subject.step:
+            reached = instance.fmu.last_successful_time() if error.status == _DISCARD else None
+            if reached is not None and not abs(reached - subject.time(steps)) <= _SAME * subject.step:
                 return failed(
-                    f"the step beyond the stop time is discarded, and the last successful time is told as {told:.6g} s; it is {subject.time(steps):.6g} s."
+                    f"the step beyond the stop time is discarded, and the last successful time is told as {reached:.6g} s; it is {subject.time(steps):.6g} s."
                 )
             return passed(f"{steps} steps up to the stop time {subject.time(steps):.6g} s are made, the next one is refused.")
         moved = not np.array_equal(before, instance.observe(), equal_nan=True)
@@ -118,8 +122,8 @@ _MIGHT = "mightReturnEarlyFromDoStep"
 
 
 @dataclass
-class _Told:
-    """What an instance said on its way: times of events, how often it returned early."""
+class _StepLog:
+    """What an instance reported on its way: times of events, how often it returned early."""
 
     events: list[float] = field(default_factory=list)
     early: int = 0
@@ -145,7 +149,7 @@ def _settle(instance: CheckedInstance) -> float:
     return float(when) if defined else math.inf
 
 
-def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
+def _through(instance: CheckedInstance, steps: int, log: _StepLog) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
     subject, may_return = instance.subject, instance.options["earlyReturnAllowed"]
     near = _SAME * subject.step
@@ -171,20 +175,20 @@ def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
                     raise Misbehaviour(
                         f"{where} says that it reached {reached:.9g} s, the variable {clock.name} says {float(instance.get([clock])[0]):.9g} s"
                     )
-            told.early += early
+            log.early += early
             still = still + 1 if reached - t <= near else 0
             if still > _STILL:
                 raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
             t = instance.time = reached
             if event or t >= following - near:
-                told.events.append(t)
+                log.events.append(t)
                 instance.fmu.enterEventMode()
                 following = _settle(instance)
         rows.append(instance.observe())
     return np.array(rows)
 
 
-def elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
+def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     """Which state goes another way, in words; empty if none does."""
     watched = subject.states or [item for item in subject.outputs if item.is_float]
     places = np.cumsum([0, *(item.size for item in subject.observed)])
@@ -201,35 +205,33 @@ def elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     return ""
 
 
-@check(
-    "event mode of Co-Simulation",
-    "events are announced; a second update changes nothing; the motion is that without event mode; reset forgets",
-    Scope.COSIMULATION,
-)
+@check("event mode of Co-Simulation", Scope.COSIMULATION)
 def event_mode(subject: Subject, kind: str) -> Finding:
+    """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
     if subject.major < 3 or not subject.can(kind, "hasEventMode"):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else "hasEventMode is false.")
-    steps, told = subject.long_steps(kind), _Told()
+    steps, log = subject.long_steps(kind), _StepLog()
     with CheckedInstance(subject, kind) as instance:
         plain = run(instance.begin(), 0, steps)
     with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
-        rows = _through(instance.begin(), steps, told)
-        wrong = elsewhere(subject, plain, rows)
+        rows = _through(instance.begin(), steps, log)
+        wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
-        apart = compare(subject, rows, _through(instance.begin(), steps, _Told()))
+        apart = compare(subject, rows, _through(instance.begin(), steps, _StepLog()))
         if not apart.equal:
             return failed(f"after reset in a run with event mode, {apart.where(subject)}.")
-    return passed(f"{len(told.events)} events handled in {steps} steps; the same after reset, bit for bit.")
+    return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
 def _options(early: bool) -> dict[str, bool]:
     return {"eventModeUsed": True, "earlyReturnAllowed": early}
 
 
-@check("early return", "only where it is allowed, at the time that is told, and where it is asked for", Scope.COSIMULATION)
+@check("early return", Scope.COSIMULATION)
 def early_return(subject: Subject, kind: str) -> Finding:
+    """Only where it is allowed, at the time that is told, and where it is asked for."""
     might, asked = (subject.can(kind, name) for name in (_MIGHT, "canReturnEarlyAfterIntermediateUpdate"))
     if subject.major < 3 or not (might or asked):
         return not_offered(
@@ -237,13 +239,13 @@ def early_return(subject: Subject, kind: str) -> Finding:
         )
     said = []
     if subject.can(kind, "hasEventMode"):
-        told = _Told()
+        log = _StepLog()
         for early in (False, True):
             with CheckedInstance(subject, kind, options=_options(early)) as instance:
-                _through(instance.begin(), subject.long_steps(kind), told)
-        if told.early and not might:
+                _through(instance.begin(), subject.long_steps(kind), log)
+        if log.early and not might:
             return failed(f"it returned early, though {_MIGHT} is false.")
-        said.append(f"{told.early} times at events")
+        said.append(f"{log.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         asked, wrong = _asked_to_return(subject, kind)
         if wrong:
@@ -284,12 +286,9 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 
 
-@check(
-    "intermediate update",
-    "it is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing",
-    Scope.COSIMULATION,
-)
+@check("intermediate update", Scope.COSIMULATION)
 def intermediate_update(subject: Subject, kind: str) -> Finding:
+    """It is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing."""
     if subject.major < 3 or not subject.can(kind, _UPDATE):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else f"{_UPDATE} is false.")
     steps = min(subject.steps(kind), 2 * HOLD)
@@ -320,16 +319,21 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
                 if not finite:
                     wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
+    def stepped(instance: CheckedInstance, step: int) -> None:
+        instance.time = subject.time(step + 1)
+        if wrong:
+            raise Misbehaviour(wrong[0])
+
     watched: list[FmuVariable] = [item for item in subject.outputs if item.is_float]
     with CheckedInstance(subject, kind) as instance:
-        plain = _stepped(instance.begin(), steps, lambda: None)
+        plain = run(instance.begin(), 0, steps)
     options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
     with CheckedInstance(subject, kind, options=options) as instance:
         reading.append(instance)
-        rows = _stepped(instance.begin(), steps, lambda: wrong and _stop(wrong[0]))
+        rows = run(instance.begin(), 0, steps, after=lambda step: stepped(instance, step))
     if not calls[0]:
         return failed(f"it was never called in {steps} steps, though {_UPDATE} is true.")
-    different = elsewhere(subject, plain, rows)
+    different = _elsewhere(subject, plain, rows)
     if different:
         return failed(f"with a callback that only reads, {different} than without.")
     return passed(
@@ -337,25 +341,9 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     )
 
 
-def _stop(sentence: str) -> None:
-    raise Misbehaviour(sentence)
-
-
-def _stepped(instance: CheckedInstance, steps: int, after: Callable[[], object]) -> np.ndarray:
-    subject = instance.subject
-    rows = [instance.observe()]
-    for step in range(steps):
-        if step % HOLD == 0 and subject.continuous_inputs:
-            instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        instance.time = subject.time(step)
-        instance.do_step(instance.time, subject.time(step + 1) - instance.time)
-        after()
-        rows.append(instance.observe())
-    return np.array(rows)
-
-
-@check("input derivatives", "a step with sloping inputs is what many small steps with stairs come to", Scope.COSIMULATION)
+@check("input derivatives", Scope.COSIMULATION)
 def input_derivatives(subject: Subject, kind: str) -> Finding:
+    """A step with sloping inputs is what many small steps with stairs come to."""
     if subject.major >= 3 or not subject.can(kind, "canInterpolateInputs"):
         return not_offered("FMI 3.0 has none." if subject.major >= 3 else "canInterpolateInputs is false.")
     inputs = subject.continuous_inputs
@@ -366,6 +354,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     slope = (last - first) / length
 
     def end(stairs: int, slopes: np.ndarray | None, climb: np.ndarray = slope) -> np.ndarray:
+        """States (entries,) [unit of each] after the span, in so many stairs, with slopes (nu,) or without. Raises FMICallException."""
         with CheckedInstance(subject, kind) as instance:
             instance.begin()
             for stair in range(stairs):
@@ -393,7 +382,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     away = np.abs(sloping - line) / scale
     worst = int(np.argmax(away - _NEARER * effect))
     if away[worst] > _NEARER * effect[worst] + _VISIBLE:
-        names = [item.name for item in subject.states for _ in range(item.size)]
+        names = entry_names(subject.states)
         return failed(
             f"after {length:g} s with sloping inputs {names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
         )

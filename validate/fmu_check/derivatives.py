@@ -1,15 +1,13 @@
-"""Derivatives that the FMU offers against finite differences, and what it says depends on what.
+"""Derivatives and dependencies that the FMU declares, against finite differences at points along a run.
 
-Jacobians of an FMU by finite differences that know their own error.
-
-Central differences with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982): two neighbours are extrapolated, and the
-pair that changes least is taken. What the two one-sided differences do not agree on, however small the step, is a kink: no derivative is there.
-
-Points at which an FMU is a function of its states and inputs: where derivatives and dependencies are looked at.
+The differences know their own error: central ones with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982), two
+neighbours extrapolated, and of these the pair that changes least. Where the two one-sided differences do not approach each other, however small the
+step, there is a kink and no derivative.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -20,7 +18,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmu_check.motion import Record, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
@@ -32,7 +30,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class DerivativeColumn:
+class _DerivativeColumn:
     """d(unknowns)/d(one known): value, error estimate and where there is no derivative, each (unknowns,)."""
 
     value: np.ndarray
@@ -40,9 +38,9 @@ class DerivativeColumn:
     kink: np.ndarray
 
 
-def column(
+def _column(
     evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST
-) -> DerivativeColumn:
+) -> _DerivativeColumn:
     """The column of entry `place` of x at x; size: the typical magnitude of that entry."""
     middle = evaluate(x)
     central, forward, backward, noise = [], [], [], []
@@ -67,21 +65,21 @@ def column(
     # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
     here, before = gap[best + 2, columns], gap[best + 1, columns]
     kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
-    return DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
+    return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
 
-def rounding_of(claimed: np.ndarray) -> float:
+def _rounding(claimed: np.ndarray) -> float:
     """What large terms that cancel leave of an entry that is zero: some units in the last place of the largest entry."""
     return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
 
 
-def agrees(claimed: np.ndarray, found: DerivativeColumn) -> np.ndarray:
+def _agrees(claimed: np.ndarray, found: _DerivativeColumn) -> np.ndarray:
     """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
-    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + rounding_of(claimed)
+    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + _rounding(claimed)
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
-def resolved(claimed: np.ndarray, found: DerivativeColumn) -> np.ndarray:
+def _resolved(claimed: np.ndarray, found: _DerivativeColumn) -> np.ndarray:
     """(unknowns,) whether an error of a thousandth of the entry would show."""
     size = np.maximum(np.abs(claimed), np.abs(found.value))
     return ~found.kink & ((found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error))
@@ -95,7 +93,7 @@ MOST_KNOWNS = 60
 
 
 @dataclass
-class CheckedPoint:
+class _CheckedPoint:
     """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back()."""
 
     where: str
@@ -107,6 +105,7 @@ class CheckedPoint:
     state_entries: int
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
+        """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each]. Raises FMICallException."""
         if self.state_entries:
             self.instance.move(self.time, x[: self.state_entries])
         given = [item for item in self.knowns if item not in self._states]
@@ -115,6 +114,7 @@ class CheckedPoint:
         return self.instance.get(self.unknowns)
 
     def back(self) -> None:
+        """Set the knowns of the point again."""
         self.evaluate(self.x)
 
     @property
@@ -122,7 +122,12 @@ class CheckedPoint:
         return self.instance.subject.states if self.state_entries else []
 
     def sizes(self) -> np.ndarray:
-        return np.concatenate([np.full(item.size, item.scale) for item in self.knowns])
+        """Typical sizes of the knowns' entries, (entries,) [unit of each]. Raises nothing."""
+        return entry_scales(self.knowns)
+
+    def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
+        """The derivatives by entry `place` of x, by finite differences."""
+        return _column(self.evaluate, self.x, place, self.sizes()[place], largest)
 
     def entries(self) -> list[tuple[int, FmuVariable]]:
         """(place in x, known) of the entries to look at: all, or some of a large FMU."""
@@ -134,10 +139,10 @@ class CheckedPoint:
 
     def names(self) -> list[str]:
         """Of the unknowns' entries."""
-        return [item.name for item in self.unknowns for _ in range(item.size)]
+        return entry_names(self.unknowns)
 
 
-def points(subject: Subject, kind: str) -> Iterator[CheckedPoint]:
+def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     """Points along a run: unknowns are derivatives and outputs, knowns are states and continuous inputs (Co-Simulation: inputs, outputs)."""
     steps = subject.long_steps(kind)
     exchange = kind == "ME"
@@ -159,7 +164,7 @@ def points(subject: Subject, kind: str) -> Iterator[CheckedPoint]:
             if place > before:
                 run(instance, before, place, observe="end")
             x = np.concatenate([instance.states() if count else np.empty(0), instance.get(subject.continuous_inputs)])
-            point = CheckedPoint(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
+            point = _CheckedPoint(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
             yield point
             point.back()
 
@@ -178,7 +183,7 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     return sorted(places)
 
 
-def initial_point(subject: Subject, kind: str) -> CheckedPoint | None:
+def _initial_point(subject: Subject, kind: str) -> _CheckedPoint | None:
     """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; None if there are none or it is refused."""
     unknowns = [item for item in subject.of(subject.description.initialUnknowns) if item.is_float]
     knowns = [
@@ -196,7 +201,7 @@ def initial_point(subject: Subject, kind: str) -> CheckedPoint | None:
     # A little off the starts, where symmetric models have kinks and zeros.
     instance.set_all(subject.varied_parameters())
     instance.enter_initialisation()
-    point = CheckedPoint("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
+    point = _CheckedPoint("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
     try:
         point.back()
     except FMICallException:
@@ -210,36 +215,32 @@ _OTHER_STEPS = 3.7e-3
 _CHANGED = 1e-9
 
 
-@check("directional derivatives", "they equal finite differences within the error of those", Scope.EACH)
+@check("directional derivatives", Scope.EACH)
 def directional(subject: Subject, kind: str) -> Finding:
+    """They equal finite differences within the error of those."""
     ability = "providesDirectionalDerivative" if subject.major == 2 else "providesDirectionalDerivatives"
     if not subject.can(kind, ability):
         return not_offered(f"{ability} is false.")
-    looked = sharp = kinks = 0
+    looked = sharp = kinks = places = 0
     wrong: list[str] = []
-    places = 0
-    for point in points(subject, kind):
-        places += 1
+
+    def look(point: _CheckedPoint) -> None:
+        nonlocal looked, sharp, kinks, places
         for place, known in point.entries():
             claimed = _claimed(point, place)
-            found = column(point.evaluate, point.x, place, point.sizes()[place])
+            found = point.column(place)
             looked += claimed.size
-            sharp += int(np.sum(resolved(claimed, found)))
+            sharp += int(np.sum(_resolved(claimed, found)))
             kinks += int(np.sum(found.kink))
-            wrong += _wrong(point, place, known, claimed, found)
-    initial = initial_point(subject, kind)
+            wrong.extend(_wrong(point, place, known, claimed, found))
+        places += 1
+
+    for point in _points(subject, kind):
+        look(point)
+    initial = _initial_point(subject, kind)
     if initial is not None:
-        try:
-            for place, known in initial.entries():
-                claimed = _claimed(initial, place)
-                found = column(initial.evaluate, initial.x, place, initial.sizes()[place])
-                looked += claimed.size
-                sharp += int(np.sum(resolved(claimed, found)))
-                kinks += int(np.sum(found.kink))
-                wrong += _wrong(initial, place, known, claimed, found)
-            places += 1
-        except FMICallException:
-            pass  # derivatives by parameters, or of a value outside its range: not every FMU has them
+        with contextlib.suppress(FMICallException):  # derivatives by parameters, or of a value outside its range: not every FMU has them
+            look(initial)
     if wrong:
         return failed(listed(wrong))
     if not looked:
@@ -248,7 +249,7 @@ def directional(subject: Subject, kind: str) -> Finding:
     return passed(f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.")
 
 
-def _claimed(point: CheckedPoint, place: int) -> np.ndarray:
+def _claimed(point: _CheckedPoint, place: int) -> np.ndarray:
     """The column that the FMU gives for an entry of the knowns."""
     point.back()
     known, within = _locate(point.knowns, place)
@@ -265,12 +266,12 @@ def _locate(knowns: list[FmuVariable], place: int) -> tuple[FmuVariable, int]:
     raise IndexError(place)
 
 
-def _wrong(point: CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: DerivativeColumn) -> list[str]:
-    bad = ~agrees(claimed, found)
+def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
+    bad = ~_agrees(claimed, found)
     if not bad.any():
         return []
-    again = column(point.evaluate, point.x, place, point.sizes()[place], _OTHER_STEPS)
-    bad &= ~agrees(claimed, again)
+    again = point.column(place, _OTHER_STEPS)
+    bad &= ~_agrees(claimed, again)
     names = point.names()
     return [
         f"d {names[row]} / d {known.name} {point.where} is {claimed[row]:.6g}, finite differences give {found.value[row]:.6g} +- {found.error[row]:.1g}"
@@ -278,16 +279,17 @@ def _wrong(point: CheckedPoint, place: int, known: FmuVariable, claimed: np.ndar
     ]
 
 
-@check("adjoint derivatives", "they are the transpose of what finite differences give", Scope.EACH)
+@check("adjoint derivatives", Scope.EACH)
 def adjoint(subject: Subject, kind: str) -> Finding:
+    """They are the transpose of what finite differences give."""
     if not subject.can(kind, "providesAdjointDerivatives"):
         return not_offered("providesAdjointDerivatives is false." if subject.major >= 3 else "FMI 2.0 has none.")
     looked = 0
     dice = np.random.default_rng(11)
-    for point in points(subject, kind):
+    for point in _points(subject, kind):
         if len(point.entries()) < point.x.size:
             return not_offered("the model is too large for all columns.")
-        columns = [column(point.evaluate, point.x, place, point.sizes()[place]) for place, _ in point.entries()]
+        columns = [point.column(place) for place, _ in point.entries()]
         point.back()
         rows = sum(item.size for item in point.unknowns)
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
@@ -300,7 +302,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
                 error = float(np.abs(seed[used]) @ found.error[used])
                 size = float(np.abs(seed[used]) @ np.abs(found.value[used]))
                 looked += 1
-                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])) + rounding_of(claimed):
+                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])) + _rounding(claimed):
                     names = [name for name, one in zip(point.names(), used, strict=True) if one]
                     return failed(
                         f"the adjoint of {listed(names, 1)} by {known.name} {point.where} is {claimed[place]:.6g}, "
@@ -311,12 +313,9 @@ def adjoint(subject: Subject, kind: str) -> Finding:
     return passed(f"{looked} entries agree, one seed at a time and all at once.")
 
 
-@check(
-    "dependencies are complete",
-    "nothing changes that is not declared to depend on what was changed, and constant factors are constant",
-    Scope.EACH,
-)
+@check("dependencies are complete", Scope.EACH)
 def dependencies(subject: Subject, kind: str) -> Finding:
+    """Nothing changes that is not declared to depend on what was changed, and constant factors are constant."""
     structure = subject.description
     running = _declared(subject, [*structure.derivatives, *structure.outputs])
     starting = _declared(subject, structure.initialUnknowns)
@@ -325,11 +324,11 @@ def dependencies(subject: Subject, kind: str) -> Finding:
     wrong: list[str] = []
     looked = 0
     slopes: dict[tuple[str, str], tuple[float, float, str]] = {}
-    for point in points(subject, kind):
+    for point in _points(subject, kind):
         looked += _missing(point, running, wrong)
         _factors(point, running, slopes, wrong)
     if starting:
-        initial = initial_point(subject, kind)
+        initial = _initial_point(subject, kind)
         if initial is not None:
             looked += _missing(initial, starting, wrong)
     if wrong:
@@ -349,7 +348,7 @@ def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
     return found
 
 
-def _missing(point: CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
+def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
     """Add to `wrong` what changes undeclared; the number of pairs looked at."""
     looked = 0
     names = point.names()
@@ -375,7 +374,7 @@ def _missing(point: CheckedPoint, declared: dict[str, dict[str, str]], wrong: li
 
 
 def _factors(
-    point: CheckedPoint, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
+    point: _CheckedPoint, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
 ) -> None:
     """Compare the slopes of dependencies declared `constant` or `fixed` with those at the points before."""
     names = point.names()
@@ -383,7 +382,7 @@ def _factors(
         rows = [row for row, name in enumerate(names) if declared.get(name, {}).get(known.name) in ("constant", "fixed")]
         if not rows:
             continue
-        found = column(point.evaluate, point.x, place, point.sizes()[place])
+        found = point.column(place)
         point.back()
         for row in rows:
             value, error = float(found.value[row]), float(found.error[row])

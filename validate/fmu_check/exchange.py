@@ -1,11 +1,9 @@
-"""Model Exchange: states, derivatives and nominals are those of the description, and event indicators announce events.
+"""Model Exchange: states, derivatives and nominals are those of the description, event indicators announce events, and Co-Simulation moves the same.
 
-Model Exchange equals Co-Simulation as the step shrinks.
-
-Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise constant inputs. The
-difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's tolerance. Co-Simulation
-that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on the same equations:
-the plainest integrator of order one.
+For the last, Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise
+constant inputs. The difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's
+tolerance. Co-Simulation that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on
+the same equations: the plainest integrator of order one.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
@@ -28,12 +26,9 @@ _ZERO = 1e-6
 _RTOL, _LOOKS = 1e-8, 3
 
 
-@check(
-    "states and derivatives are the listed ones",
-    "the variables of the ModelStructure equal the arrays of states and derivatives, in order",
-    Scope.EXCHANGE,
-)
+@check("states and derivatives are the listed ones", Scope.EXCHANGE)
 def arrays(subject: Subject, kind: str) -> Finding:
+    """The variables of the ModelStructure equal the arrays of states and derivatives, in order."""
     steps = subject.steps(kind)
     count = int(subject.description.numberOfContinuousStates)
     if not count:
@@ -41,8 +36,8 @@ def arrays(subject: Subject, kind: str) -> Finding:
     worst: list[str] = []
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
-        if subject.major >= 3 and (told := instance.fmu.getNumberOfContinuousStates()) != count:
-            return failed(f"the binary says {told} continuous states, the description lists {count}.")
+        if subject.major >= 3 and (reported := instance.fmu.getNumberOfContinuousStates()) != count:
+            return failed(f"the binary says {reported} continuous states, the description lists {count}.")
 
         def look(step: int) -> None:
             for what, variables, values in (
@@ -64,13 +59,14 @@ def arrays(subject: Subject, kind: str) -> Finding:
 def _unequal(instance: CheckedInstance, what: str, variables: list[FmuVariable], values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
     for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
-        name = [item.name for item in variables for _ in range(item.size)][place]
+        name = entry_names(variables)[place]
         return [f"{what} {place} is {values[place]:.10g} in the array, but the variable {name} is {read[place]:.10g} at t = {time:.6g} s"]
     return []
 
 
-@check("nominals are the XML's", "the nominals of the states are positive and those of the description", Scope.EXCHANGE)
+@check("nominals are the XML's", Scope.EXCHANGE)
 def nominals(subject: Subject, kind: str) -> Finding:
+    """The nominals of the states are positive and those of the description."""
     count = int(subject.description.numberOfContinuousStates)
     if not count:
         return not_offered("there are no continuous states.")
@@ -86,18 +82,15 @@ def nominals(subject: Subject, kind: str) -> Finding:
     return passed(f"{count} nominals; {given} are given in the description and agree.")
 
 
-@check(
-    "event indicators announce events",
-    "they pass through zero continuously, and nothing changes at an event update that no indicator or time announced",
-    Scope.EXCHANGE,
-)
+@check("event indicators announce events", Scope.EXCHANGE)
 def indicators(subject: Subject, kind: str) -> Finding:
+    """They pass through zero continuously, and nothing changes at an event update that no indicator or time announced."""
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         count = instance.indicator_count
         if subject.major >= 3:
-            if (told := instance.fmu.getNumberOfEventIndicators()) != count:
-                return failed(f"the binary says {told} event indicators, the description lists {count}.")
+            if (reported := instance.fmu.getNumberOfEventIndicators()) != count:
+                return failed(f"the binary says {reported} event indicators, the description lists {count}.")
             listed = subject.of(subject.description.eventIndicators)
             if len(listed) == len(subject.description.eventIndicators) and count:
                 wrong = _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)
@@ -165,8 +158,9 @@ class _Traces:
     events: int
 
 
-@check("Model Exchange equals Co-Simulation", "as the step shrinks, or within the FMU's tolerance", Scope.FILE)
+@check("Model Exchange equals Co-Simulation", Scope.FILE)
 def agree(subject: Subject) -> Finding:
+    """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
         return not_offered(f"the FMU offers {' and '.join(subject.types)} only.")
     compared = [
@@ -185,16 +179,16 @@ def agree(subject: Subject) -> Finding:
 
 
 def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Finding:
-    names = [item.name for item in compared for _ in range(item.size)]
-    floor = np.concatenate([np.full(item.size, item.scale) for item in compared])
+    names = entry_names(compared)
+    floor = entry_scales(compared)
     size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * floor)
     finest = traces.parts[max(traces.parts)]
     apart = np.abs(finest - traces.reference)
     shrink = np.abs(finest - traces.parts[max(traces.parts) // 2]) if len(traces.parts) > 1 else np.zeros_like(apart)
     allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(traces.error))
     shares = {number: float((np.abs(rows - traces.reference) / size).max()) for number, rows in traces.parts.items()}
-    told = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
-    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {told} of the value's size"
+    shown = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
+    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {shown} of the value's size"
     unexplained = ~(apart <= allowed)
     if not unexplained.any():
         return passed(f"{where}.")

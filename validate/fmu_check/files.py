@@ -18,7 +18,7 @@ from typing import Any
 
 from fmpy.validation import validate_fmu
 
-from validate.fmi.archive import platform_folder, problems
+from validate.fmi.archive import binary_name, problems
 from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import FmuVariable, Subject
@@ -104,16 +104,17 @@ def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-# Of the intake's checks: those about the archive as such.
+# Of the checks of the archive: those that are not about its content.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
 
-@check("archive", "a zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder", Scope.FILE)
+@check("archive", Scope.FILE)
 def archive(path: Path) -> Finding:
-    """Looks at the file only: comes before anything is unpacked."""
+    """A zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder."""
+    # Looks at the file only: comes before anything is unpacked.
     wrong = [problem.sentence.removeprefix(f"FMU {path}: ").rstrip(".") for problem in problems(path) if problem.check in ARCHIVE_CHECKS]
     with zipfile.ZipFile(path) as packed:
         items = packed.infolist()
@@ -128,13 +129,12 @@ def archive(path: Path) -> Finding:
 
 def library_path(subject: Subject, kind: str) -> Path:
     """Where the binary for this machine must be."""
-    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    folder = platform_folder(subject.description.fmiVersion)
-    return subject.folder / "binaries" / folder / f"{subject.interface(kind).modelIdentifier}{ending}"
+    return subject.folder / binary_name(subject.description.fmiVersion, subject.interface(kind).modelIdentifier)
 
 
-@check("exported functions", "the binary exports every function of its type, as the standard demands of optional ones, too", Scope.EACH)
+@check("exported functions", Scope.EACH)
 def exports(subject: Subject, kind: str) -> Finding:
+    """The binary exports every function of its type, as the standard demands of optional ones, too."""
     path = library_path(subject, kind)
     if not path.is_file():
         return not_offered(f"there is no {path.relative_to(subject.folder)}.")
@@ -160,21 +160,19 @@ def _required(subject: Subject, kind: str) -> set[str]:
     return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
 
 
-@check("description is valid", "modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)", Scope.FILE)
+@check("description is valid", Scope.FILE)
 def valid(path: Path) -> Finding:
-    """Looks at the unpacked folder; comes before the description is read without validation."""
+    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)."""
+    # Looks at the unpacked folder; comes before the description is read without validation.
     problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))]
     if problems:
         return failed(f"{listed(problems)}.")
     return passed("0 problems.")
 
 
-@check(
-    "variables are consistent",
-    "starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second",
-    Scope.FILE,
-)
+@check("variables are consistent", Scope.FILE)
 def consistent(subject: Subject) -> Finding:
+    """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
     wrong = [problem for item in subject.variables for problem in _of_variable(item)]
     wrong += _of_aliases(subject)
     wrong += _of_derivatives(subject)

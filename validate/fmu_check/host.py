@@ -1,4 +1,4 @@
-"""check_fmu(): the file is let in, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
+"""check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
     run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
 
@@ -20,7 +20,7 @@ from fmpy.fmi1 import FMICallException
 
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
-from validate.fmi.archive import IntakeError, examine, unpack
+from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
@@ -186,19 +186,19 @@ _MEMORY = 4 * 1024**3
 def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float = CHECK_SECONDS) -> CheckReport:
     """All checks of an FMU file, or those named. seconds: of the clock, for each check.
 
-    Raises IntakeError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine cannot, UnknownNameError for a name.
+    Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine cannot, UnknownNameError for a name.
     """
     for name in names or ():
         if name not in NAMES:
             raise UnknownNameError(f"there is no check {name!r}; there are: {', '.join(NAMES)}.")
     try:
-        intake = examine(path, but_for="binary")
-    except IntakeError as error:
+        archive = check_archive(path, but_for="binary")
+    except ArchiveError as error:
         if error.check not in files.ARCHIVE_CHECKS:
             raise
         return _unsafe(path)
     with temporary_folder("touchstone-check-") as folder:
-        unpack(intake, folder)
+        unpack(archive, folder)
         request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
@@ -214,7 +214,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
         version=done.value["version"],
         types=tuple(done.value["types"]),
         rows=rows,
-        unrunnable=not intake.kinds or done.value["lacking"],
+        unrunnable=not archive.kinds or done.value["lacking"],
     )
 
 

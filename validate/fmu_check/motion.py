@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
 _RESTART = 1e-6
@@ -30,18 +30,33 @@ class MotionDifference:
     row: int
 
     def where(self, subject: Subject, first: int = 0) -> str:
+        """The variable, the difference and the time, as a clause; first: the step of row 0."""
         return f"{self.name} differs by {self.absolute:.2g} at t = {subject.time(first + self.row):.6g} s"
 
 
 def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDifference:
-    """Two (rows, observed) arrays of values."""
+    """How far two runs are apart.
+
+    Parameters
+    ----------
+    subject : the FMU, whose variables are compared.
+    one, other : (rows, observed) values of all variables [unit of each variable].
+
+    Returns
+    -------
+    The difference that is largest as a share of the variable's size; infinite for runs of different length.
+
+    Raises
+    ------
+    ValueError : if the columns are not the observed variables.
+    """
     rows = min(len(one), len(other))
     if len(one) != len(other):
         return MotionDifference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
     if np.array_equal(one, other, equal_nan=True):
         return MotionDifference(True, 0.0, 0.0, "", 0)
-    names = [item.name for item in subject.observed for _ in range(item.size)]
-    scales = np.concatenate([np.full(item.size, item.scale) for item in subject.observed])
+    names = entry_names(subject.observed)
+    scales = entry_scales(subject.observed)
     with np.errstate(invalid="ignore"):
         apart = np.where(one == other, 0.0, np.abs(one - other))
     apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf))
@@ -72,8 +87,11 @@ _ROOT = 2
 
 @dataclass
 class Record:
-    """events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words;
-    crowded: from when on events crowd."""
+    """What a run of Model Exchange noted.
+
+    events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; crowded: from when on
+    events crowd.
+    """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
@@ -94,10 +112,24 @@ def run(
     observe: Literal["each", "end"] = "each",
     record: Record | None = None,
 ) -> np.ndarray:
-    """Communication steps first..last; (last - first + 1, observed) values of all variables at their ends and at the beginning.
+    """Communication steps first..last, with moving inputs.
 
-    seed: of the inputs' signal; after(step) is called when each step is done; observe: each of them, or only the end;
-    record: where events of Model Exchange are noted.
+    Parameters
+    ----------
+    instance : in Continuous-Time Mode, or before a step.
+    first, last : steps of the subject's grid.
+    seed : of the inputs' signal.
+    after : after(step) is called when each step is done.
+    observe : values after each of them, or only at the end.
+    record : where events of Model Exchange are noted.
+
+    Returns
+    -------
+    (last - first + 1, observed) values of all variables [unit of each variable], at the beginning and at each step's end; (1, observed) of the end.
+
+    Raises
+    ------
+    FMICallException, Fault : if the FMU refuses a call, misbehaves or ends.
     """
     subject = instance.subject
     rows = [instance.observe()] if observe == "each" else []
@@ -141,7 +173,10 @@ class Exchange:
         self.solver: Any = None
 
     def jump(self, time: float, inputs: np.ndarray) -> None:
-        """Begin at `time` with these inputs, by an event if they change or the integrator has not begun."""
+        """Begin at `time` [s] with inputs (nu,) [unit of each input], by an event if they change or the integrator has not begun.
+
+        Raises FMICallException, Fault.
+        """
         instance = self.instance
         if self.solver is not None or inputs.size:
             instance.set_time(time)
@@ -227,7 +262,7 @@ class Exchange:
             place = int(np.argmax(jump))
             if jump[place] > _JUMP:
                 subject = instance.subject
-                names = [item.name for item in (subject.states if what == "state" else subject.derivatives) for _ in range(item.size)]
+                names = entry_names(subject.states if what == "state" else subject.derivatives)
                 name = names[place] if place < len(names) else f"{what} {place}"
                 self.record.surprises.append(f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.time:.6g} s")
 

@@ -35,14 +35,17 @@ class Finding:
 
 
 def passed(sentence: str, pace: float | None = None) -> Finding:
+    """A check that passed."""
     return Finding(Status.PASSED, sentence, pace)
 
 
 def failed(sentence: str) -> Finding:
+    """A check that failed."""
     return Finding(Status.FAILED, sentence)
 
 
 def not_offered(sentence: str) -> Finding:
+    """A check that does not apply, or cannot be decided."""
     return Finding(Status.NOT_OFFERED, sentence)
 
 
@@ -59,12 +62,18 @@ class Check:
     run: Callable[..., Finding]
 
     def __call__(self, *arguments: Any) -> Finding:
+        """Run it: see `run`."""
         return self.run(*arguments)
 
 
-def check(name: str, claim: str, scope: Scope) -> Callable[[Callable[..., Finding]], Check]:
-    """Make a function a Check."""
-    return lambda function: Check(name=name, claim=claim, scope=scope, run=function)
+def check(name: str, scope: Scope) -> Callable[[Callable[..., Finding]], Check]:
+    """Make a function a Check. Its docstring, one sentence, is what it claims of a sound FMU."""
+
+    def made(function: Callable[..., Finding]) -> Check:
+        claim = " ".join((function.__doc__ or "").split()).removesuffix(".")
+        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function)
+
+    return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,10 +99,12 @@ class CheckReport:
     unrunnable: bool = False
 
     def failures(self) -> tuple[FmuCheckRow, ...]:
+        """The rows that failed."""
         return tuple(row for row in self.rows if row.status is Status.FAILED)
 
     @property
     def ok(self) -> bool:
+        """Whether no check failed."""
         return not self.failures()
 
 

@@ -1,5 +1,8 @@
-"""What an instance remembers: a saved state restores everything, serialised in another process too; runs repeat, reset forgets everything, instances do
-not know each other, and what is freed is given back."""
+"""What an instance remembers.
+
+A saved state restores everything, serialised in another process too; runs repeat, reset forgets everything, instances do not know each other, and
+what is freed is given back.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +43,9 @@ def can_save(subject: Subject, kind: str) -> bool:
     return subject.can(kind, f"canGetAndSetFMU{STATE[subject.major]}")
 
 
-@check("set state restores", "a saved state, set again after other steps and other inputs, continues as the first time", Scope.EACH)
+@check("set state restores", Scope.EACH)
 def restores(subject: Subject, kind: str) -> Finding:
+    """A saved state, set again after other steps and other inputs, continues as the first time."""
     if not can_save(subject, kind):
         return not_offered(f"canGetAndSetFMU{STATE[subject.major]} is false.")
     steps = subject.steps(kind)
@@ -74,8 +78,8 @@ def restores(subject: Subject, kind: str) -> Finding:
                     return failed(f"continued {turn}from the state saved at t = {subject.time(place):.6g} s, {where}.")
                 worst = max(worst, apart.share)
             instance.forget(saved)
-    told = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
-    return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {told}.")
+    how = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
+    return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {how}.")
 
 
 def _restart_error(subject: Subject, kind: str, first: int, length: int) -> float:
@@ -113,8 +117,9 @@ def begin_varied(instance: CheckedInstance) -> None:
         instance.begin()
 
 
-@check("serialised state loads elsewhere", "the bytes of a state, loaded in a new process, continue as the first process did", Scope.EACH)
+@check("serialised state loads elsewhere", Scope.EACH)
 def serialises(subject: Subject, kind: str) -> Finding:
+    """The bytes of a state, loaded in a new process, continue as the first process did."""
     if not subject.can(kind, f"canSerializeFMU{STATE[subject.major]}"):
         return not_offered(f"canSerializeFMU{STATE[subject.major]} is false.")
     steps = subject.steps(kind)
@@ -159,8 +164,8 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
     if not found["same"]:
         return failed("one state serialised twice gives different bytes.")
-    told = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
-    return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {told}.")
+    how = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
+    return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {how}.")
 
 
 # Steps of instances that are stepped in turn.
@@ -172,8 +177,9 @@ _KEPT = 24.0
 _RESIDENT_KEPT = 1024.0
 
 
-@check("runs repeat", "two fresh instances with the same inputs give the same bits", Scope.EACH)
+@check("runs repeat", Scope.EACH)
 def repeats(subject: Subject, kind: str) -> Finding:
+    """Two fresh instances with the same inputs give the same bits."""
     steps = subject.steps(kind)
     runs = []
     for name in ("first", "second"):
@@ -185,8 +191,9 @@ def repeats(subject: Subject, kind: str) -> Finding:
     return passed(f"{runs[0].shape[1]} values over {len(runs[0]) - 1} steps: equal bits.")
 
 
-@check("reset equals a fresh instance", "after a run with other parameters and inputs, reset forgets all of it", Scope.EACH)
+@check("reset equals a fresh instance", Scope.EACH)
 def resets(subject: Subject, kind: str) -> Finding:
+    """After a run with other parameters and inputs, reset forgets all of it."""
     steps = subject.steps(kind)
     with CheckedInstance(subject, kind, "fresh") as instance:
         reference = run(instance.begin(), 0, steps)
@@ -204,8 +211,9 @@ def resets(subject: Subject, kind: str) -> Finding:
     return passed(f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits.")
 
 
-@check("instances do not disturb each other", "two instances stepped in turn give what each gives alone", Scope.EACH)
+@check("instances do not disturb each other", Scope.EACH)
 def independent(subject: Subject, kind: str) -> Finding:
+    """Two instances stepped in turn give what each gives alone."""
     if subject.can(kind, "canBeInstantiatedOnlyOncePerProcess"):
         return not_offered("canBeInstantiatedOnlyOncePerProcess is true.")
     steps = min(subject.steps(kind), _IN_TURN)
@@ -241,12 +249,9 @@ def _stepwise(instance: CheckedInstance, steps: int, seed: int):
         yield run(instance, step, step + 1, seed=seed, observe="end")[0]
 
 
-@check(
-    "freed instances give memory back",
-    "instantiating, running, saving states and freeing again and again does not grow the process",
-    Scope.EACH,
-)
+@check("freed instances give memory back", Scope.EACH)
 def leaks(subject: Subject, kind: str) -> Finding:
+    """Instantiating, running, saving states and freeing again and again does not grow the process."""
     instance = CheckedInstance(subject, kind)
     saves = can_save(subject, kind)
 

@@ -51,6 +51,7 @@ class FmuVariable:
 
     @property
     def is_float(self) -> bool:
+        """Whether it is a floating-point number."""
         return self.type in _FLOATS
 
     @property
@@ -62,7 +63,17 @@ class FmuVariable:
         return size if size > 0.0 and math.isfinite(size) else 1.0
 
     def near(self, value: np.ndarray, share: float) -> np.ndarray:
-        """Another value: `share` of the size away, on the side that the range allows; the same where it allows none."""
+        """Another value: `share` of the size away, on the side that the range allows; the same where it allows none.
+
+        Parameters
+        ----------
+        value : (size,) [unit of the variable].
+        share : of its size [-].
+
+        Returns
+        -------
+        (size,) [unit of the variable]. Raises nothing.
+        """
         away = share * np.where(value == 0.0, self.scale, np.abs(value))
         above, below = value + away, value - away
         return np.where(above <= self.upper, above, np.where(below >= self.lower, below, value))
@@ -70,8 +81,11 @@ class FmuVariable:
 
 @dataclass(eq=False)
 class Subject:
-    """An unpacked FMU. `description` is FMPy's; `pace` the seconds of one step of each type, once known; `ends` the time [s] that a
-    run of each type cannot reach, as the FMU ended it before."""
+    """An unpacked FMU.
+
+    `description` is FMPy's; `pace`: the seconds of one step of each type, once known; `ends`: the time [s] that a run of each type cannot reach, as
+    the FMU ended it before.
+    """
 
     path: Path
     folder: Path
@@ -81,14 +95,17 @@ class Subject:
 
     @property
     def major(self) -> int:
+        """Major version of FMI."""
         return int(self.description.fmiVersion.split(".")[0])
 
     @property
     def types(self) -> tuple[str, ...]:
+        """Types of FMI that the description offers, of "ME" and "CS"."""
         offered = {"ME": self.description.modelExchange, "CS": self.description.coSimulation}
         return tuple(name for name, interface in offered.items() if interface is not None)
 
     def interface(self, kind: str) -> Any:
+        """FMPy's description of a type."""
         return self.description.modelExchange if kind == "ME" else self.description.coSimulation
 
     def can(self, kind: str, ability: str) -> bool:
@@ -107,6 +124,7 @@ class Subject:
 
     @cached_property
     def by_name(self) -> dict[str, FmuVariable]:
+        """Variables by their names."""
         return {variable.name: variable for variable in self.variables}
 
     def of(self, unknowns: list[Any]) -> list[FmuVariable]:
@@ -121,10 +139,12 @@ class Subject:
 
     @cached_property
     def derivatives(self) -> list[FmuVariable]:
+        """Derivatives of the states, as the ModelStructure lists them."""
         return self.of(self.description.derivatives)
 
     @cached_property
     def outputs(self) -> list[FmuVariable]:
+        """Outputs, as the ModelStructure lists them."""
         return self.of(self.description.outputs)
 
     @cached_property
@@ -134,6 +154,7 @@ class Subject:
 
     @cached_property
     def continuous_inputs(self) -> list[FmuVariable]:
+        """Continuous floating-point inputs."""
         return [item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous"]
 
     @cached_property
@@ -143,6 +164,7 @@ class Subject:
 
     @cached_property
     def start_time(self) -> float:
+        """Start of the FMU's experiment [s]; 0 without one."""
         return self._experiment("startTime", 0.0)
 
     @cached_property
@@ -156,9 +178,11 @@ class Subject:
 
     @cached_property
     def tolerance(self) -> float:
+        """Relative tolerance of the FMU's experiment [-]."""
         return self._experiment("tolerance", DEFAULT_TOLERANCE)
 
     def _experiment(self, name: str, fallback: float) -> float:
+        """A number of the default experiment, or what stands for it."""
         text = getattr(self.description.defaultExperiment, name, None)
         try:
             value = float(text) if text is not None else fallback
@@ -185,10 +209,16 @@ class Subject:
         return max(0, min(steps, left))
 
     def time(self, step: int) -> float:
+        """Time of a communication point [s]."""
         return self.start_time + step * self.step
 
     def inputs_at(self, step: int, seed: int = 0) -> np.ndarray:
-        """Values of the continuous inputs from this step on; they change every HOLD steps. Another seed, another signal."""
+        """Values of the continuous inputs from this step on; they change every HOLD steps. Another seed, another signal.
+
+        Returns
+        -------
+        (nu,) [unit of each input]. Raises nothing.
+        """
         values = []
         for place, item in enumerate(self.continuous_inputs):
             start = item.start if item.start is not None else np.zeros(item.size)
@@ -199,7 +229,7 @@ class Subject:
         return np.concatenate(values) if values else np.empty(0)
 
     def varied_parameters(self, share: float = 0.01) -> dict[FmuVariable, np.ndarray]:
-        """Other values of the parameters, a little off their starts."""
+        """Other values of the parameters, (size,) each [unit of the parameter], `share` [-] of their size off their starts. Raises nothing."""
         return {item: item.near(item.start, share) for item in self.parameters if item.start is not None}
 
 
@@ -269,6 +299,7 @@ class CheckedInstance(Instance):
         self.fmu.setup(self.subject.start_time, stop, self.tolerance)
 
     def enter_initialisation(self, stop: float | None = None) -> None:
+        """Into Initialization Mode; stop: the stop time [s]."""
         self.fmu.enter(self.subject.start_time, stop, self.tolerance)
 
     def begin(
@@ -277,7 +308,17 @@ class CheckedInstance(Instance):
         during: Mapping[FmuVariable, np.ndarray] | None = None,
         stop: float | None = None,
     ) -> CheckedInstance:
-        """Through initialisation, and to Continuous-Time Mode or the first step. before, during: values set before and in it."""
+        """Through initialisation, and to Continuous-Time Mode or the first step.
+
+        Parameters
+        ----------
+        before, during : values (size,) [unit of the variable] of variables set before and in initialisation.
+        stop : stop time [s].
+
+        Raises
+        ------
+        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        """
         self.time = self.subject.start_time
         self.setup(stop)
         self.set_all(before or {})
@@ -286,6 +327,7 @@ class CheckedInstance(Instance):
         return self.finish_initialisation()
 
     def finish_initialisation(self) -> CheckedInstance:
+        """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
         self.fmu.exitInitializationMode()
         self.next_event = math.inf
         if self.kind == "ME":
@@ -293,7 +335,16 @@ class CheckedInstance(Instance):
         return self
 
     def get(self, variables: Sequence[FmuVariable]) -> np.ndarray:
-        """(sum of sizes,) the values in the order given; one call a type."""
+        """Values of variables in the order given; one call a type.
+
+        Returns
+        -------
+        (entries,) [unit of each variable], all entries of the first variable, then of the second.
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses a call.
+        """
         if not variables:
             return np.empty(0)
         kinds = dict.fromkeys([item.type for item in variables])
@@ -313,7 +364,17 @@ class CheckedInstance(Instance):
         return values
 
     def set(self, variables: Sequence[FmuVariable], values: np.ndarray) -> None:
-        """values (sum of sizes,); one call a type."""
+        """Set variables; one call a type.
+
+        Parameters
+        ----------
+        variables : in any order.
+        values : (entries,) [unit of each variable], all entries of the first variable, then of the second.
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses a call.
+        """
         at = 0
         groups: dict[str, tuple[list[int], list[float]]] = {}
         for item in variables:
@@ -325,19 +386,57 @@ class CheckedInstance(Instance):
             self.fmu.write(kind, references, numbers)
 
     def set_all(self, values: Mapping[FmuVariable, np.ndarray]) -> None:
+        """Set variables to values (size,) each [unit of the variable]. Raises FMICallException."""
         if values:
             self.set(list(values), np.concatenate(list(values.values())))
 
     def observe(self) -> np.ndarray:
+        """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
         return self.get(self.subject.observed)
 
     def directional(self, unknowns: Sequence[FmuVariable], known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
-        """(entries of the unknowns,) derivative in the direction `seed` (entries of the known,)."""
+        """Directional derivatives of unknowns by one known.
+
+        Parameters
+        ----------
+        seed : (entries of the known,) the direction [unit of the known].
+
+        Returns
+        -------
+        (entries,) of the unknowns [unit of each unknown].
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses the call.
+        """
         return np.array(self.fmu.directional(_references(unknowns), [known.reference], seed, sum(item.size for item in unknowns)))
 
     def adjoint(self, unknowns: Sequence[FmuVariable], knowns: Sequence[FmuVariable], seed: Sequence[float]) -> np.ndarray:
-        """(entries of the knowns,) for `seed` (entries of the unknowns,). FMI 3.0."""
+        """Adjoint derivatives of FMI 3.0 by all knowns.
+
+        Parameters
+        ----------
+        seed : (entries of the unknowns,) the weights [-].
+
+        Returns
+        -------
+        (entries,) of the knowns [unit of the unknown per unit of the known].
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses the call.
+        """
         return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
+
+
+def entry_names(variables: Sequence[FmuVariable]) -> list[str]:
+    """The name of each entry of some variables, as `CheckedInstance.get` orders them."""
+    return [item.name for item in variables for _ in range(item.size)]
+
+
+def entry_scales(variables: Sequence[FmuVariable]) -> np.ndarray:
+    """Typical magnitude of each entry of some variables, (entries,) [unit of each]. Raises ValueError for no variables."""
+    return np.concatenate([np.full(item.size, item.scale) for item in variables])
 
 
 def _references(variables: Sequence[FmuVariable]) -> list[int]:

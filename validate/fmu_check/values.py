@@ -8,7 +8,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -18,8 +18,9 @@ _SINGLE = 1e-6
 _MOVED = 0.01
 
 
-@check("variables can be read", "after initialisation each variable's value reference is accepted", Scope.EACH)
+@check("variables can be read", Scope.EACH)
 def readable(subject: Subject, kind: str) -> Finding:
+    """After initialisation each variable's value reference is accepted."""
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         problems = []
@@ -38,8 +39,9 @@ def _exact(subject: Subject) -> list[FmuVariable]:
     return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
 
 
-@check("start values are the XML's", "in Initialization Mode variables have the start values of the description", Scope.EACH)
+@check("start values are the XML's", Scope.EACH)
 def starts(subject: Subject, kind: str) -> Finding:
+    """In Initialization Mode variables have the start values of the description."""
     variables = _exact(subject)
     if not variables:
         return not_offered("no variable has a start value that counts.")
@@ -73,8 +75,9 @@ def _moved(item: FmuVariable) -> np.ndarray | None:
     return None if np.array_equal(value, item.start) else value
 
 
-@check("start values are obeyed", "a start value set before or in initialisation is the value from then on", Scope.EACH)
+@check("start values are obeyed", Scope.EACH)
 def obeyed(subject: Subject, kind: str) -> Finding:
+    """A start value set before or in initialisation is the value from then on."""
     moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
@@ -130,33 +133,33 @@ def _read(instance: CheckedInstance, variables: list[FmuVariable]) -> list[np.nd
 
 def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
     """Why the value was not obeyed; nothing if it was. The first event may move a state, but not back to where it would be anyhow."""
-    told = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
+    clause = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
-        return [f"{told}, but is {inside[0]:.10g} in Initialization Mode"]
+        return [f"{clause}, but is {inside[0]:.10g} in Initialization Mode"]
     kept = np.allclose(after, value, rtol=_TEXT, atol=0.0)
     free = item.causality not in ("parameter", "input")
     if not kept and (not free or np.array_equal(after, default)):
-        return [f"{told}, but is {after[0]:.10g} after it"]
+        return [f"{clause}, but is {after[0]:.10g} after it"]
     return []
 
 
-@check("values stay finite", "no variable becomes infinite or not a number in a run with moderate inputs", Scope.EACH)
+@check("values stay finite", Scope.EACH)
 def finite(subject: Subject, kind: str) -> Finding:
+    """No variable becomes infinite or not a number in a run with moderate inputs."""
     steps = subject.long_steps(kind)
     with CheckedInstance(subject, kind) as instance:
         rows = run(instance.begin(), 0, steps)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
-        names = [item.name for item in subject.observed for _ in range(item.size)]
+        names = entry_names(subject.observed)
         row, column = bad[0]
         return failed(f"{names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
 
 
-@check(
-    "order of reading does not matter", "values do not depend on which variables were read before, how often and in which order", Scope.EACH
-)
+@check("order of reading does not matter", Scope.EACH)
 def get_order(subject: Subject, kind: str) -> Finding:
+    """Values do not depend on which variables were read before, how often and in which order."""
     steps = min(subject.steps(kind), 20)
     observed = subject.observed
     dice = np.random.default_rng(5)
@@ -176,10 +179,10 @@ def get_order(subject: Subject, kind: str) -> Finding:
         run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
     with CheckedInstance(subject, kind, "last") as instance:
         last = run(instance.begin(), 0, steps, observe="end")
-    for rows, told in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
+    for rows, how in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
         apart = compare(subject, reference[-len(rows) :], rows)
         if not apart.equal:
-            return failed(f"{told}, {apart.where(subject, len(reference) - len(rows))}.")
+            return failed(f"{how}, {apart.where(subject, len(reference) - len(rows))}.")
     return passed(
         f"{len(observed)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
     )

@@ -15,28 +15,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from models.catalog import load_scene
 from models.errors import SceneError, TrajectoryError
+from models.fmu import build_fmu
+from models.plan_table import ArrayTable
+from models.scene import Scene
 from models.schemes import Scheme
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold, Trajectory, read_csv, trajectory_from
+from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
+from validate.fmi.description import Package
 from validate.judge.replay import Replay
+from validate.judge.replay.run import Foreign, replay, replay_foreign
 from validate.judge.replay.subject import Subject
 from validate.judge.score import Score, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
-
-if TYPE_CHECKING:
-    from models.scene import Scene
-    from validate.fmi.description import Package
-    from validate.judge.replay.run import Foreign
 
 
 class HasTrajectory(Protocol):
     """What a method hands back (formulations.solution.Solution)."""
 
     @property
-    def trajectory(self) -> Trajectory | None: ...
+    def trajectory(self) -> Trajectory | None:
+        """The plan, or None."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,6 +53,7 @@ class Judgement:
 
     @property
     def verdict(self) -> Verdict:
+        """The verdict of the score."""
         return self.score.verdict
 
     @property
@@ -85,10 +89,6 @@ def judge(
     ------
     SceneError, TrajectoryError, MachineError : in one sentence.
     """
-    from models.catalog import load_scene
-    from models.fmu import build_fmu
-    from models.scene import Scene
-
     subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
     if not isinstance(subject, Scene):
         raise SceneError(f"scene: a {type(subject).__name__} is no scene; give the name of one, the path of its file or a Scene.")
@@ -99,10 +99,10 @@ def judge(
 
 
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
-    """The same of a Trajectory and the scene's FMU, its times counted from its start. feedback: replay with feedback even where the verdict does not
-    need it."""
-    from validate.judge.replay.run import replay
+    """Judge a Trajectory, its times counted from its start, on the scene's FMU.
 
+    feedback: replay with feedback even where the verdict does not need it. Raises TrajectoryError if the plan does not fit the scene, MachineError.
+    """
     plan = plan.from_zero()
     plan.check_fits(scene)
 
@@ -119,8 +119,6 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
 
 def judge_on_fmu(foreign: Foreign, package: Package, plan: Trajectory, *, feedback: bool = False, limits: Limits) -> Judgement:
     """The same of a plan on somebody's FMU, always in a child."""
-    from validate.judge.replay.run import replay_foreign
-
     replayed = replay_foreign(foreign, package, plan, limits=limits, track=feedback)
     result = score(foreign.model, plan, replayed)
     if _may_be_held_otherwise(plan, result):
@@ -141,10 +139,6 @@ def _held_otherwise(plan: Trajectory) -> Trajectory:
 
 def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:
     """A plan in any of the forms that `judge` takes; None of a Solution without one. Raises TrajectoryError."""
-    from models.plan_table import ArrayTable
-    from models.trajectory import read_csv, trajectory_from
-    from models.trajectory_netcdf import read_netcdf
-
     if hasattr(plan, "trajectory"):
         plan = plan.trajectory
         if plan is None:

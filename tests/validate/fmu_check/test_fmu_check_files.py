@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from models.errors import UnknownNameError
-from validate.fmi.archive import IntakeError
+from validate.fmi.archive import ArchiveError
 from validate.fmu_check import Status, check_fmu
 from validate.fmu_check.files import NotElf, read_library
 
@@ -99,7 +99,7 @@ def test_no_fmu(tmp_path: Path, cli, name: str, data: bytes | None, words: str):
     path = tmp_path / name
     if data is not None:
         path.write_bytes(data)
-    with pytest.raises(IntakeError, match=words):
+    with pytest.raises(ArchiveError, match=words):
         check_fmu(path)
     done = cli("check", str(path))
     assert done.returncode == 2
@@ -108,7 +108,7 @@ def test_no_fmu(tmp_path: Path, cli, name: str, data: bytes | None, words: str):
 
 
 def test_no_description(tmp_path: Path):
-    with pytest.raises(IntakeError, match=r"no modelDescription.xml"):
+    with pytest.raises(ArchiveError, match=r"no modelDescription.xml"):
         check_fmu(_pack(tmp_path / "empty.fmu", {"readme.txt": b""}))
 
 

@@ -36,13 +36,11 @@ from hostile_records import read_record, spoilt_campaign
 from hostile_results import (
     read_answer,
     read_spoilt_library,
-    read_spoilt_replay,
     read_table,
     recover,
     spoilt_answer,
     spoilt_leg,
     spoilt_library,
-    spoilt_replay,
     spoilt_table,
 )
 
@@ -239,7 +237,7 @@ def _read_fmu(path: Path) -> None:
     out = path.with_suffix(".out")
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    unpack(package.intake, out)
+    unpack(package.archive, out)
 
 
 def _netcdf(rng: random.Random, folder: Path) -> Path:
@@ -268,17 +266,9 @@ def _netcdf(rng: random.Random, folder: Path) -> Path:
 
 
 def _read_netcdf(path: Path) -> None:
-    from models.trajectory_netcdf import read_gains, read_netcdf
-    from validate.judge.replay.netcdf import read_replay
+    from models.trajectory_netcdf import read_netcdf
 
-    refused = []
-    for read in (read_netcdf, read_gains, read_replay):
-        try:
-            read(path, _scene())
-        except TouchstoneError as error:
-            refused.append(error)
-    if len(refused) == 3:
-        raise refused[0]
+    read_netcdf(path, _scene())
 
 
 READERS: dict[str, Reader] = {
@@ -293,7 +283,6 @@ READERS: dict[str, Reader] = {
     "stored leg": Reader(spoilt_stored_leg, take_leg),
     "scheduler file": Reader(spoilt_scheduler, read_scheduler),
     "bench figures": Reader(spoilt_suite, compare_suite),
-    "replay NetCDF": Reader(spoilt_replay, read_spoilt_replay),
     "foreign plan CSV": Reader(spoilt_table, read_table),
     "library": Reader(spoilt_library, read_spoilt_library),
     "leg of a lost run": Reader(spoilt_leg, recover),

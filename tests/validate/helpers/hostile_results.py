@@ -1,11 +1,10 @@
-"""Spoilt results - of a replay, a planner, a compiler, a cell, an isolated call - and what reads them."""
+"""Spoilt results - of a planner, a compiler, a cell, an isolated call - and what reads them."""
 
 from __future__ import annotations
 
 import json
 import random
 import struct
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,70 +17,6 @@ from models.errors import TouchstoneError
 
 def _spoilt_json(rng: random.Random, data: Any) -> bytes:
     return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
-
-
-# ---- a replay's file --------------------------------------------------------------------------------------------------------------------------
-
-
-@cache
-def _replayed() -> Any:
-    """(scene, a replay of it)"""
-    from models.catalog import load_scene
-    from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
-    from validate.judge.replay.wiring import Effort
-
-    scene, times = load_scene("three_cart").with_task(steps=6), 7
-    arrays: dict[str, Any] = {name: np.zeros((times, 3)) for name in ("q", "v")}
-    arrays |= {name: np.zeros((times, 2)) for name in ("lam", "gap", "contact_impulse")}
-    energies = ("kinetic_energy", "potential_energy", "contact_energy", "input_work", "dissipated_work")
-    arrays |= {name: np.zeros(times) for name in energies}
-    difference = Difference(position=1e-9, state=1e-9, gap=1e-9)
-    return scene, Replay(
-        scene=scene.name,
-        outcome=ReplayOutcome.OK,
-        message="",
-        method="reference",
-        t=np.arange(times) / 100,
-        knots=np.arange(times),
-        friction=np.zeros((times, 0)),
-        **arrays,
-        events=(Event(time=0.03, contact="left", closes=True),),
-        event_budget=100,
-        error=ReplayError(estimate=difference, tolerance=difference),
-        seconds_reference=0.1,
-        seconds_everyday=0.1,
-        fmu="0" * 64,
-        growth=Growth(amplification=2.0, begin=0.0, end=0.05, duration=0.06),
-        applied=np.zeros((6, 2)),
-        effort=Effort(rms=(0.1, 0.2), peak=(0.1, 0.2), rms_share=0.1, peak_share=0.1, plan_share=0.3, saturated=0.0),
-    )
-
-
-def spoilt_replay(rng: random.Random, folder: Path) -> Path:
-    """Its bytes are spoilt, or the facts that stand beside its columns, or which columns there are."""
-    from models.netcdf import read_columns, write_columns
-    from validate.judge.replay.netcdf import write_replay
-
-    good, path = folder / "replay.nc", folder / "hostile.nc"
-    if not good.exists():
-        scene, replay = _replayed()
-        write_replay(good, replay, scene)
-    if rng.random() < 0.3:
-        path.write_bytes(spoilt_bytes(rng, good.read_bytes()))
-        return path
-    columns, attributes = read_columns(good)
-    facts = _spoilt_json(rng, json.loads(str(attributes["facts"]))).decode("utf-8", "replace").replace("\0", "")
-    if rng.random() < 0.2:
-        columns.pop(rng.choice(list(columns)))
-    write_columns(path, columns.values(), {**attributes, "facts": facts[:60_000]})  # HDF5 takes no longer ones
-    return path
-
-
-def read_spoilt_replay(path: Path) -> None:
-    from validate.judge.replay.netcdf import read_replay
-
-    replay = read_replay(path, _replayed()[0])
-    assert replay.growth is None or replay.growth.rate is not None
 
 
 # ---- somebody's plan --------------------------------------------------------------------------------------------------------------------------

@@ -18,9 +18,8 @@ from sksundae.cvode import CVODE
 from validate.fmi.description import Package
 from validate.judge.replay import everyday
 from validate.judge.replay.everyday import SAME, RollbackError, Stepping, early_return
-from validate.judge.replay.recording import DIVERGENCE, Run, Stop
 from validate.judge.replay.reference import ABSOLUTE_FRACTION, PARTS, STEP_LIMIT, ExchangeModel
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 _TSTOP_RETURN, _ROOT_RETURN = 1, 2

@@ -1,6 +1,6 @@
-"""The map of whom nobody gave one: columns of the plan and variables of the FMU that have the same name belong together.
+"""The map where none is given: columns of the plan and variables of the FMU that have the same name belong together.
 
-What quantity a unit is of: a scale turns one unit of a quantity into another, but no mass into a length.
+And whether a unit can be that of a quantity: a scale turns one unit of a quantity into another, but no mass into a length.
 """
 
 from __future__ import annotations

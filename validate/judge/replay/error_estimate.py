@@ -1,22 +1,21 @@
-"""How wrong a replay may be, from simulations of the same thing, and from steps made twice.
+"""How wrong a replay may be: `estimate`, from simulations of the same plan that differ in one thing.
 
-What an integrator steps over: a gap that closes and opens again between two of its steps leaves no change of sign behind.
+`difference` compares two runs at the plan's nodes: the reference at two tolerances, the everyday replay at two steps, the one with the other.
+`local_errors` adds up what halving each step changes, where the FMU restores its state.
 
-    overlooked(scene, replayed)      # None, or a step [s] small enough to see it
+`overlooked` finds contacts that the integrator stepped over: a gap that closes and opens again within a step leaves no change of sign. Between two
+recorded points without an event the gap is taken as the cubic with the gaps and their rates at both ends; a minimum below zero is such a contact, and
+the replay is made again with steps small enough to see it.
 
-Between two recorded points of the replay, with no event among them, the gap is the cubic with the gaps and their rates at both ends; a gap that falls at
-the first and rises at the second has its least value between. Where that is below zero there was contact that the replay does not know of.
-
-What is left of the relaxation time of a scene without inertia (models.scene.quasi_static), told by a run at twice that time.
-
-The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
-one as that is from the first-order model, D v = F.
+`with_lag_error` is for scenes without inertia (models.scene.quasi_static), which move with a short relaxation time tau: the error is of first order in tau,
+so that a run at 2 tau is as far from the judged one as that is from the first-order model, D v = F.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -30,7 +29,7 @@ from validate.execution.isolated import Limits
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import ReplaySettings, run_job
-from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome, StepSource
+from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Outputs, Subject, find_variables
 from validate.judge.replay.wiring import Feedback, Variables
 
@@ -40,9 +39,21 @@ _MOST_PARTS = 3000
 
 
 def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n-1, nc) each: the least value of the cubic between two rows, and where, as a share of the piece; at an end where it falls or rises throughout.
+    """Least value, between two rows, of the cubic through the gaps with their rates at both ends.
 
-    gap, rate (n, nc) [m, m/s] at t (n,).
+    Parameters
+    ----------
+    t : (n,) times of the rows [s].
+    gap : (n, nc) gaps [m].
+    rate : (n, nc) rates of the gaps [m/s].
+
+    Returns
+    -------
+    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it falls or rises throughout.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
     """
     h = np.diff(t)[:, None]
     first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
@@ -74,7 +85,18 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
 
 
 def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings) -> ReplaySettings:
-    """Settings for a plan of nodes `times` [s], however long its steps are: nothing is seen less often than on the task's own grid."""
+    """Settings for a plan, however long its steps are: nothing is seen less often than on the task's own grid.
+
+    Parameters
+    ----------
+    subject : its task says the step.
+    times : (nodes,) of the plan [s].
+    settings : for a plan on the task's own grid.
+
+    Raises
+    ------
+    ValueError : for fewer than two nodes.
+    """
     step = float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
     parts = min(settings.parts * max(1, longest), _MOST_PARTS)
@@ -82,8 +104,23 @@ def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings)
     return replace(settings, parts=parts, fineness=tuple(factor * fineness for fineness in settings.fineness))
 
 
-def with_max_step(scene: Scene, times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
-    """The same with integrator steps of at most `longest` [s], in the everyday replay too; None where that takes more than a million."""
+def with_max_step(times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
+    """Settings with integrator steps of at most `longest`, in the everyday replay too.
+
+    Parameters
+    ----------
+    times : (nodes,) of the plan [s].
+    settings : the settings so far.
+    longest : [s].
+
+    Returns
+    -------
+    The settings; None where that takes more than a million steps.
+
+    Raises
+    ------
+    ZeroDivisionError : for a step of 0.
+    """
     if np.ptp(times) / longest > _MOST:
         return None
     factor = max(1, math.ceil(base_step(times) / min(settings.fineness, default=1) / longest))
@@ -105,12 +142,12 @@ def fine_enough(scene: Scene, plan: Trajectory, settings: ReplaySettings) -> Rep
     return replace(settings, fineness=tuple(factor * fineness for fineness in sorted(settings.fineness)[:2]))
 
 
-def twice_the_lag(package: Package, scene: Scene, names: Mapping[str, str] | None) -> Variables | None:
+def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
     """The FMU's variables with twice the relaxation time; None for a scene with inertia, or an FMU that does not know the time."""
     if scene.lag is None:
         return None
-    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
-    return None if twice == find_variables(package, scene, names) else twice
+    twice = find_variables(package, scene.continuous(2.0 * scene.lag))
+    return None if twice == find_variables(package, scene) else twice
 
 
 def with_lag_error(
@@ -136,7 +173,7 @@ def with_lag_error(
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
     lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
-    both = None if lag is None or estimate is None else _sum(estimate, lag)
+    both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
     return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
 
 
@@ -147,8 +184,9 @@ class _Nodes:
         self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
 
 
-def _sum(one: Difference, other: Difference) -> Difference:
-    return Difference(position=one.position + other.position, state=one.state + other.state, gap=one.gap + other.gap)
+def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
+    """A function of each entry of some differences."""
+    return Difference(**{name: function(*(getattr(item, name) for item in of)) for name in ("position", "state", "gap")})
 
 
 # The everyday replay is explained by its own step error if it is within this factor of its step halving: to first order the
@@ -162,22 +200,6 @@ class AtNodes(Protocol):
     q: np.ndarray
     v: np.ndarray
     gap: np.ndarray
-
-
-# By whether there is a second run, and a rollback.
-_SOURCES: dict[tuple[bool, bool], StepSource] = {
-    (False, False): "none",
-    (True, False): "second run",
-    (False, True): "rollback",
-    (True, True): "second run and rollback",
-}
-# The same where the author states an accuracy too.
-_STATED: dict[StepSource, StepSource] = {
-    "none": "stated",
-    "second run": "second run, stated",
-    "rollback": "rollback, stated",
-    "second run and rollback": "second run and rollback, stated",
-}
 
 
 def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
@@ -205,12 +227,24 @@ def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
 
 
 def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
-    """What halving each step changed in that step, summed over the steps; None without a rollback, or if half the step changes nothing and it is not
-    known that the FMU `heeds` its step.
+    """What halving each step changed in that step, summed over the steps.
 
-    coarse_steps: where each coarse step ended (steps, ...), from the fine run's node (nodes, ...) before it; times (nodes,) [s].
-    carried: an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
-    coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
+    Parameters
+    ----------
+    fine : the run that is kept, at the plan's nodes.
+    coarse_steps : where each coarse step ended, q, v (steps, nq) and gap (steps, nc), from the fine run's node before it.
+    times : (nodes,) [s].
+    carried : an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
+        coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
+    heeds : whether the FMU is known to obey its step.
+
+    Returns
+    -------
+    None without a rollback, or if half the step changes nothing and it is not known that the FMU heeds its step.
+
+    Raises
+    ------
+    ValueError : if the two runs have other shapes.
     """
     if fine is None or coarse_steps is None:
         return None
@@ -235,16 +269,12 @@ def larger(one: Difference | None, other: Difference | None) -> Difference | Non
     """Entry by entry, or the one there is."""
     if one is None or other is None:
         return other if one is None else one
-    return Difference(position=max(one.position, other.position), state=max(one.state, other.state), gap=max(one.gap, other.gap))
+    return _by_entry(max, one, other)
 
 
-def _larger_where_stated(measured: Difference, stated: Difference) -> Difference:
-    """Entry by entry; what the runs say where nothing is stated."""
-    return Difference(
-        position=max(measured.position, stated.position) if math.isfinite(stated.position) else measured.position,
-        state=max(measured.state, stated.state) if math.isfinite(stated.state) else measured.state,
-        gap=max(measured.gap, stated.gap) if math.isfinite(stated.gap) else measured.gap,
-    )
+def _larger_where_stated(measured: float, stated: float) -> float:
+    """What the runs say where nothing is stated."""
+    return max(measured, stated) if math.isfinite(stated) else measured
 
 
 def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
@@ -265,25 +295,28 @@ def estimate(
     stated: Difference | None = None,
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
-    source = _SOURCES[step is not None, rollback is not None]
+    source = " and ".join(name for name, found in (("second run", step), ("rollback", rollback)) if found is not None)
     if not has_reference:
         measured = larger(step, rollback)
         if stated is not None:
-            source = _STATED[source]
-            measured = stated if measured is None else _larger_where_stated(measured, stated)
-        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
+            source = f"{source}, stated" if source else "stated"
+            measured = stated if measured is None else _by_entry(_larger_where_stated, measured, stated)
+        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
     # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
     judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
     if tolerance is not None and step is not None and everyday is not None:
-        judged = Difference(
-            position=_judged(tolerance.position, step.position, everyday.position),
-            state=_judged(tolerance.state, step.state, everyday.state),
-            gap=_judged(tolerance.gap, step.gap, everyday.gap),
-        )
+        judged = _by_entry(_judged, tolerance, step, everyday)
     return ReplayError(
-        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source
+        estimate=judged,
+        tolerance=tolerance,
+        step=step,
+        everyday=everyday,
+        step_ratio=ratio,
+        rollback=rollback,
+        step_source=source or "none",
     )
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
+    """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)

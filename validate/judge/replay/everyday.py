@@ -20,7 +20,7 @@ from validate.fmi.description import FmuError, Package
 from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
-from validate.judge.replay.recording import DIVERGENCE, Run
+from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
@@ -38,8 +38,22 @@ class RollbackError(Exception):
 
 
 def base_step(times: np.ndarray) -> float:
-    """What the internal step is a part of [s]: the plan's shortest step, but no less than a tenth of its mean one, so that a single step of a microsecond
-    does not make a thousand times as many of all the others."""
+    """What the internal step is a part of: the plan's shortest step, but no less than a tenth of its mean one.
+
+    So a single step of a microsecond does not make a thousand times as many of all the others.
+
+    Parameters
+    ----------
+    times : (nodes,) of the plan [s].
+
+    Returns
+    -------
+    The step [s].
+
+    Raises
+    ------
+    ValueError : for fewer than two nodes.
+    """
     steps = np.diff(times)
     return float(max(steps.min(), _SHORTEST * steps.mean()))
 
@@ -95,12 +109,23 @@ class Stepping:
 def simulate(
     package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
 ) -> Run:
-    """Step over the plan's grid from start (in the order of Variables.start); outputs and knots are those of the plan's nodes, accumulated stays empty.
+    """Step over the plan's grid; outputs and knots are those of the plan's nodes, accumulated stays empty.
 
-    fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that
-    are lines within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
-    rolls_back: every step is made at half that fineness too, and taken back; what the two differ by is `Run.local`.
-    Raises RollbackError if the FMU does not restore its state, Fault if it returns early, MachineError without a compiler.
+    Parameters
+    ----------
+    package : unpacked, with Co-Simulation.
+    variables : the references of what is set and read.
+    start : (n,) start values [unit of each variable], in the order of Variables.start.
+    inputs : of the plan, with feedback or without.
+    fineness : internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that are lines
+        within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
+    rolls_back : every step is made at half that fineness too, and taken back; what the two differ by is `Run.local`.
+
+    Raises
+    ------
+    RollbackError : if the FMU does not restore its state.
+    Fault : if it returns early.
+    MachineError : without a compiler.
     """
     run = Run()
     try:

@@ -23,9 +23,8 @@ from validate.fmi.instance import faults_of
 from validate.judge.replay.compiled.library import adopt, library_path
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
-from validate.judge.replay.recording import Run
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
 # Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.
@@ -45,8 +44,11 @@ _ENDED = {
 
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings:
-    """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first.
-    parts, max_step: of the reference (validate.judge.replay.reference.integrate)."""
+    """With what a replay is simulated.
+
+    tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
+    parts, max_step: of the reference (validate.judge.replay.reference.integrate).
+    """
 
     tolerances: tuple[float, ...]
     fineness: tuple[int, ...]
@@ -57,8 +59,11 @@ class ReplaySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there is no everyday run;
-    note: what else is to be told; CPU seconds of each."""
+    """The runs of a replay.
+
+    reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there is no everyday run; note: what else is to be
+    recorded; CPU seconds of each.
+    """
 
     reference: tuple[Run, ...]
     everyday: tuple[Run, ...]
@@ -71,8 +76,24 @@ class Simulated:
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, where they are not to be looked for);
-    arrays: t (nodes,), u (steps, nu), start (n,), u_end (nu,) where the plan has one, and with feedback its fields. Raises FmuError."""
+    """Run all simulations of a replay, in this process or in a child.
+
+    Parameters
+    ----------
+    request : path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, where they are not to
+        be looked for).
+    arrays : t (nodes,) [s], u (steps, nu) [unit of each input], start (n,) [unit of each variable], u_end (nu,) where the plan has one, and with
+        feedback its fields.
+    package : the FMU, where it is read already.
+
+    Returns
+    -------
+    What JSON holds of the runs, and their arrays.
+
+    Raises
+    ------
+    FmuError : if the FMU cannot be opened, or misbehaves.
+    """
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
     plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end"))
@@ -141,11 +162,18 @@ def run_job(
     limits: Limits | None,
     feedback: Feedback | None = None,
 ) -> Simulated:
-    """Simulate here (limits None: this process is a child already, or the FMU is ours), or in a child with limits.
+    """Run all simulations of a replay, here or in a child; what ended the child is an outcome.
 
-    feedback: in the FMU's units, as the plan's inputs are.
+    Parameters
+    ----------
+    start : (n,) start values [unit of each variable], in the order of Variables.start.
+    limits : of the child; None: in this process.
+    feedback : in the FMU's units; None: the inputs alone.
 
-    How the FMU ends the child is the outcome of an empty run. Raises FmuError for what is the user's, MachineError for what is the machine's.
+    Raises
+    ------
+    FmuError : if the FMU cannot be opened, or misbehaves.
+    MachineError : if this machine cannot run it.
     """
     request = {
         "path": str(package.path.resolve()),

@@ -60,8 +60,10 @@ class InputSignal(Signal):
 
 
 class ContactEntry(_Strict):
-    """force, gap: variables of the FMU, force positive when it pushes, gap negative in contact; column: of the planned force, lam_<name> without one.
-    depth: penetration at which the FMU's model of the contact ends, in the unit of the gap [m]."""
+    """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
+
+    column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's model of the contact ends, in the unit of the gap [m].
+    """
 
     force: Annotated[Signal | None, BeforeValidator(lambda value: _short(value))] = None
     gap: Annotated[Signal | None, BeforeValidator(lambda value: _short(value))] = None

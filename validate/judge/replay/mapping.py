@@ -477,6 +477,7 @@ class _Wiring:
         nodes, steps = len(t), len(t) - 1
 
         def group(key: str, rows: int) -> np.ndarray:
+            """Columns of a group, (rows, n) [unit of each column], zeros where the plan has none. Raises TrajectoryError."""
             columns = groups[key]
             if key in missing or not columns:
                 return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))

@@ -26,8 +26,7 @@ from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
-from validate.judge.replay.recording import DIVERGENCE, Run, Stop
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens between nodes.
@@ -68,7 +67,22 @@ class ExchangeModel:
         self.references = References(variables.rates), References(variables.outputs), References(variables.u)
 
     def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Initialise at `time` [s] with the plan's start, in the order of Variables.start; the states (states,)."""
+        """Initialise with the plan's start.
+
+        Parameters
+        ----------
+        time : start of the plan [s].
+        state : (n,) start values [unit of each variable], in the order of Variables.start.
+        u : (nu,) first inputs [unit of each input].
+
+        Returns
+        -------
+        (states,) continuous states [unit of each state].
+
+        Raises
+        ------
+        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        """
         fmu, variables = self.instance, self._variables
         fmu.choose(variables.choices)
         settings = [*variables.parameters, *zip(variables.start, state.tolist(), strict=True)]
@@ -79,12 +93,41 @@ class ExchangeModel:
         return x
 
     def read(self, time: float, y: np.ndarray) -> np.ndarray:
-        """(outputs,) q, v, lam, gap, energies - those that the FMU has - at y (states and accumulated)."""
+        """Outputs at a state: q, v, lam, gap, friction, energies, those that the FMU has.
+
+        Parameters
+        ----------
+        time : [s].
+        y : (states + accumulated,) of which the states are set [unit of each state].
+
+        Returns
+        -------
+        (outputs,) values [unit of each variable].
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses a call.
+        """
         self.move(time, y)
         return self.instance.read(self.references[1]).copy()
 
     def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray:
-        """Event mode at (time, y), with new inputs if u is given; y afterwards (other states, if the FMU changed them)."""
+        """Event mode at a state, with new inputs if they are given.
+
+        Parameters
+        ----------
+        time : [s].
+        y : (states + accumulated,) [unit of each].
+        u : (nu,) new inputs [unit of each input]; None: they stay.
+
+        Returns
+        -------
+        (states + accumulated,) y afterwards: with other states, if the FMU changed them.
+
+        Raises
+        ------
+        FMICallException, Fault : if the FMU refuses a call, does not settle, or ends.
+        """
         fmu = self.instance
         self.move(time, y)
         fmu.fmu.enterEventMode()
@@ -93,15 +136,32 @@ class ExchangeModel:
         return np.concatenate([fmu.states(), y[self.states :]]) if fmu.settle() else y
 
     def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
-        """(unknowns, knowns) directional derivatives at (time, x), by value references."""
+        """Directional derivatives at a state.
+
+        Parameters
+        ----------
+        time : [s].
+        x : (states,) continuous states [unit of each state].
+        unknowns, knowns : value references.
+
+        Returns
+        -------
+        (unknowns, knowns) derivatives [unit of the unknown per unit of the known].
+
+        Raises
+        ------
+        FMICallException : if the FMU refuses a call.
+        """
         self.move(time, x)
         columns = [self.instance.fmu.directional(unknowns, [known], [1.0], len(unknowns)) for known in knowns]
         return np.array(columns, dtype=float).reshape(len(knowns), len(unknowns)).T
 
     def move(self, time: float, y: np.ndarray) -> None:
+        """Set time [s] and the states of y (states + accumulated,) [unit of each state]. Raises FMICallException if the FMU refuses."""
         self.instance.move(time, y[: self.states])
 
     def close(self) -> None:
+        """Free the instance and its library."""
         self.instance.unload()
 
 
@@ -142,10 +202,22 @@ def integrate(
     parts: int = PARTS,
     max_step: float = math.inf,
 ) -> Run:
-    """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception.
+    """Integrate over the plan's grid. Numerical failure is the run's outcome, never an exception.
 
-    parts: of each step of the plan, at whose ends the motion is recorded; max_step: the integrator's own steps are no longer [s].
-    Raises Fault if the FMU does not settle or ends, MachineError without a compiler or CVODE.
+    Parameters
+    ----------
+    model : a fresh FMU.
+    start : (n,) start values [unit of each variable], in the order of Variables.start.
+    inputs : of the plan, with feedback or without.
+    rtol : relative tolerance of CVODE [-].
+    event_budget : events after which the run ends.
+    parts : of each step of the plan, at whose ends the motion is recorded.
+    max_step : the integrator's own steps are no longer [s].
+
+    Raises
+    ------
+    Fault : if the FMU does not settle or ends.
+    MachineError : without a compiler or CVODE.
     """
     run = Run()
     integration = _Integration(model, inputs, rtol, event_budget, run, parts, max_step)
@@ -191,8 +263,7 @@ class _Loop(ctypes.Structure):
 
 
 class _Integration:
-    """One run in progress. targets (steps, parts): the points recorded within each step of the plan, the last its end [s]; y: the states and
-    what is accumulated at the last of them."""
+    """CVODE over the plan's steps by the loop of integration.c, from event to event."""
 
     def __init__(
         self, model: ExchangeModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
@@ -224,6 +295,10 @@ class _Integration:
         self._at = ctypes.addressof(self._loop)
 
     def over_all_steps(self, start: np.ndarray) -> None:
+        """Integrate from start (n,) [unit of each variable] to the plan's end, into `run`.
+
+        Raises Stop where the run cannot go on; FMICallException, Fault.
+        """
         model, inputs, run = self.model, self.inputs, self.run
         times = inputs.times
         x = model.start(times[0], start, inputs.begin(0, None))
@@ -247,6 +322,7 @@ class _Integration:
             self._over_points(stop)
 
     def close(self) -> None:
+        """Free what CVODE holds."""
         self._loops.integration_close(self._at)
 
     def _jump(self, time: float, is_event: bool) -> None:

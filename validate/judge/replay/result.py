@@ -1,21 +1,21 @@
-"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted."""
+"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted; and what each of its simulations recorded."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from validate.judge.replay.wiring import Effort, Feedback
 
-# What tells the error of the everyday replay's step.
-StepSource = Literal[
-    "none", "second run", "rollback", "second run and rollback",
-    "stated", "second run, stated", "rollback, stated", "second run and rollback, stated",
-]  # fmt: skip
+if TYPE_CHECKING:
+    from fmpy.fmi1 import FMICallException
+
+# The status of FMI after which nothing of the FMU may be called any more.
+_FATAL = 4
 
 
 class ReplayOutcome(Enum):
@@ -52,9 +52,11 @@ class Growth:
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """A gap that closed or opened at `time` [s]. `contact`: its name; or the force's name of a friction that began to stick or to slip; or
-    the name of the push of a damped contact that was released (closes, because its push fell below zero) or pressed again; or
-    `indicator_<n>` where the FMU has indicators of its own."""
+    """A gap that closed or opened at `time` [s].
+
+    contact: its name; or the force's name of a friction that began to stick or to slip; or the name of the push of a damped contact that was released
+    (closes, because its push fell below zero) or pressed again; or `indicator_<n>` where the FMU has indicators of its own.
+    """
 
     time: float
     contact: str
@@ -88,7 +90,8 @@ class ReplayError:
 
     rollback: what halving a step changes within that step, summed over all steps (validate.judge.replay.compiled.stepping; None: the FMU does not restore its state).
     Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
-    step_source: which of the two the everyday replay's own error was told by.
+    step_source: what told the everyday replay's own error: "second run", "rollback" or "second run and rollback", and "stated" behind a comma
+    or alone; "none" where nothing did.
 
     lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.scene.quasi_static): what is left of it, to first
     order; in the estimate too.
@@ -103,7 +106,7 @@ class ReplayError:
     everyday: Difference | None = None
     step_ratio: float | None = None
     rollback: Difference | None = None
-    step_source: StepSource = "none"
+    step_source: str = "none"
     lag: Difference | None = None
     stated: Difference | None = None
 
@@ -129,11 +132,11 @@ class ReplayError:
 
     def as_json(self) -> dict[str, Any]:
         """Its numbers by name; what is infinite is null, as JSON knows no such number."""
-        told = asdict(self)
-        for item in told.values():
+        numbers = asdict(self)
+        for item in numbers.values():
             if isinstance(item, dict):
                 item |= {name: value if math.isfinite(value) else None for name, value in item.items()}
-        return told
+        return numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,6 +190,7 @@ class Replay:
 
     @property
     def ok(self) -> bool:
+        """Whether it reached the end of the plan."""
         return self.outcome is ReplayOutcome.OK
 
     @property
@@ -196,10 +200,55 @@ class Replay:
 
     @property
     def end(self) -> np.ndarray:
-        """(2*nq,) state where the replay ended."""
+        """State where the replay ended, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]. Raises IndexError for a replay without a row."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     @property
     def energy(self) -> np.ndarray:
-        """(n,) kinetic + potential + contact energy [J]."""
+        """Kinetic, potential and contact energy at each row, (n,) [J]. Raises TypeError where one of them is missing."""
         return self.kinetic_energy + self.potential_energy + self.contact_energy
+
+
+# A state this many times its nominal (and its start) has left every bound; in Co-Simulation, which tells no nominals, this itself.
+DIVERGENCE = 1e9
+
+
+@dataclass(kw_only=True)
+class Run:
+    """What one simulation recorded, point by point.
+
+    Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as (time, indicator, closes); with feedback the
+    inputs applied from the start of each step on; with rollback what halving each step changed.
+    """
+
+    t: list[float] = field(default_factory=list)
+    outputs: list[np.ndarray] = field(default_factory=list)
+    accumulated: list[np.ndarray] = field(default_factory=list)
+    knots: list[int] = field(default_factory=list)
+    events: list[tuple[float, int, bool]] = field(default_factory=list)
+    applied: list[np.ndarray] = field(default_factory=list)
+    local: list[np.ndarray] = field(default_factory=list)
+    outcome: ReplayOutcome = ReplayOutcome.OK
+    message: str = ""
+
+    def end_without_number(self, time: float) -> None:
+        """The outputs at a time [s] are not all finite."""
+        self.outcome, self.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s."
+
+    def end_out_of_bounds(self, time: float) -> None:
+        """A state is beyond any bound at a time [s] that was stepped to."""
+        self.outcome, self.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {time:.6g} s."
+
+    def end_refused(self, error: FMICallException, begin: float) -> None:
+        """The FMU refused a call; begin: the first time of the run [s]."""
+        self.outcome = ReplayOutcome.FATAL if error.status == _FATAL else ReplayOutcome.FMU_FAILED
+        self.message = f"{str(error).rstrip('.')} (after t = {self.t[-1] if self.t else begin:.6g} s)."
+
+
+class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
+    """A run cannot go on: its outcome, and a sentence."""
+
+    def __init__(self, outcome: ReplayOutcome, message: str) -> None:
+        super().__init__(message)
+        self.outcome = outcome
+        self.message = message

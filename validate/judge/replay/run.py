@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,8 +28,7 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
 )
 from validate.judge.replay.job import ReplaySettings, Simulated, run_job
-from validate.judge.replay.recording import Run
-from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome, Run
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
 from validate.judge.replay.wiring import Feedback, Variables, measure_effort
@@ -65,7 +64,6 @@ def replay(
     scene: Scene,
     fmu: Path,
     trajectory: Trajectory,
-    names: Mapping[str, str] | None = None,
     *,
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
@@ -73,11 +71,11 @@ def replay(
     limits: Limits | None = None,
     track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
-    """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
+    """Apply the plan's inputs from its start to the FMU of the scene.
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
     track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
-    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
+    Raises ArchiveError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
@@ -85,39 +83,24 @@ def replay(
     settings = with_steps_of(scene, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        variables = find_variables(package, scene, names)
-        twice = twice_the_lag(package, scene, names)
-        return _replay_twice(scene, package, variables, twice, trajectory, settings, limits, track)
+        variables, twice = find_variables(package, scene), twice_the_lag(package, scene)
+        kernel = load_kernel(scene)
+        growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
+        def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
+            found, simulated = _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
+            return with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, found), simulated
 
-def _replay_twice(
-    scene: Scene,
-    package: Package,
-    variables: Variables,
-    twice: Variables | None,
-    trajectory: Trajectory,
-    settings: ReplaySettings,
-    limits: Limits | None,
-    track: bool | Callable[[Replay], bool],
-) -> Replay:
-    """In the open loop, and with feedback where that is asked for."""
-    kernel = load_kernel(scene)
-    growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
-
-    def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
-        return _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
-
-    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, replace(run(None)[0], growth=growth))
-    if not (track(opened) if callable(track) else track):
-        return opened
-    try:
-        feedback = design_feedback(kernel, scene, trajectory)
-    except TrackingError as error:
-        if track is True:
-            raise
-        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
-    tracked, simulated = run(feedback)
-    tracked = with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, tracked)
+        opened = replace(run(None)[0], growth=growth)
+        if not (track(opened) if callable(track) else track):
+            return opened
+        try:
+            feedback = design_feedback(kernel, scene, trajectory)
+        except TrackingError as error:
+            if track is True:
+                raise
+            return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+        tracked, simulated = run(feedback)
     return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
 
 
@@ -138,7 +121,7 @@ def _seeing_all(
         longest = overlooked(kernel, found)
         if longest is None:
             return found, simulated
-        finer = with_max_step(scene, plan.t, settings, min(longest, settings.max_step / 2.0))
+        finer = with_max_step(plan.t, settings, min(longest, settings.max_step / 2.0))
         if finer is None:
             break
         settings = finer
@@ -217,17 +200,55 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
     nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
     first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    tells = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
     error = estimate(
         tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if tells else None,
+        step=difference(coarse, fine) if is_known else None,
         everyday=difference(fine, tight),
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
         stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
-    refusal = simulated.refusal
+    out = Outputs(subject, variables, judged)
+    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
+    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
+    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
+    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in judged.events)
+    return Replay(
+        scene=subject.name,
+        outcome=judged.outcome,
+        message=" ".join(_notes(subject, simulated, error, is_known)),
+        method="reference" if reference else "everyday",
+        t=np.array(judged.t, dtype=float),
+        q=out.q,
+        v=out.v,
+        lam=out.lam,
+        gap=out.gap,
+        friction=out.friction,
+        knots=np.array(judged.knots, dtype=np.int64),
+        kinetic_energy=out.kinetic,
+        potential_energy=out.potential,
+        contact_energy=out.contact,
+        input_work=out.work("input_power"),
+        dissipated_work=out.work("dissipated_power"),
+        contact_impulse=out.contact_impulse,
+        events=tuple(
+            Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes)
+            for time, index, closes in judged.events
+        ),
+        event_budget=event_budget,
+        error=error,
+        seconds_reference=simulated.seconds_reference,
+        seconds_everyday=simulated.seconds_everyday,
+        fmu=package.digest,
+    )
+
+
+def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
+    """What else is to be said of a replay; is_known: whether the error of the everyday replay's step is."""
+    reference, everyday, refusal = simulated.reference, simulated.everyday, simulated.refusal
+    judged = (reference or everyday)[-1]
     if refusal is None and reference:
         refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
     notes = [judged.message] if judged.message else []
@@ -235,7 +256,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not reference:
         notes.append("No reference replay: the FMU offers no Model Exchange.")
-        if not tells:
+        if not is_known:
             notes.append(
                 "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
                 + ("its author states." if error.stated is not None else "cannot be told.")
@@ -246,7 +267,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes += subject.notes
     if simulated.note:
         notes.append(simulated.note)
-    return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
+    return notes
 
 
 def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
@@ -264,47 +285,3 @@ def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Output
 
 def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
     return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
-
-
-def _replay(
-    subject: Subject,
-    variables: Variables,
-    run: Run,
-    package: Package,
-    simulated: Simulated,
-    error: ReplayError,
-    message: str,
-    event_budget: int,
-) -> Replay:
-    out = Outputs(subject, variables, run)
-    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
-    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
-    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
-    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
-    return Replay(
-        scene=subject.name,
-        outcome=run.outcome,
-        message=message,
-        method="reference" if simulated.reference else "everyday",
-        t=np.array(run.t, dtype=float),
-        q=out.q,
-        v=out.v,
-        lam=out.lam,
-        gap=out.gap,
-        friction=out.friction,
-        knots=np.array(run.knots, dtype=np.int64),
-        kinetic_energy=out.kinetic,
-        potential_energy=out.potential,
-        contact_energy=out.contact,
-        input_work=out.work("input_power"),
-        dissipated_work=out.work("dissipated_power"),
-        contact_impulse=out.contact_impulse,
-        events=tuple(
-            Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes) for time, index, closes in run.events
-        ),
-        event_budget=event_budget,
-        error=error,
-        seconds_reference=simulated.seconds_reference,
-        seconds_everyday=simulated.seconds_everyday,
-        fmu=package.digest,
-    )

@@ -1,10 +1,9 @@
-"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known.
+"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known (`ForeignModel`).
 
-A `ForeignModel` answers what replay and score ask a scene, in the same words; what only a scene has - equations, a compiled kernel - it lacks.
+A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a compiled kernel it lacks.
 
-The numbers a simulation recorded, taken apart by name; what the FMU does not give is computed from the scene's own equations.
-
-Which variables of an FMU are those of a scene. It needs the scene's equations, so it is apart from `package`, which who runs the FMU reads.
+`find_variables` finds the variables of a scene in its FMU; `Outputs` takes apart by name what a simulation recorded, and computes from the scene's
+equations what the FMU does not give.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from models.scene import Scene
 from models.scene.parts import Limit
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.recording import Run
+from validate.judge.replay.result import Run
 from validate.judge.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
 if TYPE_CHECKING:
@@ -32,6 +31,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignCoordinate:
+    """A position that the map names, and its velocity, in the plan's units."""
+
     name: str
     velocity_name: str
     unit: str = "1"
@@ -45,6 +46,8 @@ class ForeignCoordinate:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignInput:
+    """An input that the map names, with its bounds in the plan's unit."""
+
     name: str
     unit: str = "1"
     lower: float = -math.inf
@@ -54,6 +57,8 @@ class ForeignInput:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignContact:
+    """A contact that the map names; depth [m]: penetration at which its model ends."""
+
     name: str
     force_name: str
     gap_name: str
@@ -65,11 +70,11 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignTask:
-    """start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
-    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
-    of two rows last as it likes.
+    """What a plan on somebody's FMU is to do.
 
-    duration: how long a plan of this task lasts [s], None where the map does not say.
+    start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
+    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
+    of two rows last as it likes. duration: how long a plan of this task lasts [s], None where the map does not say.
     """
 
     start: tuple[float | None, ...]
@@ -84,15 +89,17 @@ class ForeignTask:
 
     @property
     def has_goal(self) -> bool:
+        """Whether any position or velocity has a goal."""
         return any(value is not None for value in self.goal)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignModel:
-    """lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap.
+    """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
 
-    accuracy: how wrong the author says its Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence
-    for each question of the verdict that cannot be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be told.
+    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap. accuracy: how wrong the author says its
+    Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence for each question of the verdict that cannot
+    be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be reported.
     """
 
     name: str
@@ -112,22 +119,27 @@ class ForeignModel:
 
     @property
     def nq(self) -> int:
+        """Number of positions."""
         return len(self.coordinates)
 
     @property
     def nu(self) -> int:
+        """Number of inputs."""
         return len(self.inputs)
 
     @property
     def nc(self) -> int:
+        """Number of contacts."""
         return len(self.contacts)
 
     @property
     def nl(self) -> int:
+        """Number of forces: the contacts', as an FMU's frictions are its own."""
         return self.nc
 
     @property
     def force_names(self) -> tuple[str, ...]:
+        """Columns of the contact forces."""
         return tuple(contact.force_name for contact in self.contacts)
 
     @property
@@ -144,7 +156,11 @@ Subject = Scene | ForeignModel
 
 
 class Outputs:
-    """q, v (n, nq), lam, gap (n, nc), friction (n, nf), zero where the FMU does not give it,, kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
+    """The numbers of a run by name, at all its points or at some rows.
+
+    q, v (n, nq), lam, gap (n, nc), friction (n, nf): zero where neither the FMU nor a scene gives them; kinetic, potential, contact: energies
+    (n,) [J].
+    """
 
     def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
         self._scene, self._variables = scene, variables
@@ -174,13 +190,22 @@ class Outputs:
 
     @property
     def contact_impulse(self) -> np.ndarray | None:
-        """(n, nc) since the start; None where it was not integrated."""
+        """Contact impulse since the start, (n, nc) [N s]; None where it was not integrated. Raises nothing."""
         if self._accumulated is None or len(self._variables.lam) != self._scene.nc:
             return None
         return self._accumulated[:, : self._scene.nc].copy()
 
     def work(self, power: str) -> np.ndarray | None:
-        """(n,) since the start, of one of the powers; None where it was not integrated."""
+        """Work since the start of one of the powers.
+
+        Parameters
+        ----------
+        power : a name of wiring.POWERS.
+
+        Returns
+        -------
+        (n,) [J]; None where it was not integrated. Raises nothing.
+        """
         if power in self._variables.zero:
             return np.zeros(self._count)
         if self._accumulated is None or power not in self._variables.powers:
@@ -204,12 +229,11 @@ class Outputs:
         return load_kernel(self._scene)
 
 
-def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | None = None) -> Variables:
-    """The scene's variables in the FMU; `names` maps names of the scene to names in the FMU where they differ.
+def find_variables(package: Package, scene: Scene) -> Variables:
+    """The variables of the FMU that have the names of the scene's.
 
     Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
     """
-    names = dict(names or {})
     groups = {
         "q": tuple(item.name for item in scene.coordinates),
         "v": tuple(item.velocity_name for item in scene.coordinates),
@@ -218,22 +242,10 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "gap": tuple(item.gap_name for item in scene.contacts),
         "friction": tuple(item.force_name for item in scene.frictions),
     }
-    known = (
-        {name for group in groups.values() for name in group}
-        | {item.name for item in scene.parameters}
-        | {*ENERGIES, *POWERS, INTERNAL_STEP}
-    )
-    for name in names:
-        if name not in known:
-            raise FmuError(
-                f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}."
-            )
     by_name = {variable.name: variable for variable in package.description.modelVariables}
 
     def reference(name: str) -> int | None:
-        variable = by_name.get(names.get(name, name))
-        if variable is None and name in names:
-            raise FmuError(f"FMU {package.path}: the map gives {names[name]!r} for {name!r}, but the FMU has no such variable.")
+        variable = by_name.get(name)
         if variable is not None and variable.type not in REAL:
             raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
         return None if variable is None else int(variable.valueReference)
@@ -248,13 +260,13 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
             )
         found[which] = () if missing else tuple(item for item in references if item is not None)
     for name, item in zip(groups["u"], found["u"], strict=True):
-        if by_name[names.get(name, name)].causality != "input":
-            raise FmuError(f"FMU {package.path}: {names.get(name, name)} (value reference {item}) is no input, but the plan drives {name}.")
+        if by_name[name].causality != "input":
+            raise FmuError(f"FMU {package.path}: {name} (value reference {item}) is no input, but the plan drives it.")
 
     parameters = []
     for parameter in scene.parameters:
         item = reference(parameter.name)
-        if item is not None and by_name[names.get(parameter.name, parameter.name)].causality == "parameter":
+        if item is not None and by_name[parameter.name].causality == "parameter":
             parameters.append((item, parameter.value))
     structure = derive(scene).structure
     absent = {

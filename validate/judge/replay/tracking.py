@@ -1,4 +1,4 @@
-"""Tracking feedback: the time-varying LQR around a plan, held over each step and saturated at the bounds.
+"""Feedback around a plan: the time-varying LQR, held over each step and saturated at the bounds; and how much errors grow without it.
 
     u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
 
@@ -10,27 +10,20 @@ with A, B the exact derivatives of the true motion over step t at the plan's sta
 that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
 does not, there is none, whatever force the plan claims.
 
-Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds (without
-bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the steps before
-it, but Q alone for what the goal leaves free.
+Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds
+(without bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the
+steps before it, but Q alone for what the goal leaves free.
 
-An FMU linearised along a plan by its own directional derivatives: what a tracking feedback needs of an FMU without a scene.
+An FMU without a scene is linearised by its own directional derivatives (`design_foreign`). At each node its states are set to the plan's and its events
+are settled, so that a contact that the plan closes is closed. One step is exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held
+inputs: of second order in h, and half a contact where it closes in between.
 
-    feedback, growth = design_foreign(model, package, variables, plan, units, start, limits)
+How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the
+plan's own time step (of one that declares no scheme: of steps so small that smaller ones give the same), with the true contact law, from the block's
+first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of S^-1 Phi(j, i) S
+over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
 
-At each node the FMU's states are set to the plan's and its events are settled, so that a contact that the plan closes is closed. One step is
-exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held inputs: of second order in h, and half a contact where it closes in between.
-
-How much an error grows in the open loop: the largest gain of the state-transition product along a plan.
-
-    growth = measure_growth(load_kernel(scene), scene, plan)
-    growth.amplification        # 1500: an error of the state somewhere on the way is 1500 times larger somewhere later
-
-The plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the plan's own time step (of one that declares no scheme: of
-steps so small that smaller ones tell the same), with the true contact law, from the block's first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of
-S^-1 Phi(j, i) S over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
-
-An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding says of which. So the
+An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding decides which. So the
 number explains a verdict, and decides none.
 """
 
@@ -86,8 +79,24 @@ def design_foreign(
     start: np.ndarray,
     limits: Limits | None,
 ) -> tuple[Feedback, Growth | None]:
-    """The feedback around the plan, in its units, and the growth along it. units: scale and offset of the state (plan's = scale * FMU's + offset), and
-    of the inputs (FMU's = scale * plan's + offset). Raises TrackingError."""
+    """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
+
+    Parameters
+    ----------
+    plan : in its own units.
+    units : scale and offset (2*nq,) of the state, plan's value [unit of the column] = scale * FMU's + offset; and (nu,) of the inputs, FMU's =
+        scale * plan's + offset.
+    start : (n,) start values in the FMU's units, in the order of Variables.start.
+    limits : of the child; None: in this process.
+
+    Returns
+    -------
+    The feedback in the plan's units, and the growth, None where it is not finite.
+
+    Raises
+    ------
+    TrackingError : if the plan says no positions, or the FMU cannot be linearised along it.
+    """
     if "q" in plan.missing:
         raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
     (a, b), (c, d) = units
@@ -99,8 +108,23 @@ def design_foreign(
 def linearised(
     package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A (steps, nx, nx), B (steps, nx, nu) in the FMU's units, in the order of variables.q + variables.v; plan: its inputs; start: of Variables.start;
-    states (nodes, nx): the plan's. Raises TrackingError."""
+    """An FMU's motion over each step, linearised along a plan, in the FMU's units, states in the order of variables.q + variables.v.
+
+    Parameters
+    ----------
+    plan : its times and inputs.
+    start : (n,) start values [unit of each variable], in the order of Variables.start.
+    states : (nodes, nx) the plan's states [unit of each state].
+    limits : of the child; None: in this process.
+
+    Returns
+    -------
+    A (steps, nx, nx), B (steps, nx, nu) of x' = A x + B u.
+
+    Raises
+    ------
+    TrackingError : if the FMU offers no directional derivatives of these states, refuses them, or gives one that is not finite.
+    """
     refusal = tracking_refusal(package, variables)
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
@@ -126,7 +150,21 @@ def linearised(
 
 
 def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
-    """first, last (steps, nx, nx + nu): derivatives of the rates at both ends of each step. Runs in this process or in a child."""
+    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives; in this process or in a child.
+
+    Parameters
+    ----------
+    request : path, variables.
+    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable].
+
+    Returns
+    -------
+    None, and first, last (steps, nx, nx + nu) [unit of the state per second and per unit of the known].
+
+    Raises
+    ------
+    FmuError, FMICallException : if the FMU cannot be opened, misbehaves, or refuses a call.
+    """
     variables = Variables.from_json(request["variables"])
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
     found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
@@ -166,14 +204,17 @@ _PARTS, _AGREE = (1, 8, 64, 512), 3.0
 
 
 def nominals(subject: Subject) -> np.ndarray:
-    """(2*nq,) typical size of each component of the state; a velocity's is that of its position, per second."""
+    """Typical size of each component of the state, (2*nq,) [m or rad], of a velocity that of its position [m/s or rad/s]. Raises nothing."""
     sizes = [item.nominal for item in subject.coordinates]
     return np.array(sizes + sizes)
 
 
 def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
-    """The growth along the plan; None where the true law leads out of every bound within a block, the mass matrix is singular, or, of a plan that
-    declares no scheme, smaller steps keep telling another number: then it is the steps that are unstable."""
+    """How much an error grows along the plan in the open loop.
+
+    None where the true law leads out of every bound within a block, the mass matrix is singular, or, of a plan that declares no scheme, smaller steps
+    keep giving another number: then it is the steps that are unstable.
+    """
     if plan.scheme is not None:
         return _growth_in(1, kernel, scene, plan)
     before = None
@@ -204,8 +245,22 @@ def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Gr
 
 
 def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
-    """Of transition matrices steps (n, nx, nx) from t[i] to t[i + 1] [s], t (n + 1,), taken in at most 50 blocks; scale (nx,). None where they are not
-    finite."""
+    """The largest gain of products of transition matrices, taken in at most 50 blocks.
+
+    Parameters
+    ----------
+    steps : (n, nx, nx) transition matrices from t[i] to t[i + 1].
+    t : (n + 1,) [s].
+    scale : (nx,) typical size of each component of the state [m or rad, then per second].
+
+    Returns
+    -------
+    The growth; None where a product is not finite.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     scaled = steps * (scale[None, None, :] / scale[None, :, None])
     best = (0.0, 0, 0)
     products = np.empty((0, *steps.shape[1:]))
@@ -229,17 +284,11 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
 
 def _edges(steps: int) -> np.ndarray:
     """(blocks + 1,) steps at which blocks begin, and the last end."""
-    return np.unique(np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int))
-
-
-def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the state after len(u) steps of h [s] under the true law, at `state` (2*nq,) and inputs u (n, nu): (2*nq, 2*nq) with respect
-    to the state, (2*nq, nu) with respect to a change of all the inputs by the same. Raises KernelError where it does not stay finite."""
-    return FlowDerivative(kernel, len(u)).at(state, u, h)
+    return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 
 class FlowDerivative:
-    """`flow_derivative` for many states and inputs of `steps` steps, in buffers whose addresses are looked up once."""
+    """Derivatives of the state after `steps` steps under the true contact law, in buffers whose addresses are looked up once."""
 
     def __init__(self, kernel: Kernel, steps: int) -> None:
         scene = kernel.scene
@@ -255,7 +304,22 @@ class FlowDerivative:
         self._rows = self._start_bar.ctypes.data
 
     def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """As `flow_derivative` gives it. Raises KernelError."""
+        """Derivatives at a state, under its inputs.
+
+        Parameters
+        ----------
+        state : (2*nq,) at the start [m or rad], [m/s or rad/s].
+        u : (steps, nu) inputs [N or N m], one a step.
+        h : step [s].
+
+        Returns
+        -------
+        (2*nq, 2*nq) with respect to the state, and (2*nq, nu) with respect to a change of all the inputs by the same.
+
+        Raises
+        ------
+        KernelError : if the motion leaves every bound, or the mass matrix is not positive definite.
+        """
         scene, nq = self._scene, self._scene.nq
         self._start[:], self._u[:] = state, u
         head = (self._steps, h, self._kernel.parameters_of(h).ctypes.data, ContactLaw.RELU.value, 0.0)
@@ -298,7 +362,17 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
 
 
 def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarray) -> Feedback:
-    """The feedback for linearised steps A (steps, 2*nq, 2*nq), B (steps, 2*nq, nu). Raises TrackingError."""
+    """The feedback for linearised steps of a plan.
+
+    Parameters
+    ----------
+    A : (steps, 2*nq, 2*nq) by the state [m or rad, then per second].
+    B : (steps, 2*nq, nu) by the inputs [N or N m].
+
+    Raises
+    ------
+    TrackingError : if the Riccati recursion overflows or is singular.
+    """
     lower = np.array([item.lower for item in subject.inputs])
     upper = np.array([item.upper for item in subject.inputs])
     scale = input_scale(lower, upper, plan.u)
@@ -309,14 +383,44 @@ def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarr
 
 
 def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(nu,) half the width of each input's bounds; without bounds its largest value in the plan u (steps, nu), or 1 where that is 0."""
+    """What an input's effort is a share of: half the width of its bounds.
+
+    Parameters
+    ----------
+    lower, upper : (nu,) bounds [unit of each input], may be infinite.
+    u : (steps, nu) the plan's inputs [unit of each input].
+
+    Returns
+    -------
+    (nu,) [unit of each input]; without bounds the largest value in the plan, or 1 where that is 0.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     half = (upper - lower) / 2.0
     largest = np.abs(u).max(axis=0, initial=0.0)
     return np.where(np.isfinite(half), half, np.where(largest > 0.0, largest, 1.0))
 
 
 def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray) -> np.ndarray:
-    """K (steps, nu, nx) of the Riccati recursion of the module docstring; Q, Q_end (nx,), R (nu,): diagonals. Raises TrackingError where it overflows or is singular."""
+    """Gains of the discrete Riccati recursion of the module docstring.
+
+    Parameters
+    ----------
+    A : (steps, nx, nx) by the state [unit of the state per unit of the state].
+    B : (steps, nx, nu) by the inputs [unit of the state per unit of the input].
+    Q, Q_end : (nx,) diagonals of the weights on the state, and at the end.
+    R : (nu,) diagonal of the weight on the inputs.
+
+    Returns
+    -------
+    (steps, nu, nx) gains K [unit of the input per unit of the state].
+
+    Raises
+    ------
+    TrackingError : if the recursion overflows or is singular.
+    """
     steps, nx, nu = B.shape
     K = np.empty((steps, nu, nx))
     P = np.diag(Q_end)

@@ -1,8 +1,7 @@
-"""Which variable of an FMU is what in a replay: value references only, so that it travels to a child process as JSON.
+"""What a simulation of a plan needs of it: value references, inputs as functions of time, a feedback law.
 
-The feedback law of a tracked replay, and how much of the inputs it took.
-
-The plan's inputs between its nodes: constant over a step, or a line to the next node's value; with feedback, a constant is added over each step.
+`Variables` holds value references only, so that it travels to a child process as JSON. `HeldInputs` are the plan's inputs between its nodes: constant
+over a step, or a line to the next node's value; with `Feedback` a constant is added over each step. `measure_effort` says how much that was.
 """
 
 from __future__ import annotations
@@ -55,10 +54,12 @@ class Variables:
         return self.lam + tuple(self.powers.values())
 
     def to_json(self) -> dict[str, Any]:
+        """As JSON holds it, on the way to a child process."""
         return {**asdict(self), "zero": sorted(self.zero)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Variables:
+        """Back from `to_json`."""
         lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "friction", "start")}
         pairs = tuple((int(reference), float(value)) for reference, value in data["parameters"])
         choices = tuple((int(reference), int(value)) for reference, value in data["choices"])
@@ -81,16 +82,42 @@ class Feedback:
     scale: np.ndarray
 
     def wanted(self, step: int, state: np.ndarray) -> np.ndarray:
-        """(nu,) the input asked for at the start of a step, before saturation, at state (nx,)."""
+        """The input asked for at the start of a step, before saturation.
+
+        Parameters
+        ----------
+        step : its number.
+        state : (nx,) there [unit of each state].
+
+        Returns
+        -------
+        (nu,) [unit of each input].
+
+        Raises
+        ------
+        IndexError : for a step that the plan does not have.
+        """
         return self.u[step] + self.gains[step] @ (self.reference[step] - state)
 
     def at(self, step: int, state: np.ndarray) -> np.ndarray:
-        """(nu,) the input applied from the start of a step on."""
+        """The input applied from the start of a step on, (nu,) [unit of each input], at state (nx,).
+
+        Raises IndexError for a step that the plan does not have.
+        """
         return np.minimum(np.maximum(self.wanted(step, state), self.lower), self.upper)  # np.clip takes five times as long
 
     def in_units(self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]) -> Feedback:
-        """The same law in an FMU's units. output: scale, offset (nx,) with plan's value = scale * FMU's + offset; inputs: scale, offset (nu,) with
-        FMU's value = scale * plan's + offset."""
+        """The same law in an FMU's units.
+
+        Parameters
+        ----------
+        output : scale, offset (nx,), plan's value [unit of the column] = scale * FMU's + offset.
+        inputs : scale, offset (nu,), FMU's value = scale * plan's [unit of the column] + offset.
+
+        Raises
+        ------
+        ValueError : if the shapes do not fit.
+        """
         (a, b), (c, d) = output, inputs
         bounds = np.sort([c * self.lower + d, c * self.upper + d], axis=0)
         return replace(
@@ -168,7 +195,21 @@ class HeldInputs:
         self._stops = [*following[1:].tolist(), trajectory.steps]
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
-        """(nu,) the input at the start of a step, with feedback from the state (nx,) there; None: the plan's own start."""
+        """The input at the start of a step.
+
+        Parameters
+        ----------
+        step : its number.
+        state : (nx,) there [unit of each state], for the feedback; None: the plan's own start.
+
+        Returns
+        -------
+        (nu,) [unit of each input].
+
+        Raises
+        ------
+        IndexError : for a step that the plan does not have.
+        """
         if self.feedback is not None:
             u = self.feedback.at(step, self.feedback.reference[0] if state is None else state)
             if self.linear:  # the correction is held: it may not lead out of the bounds at the end of the step either

@@ -20,7 +20,7 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
-from validate.judge.score.cause import Told, explain
+from validate.judge.score.cause import ScoredPlan, explain
 from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries, limit_name
@@ -116,12 +116,12 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
             found, judged = followed, "feedback"
     verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
     waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
-    told = Told(
+    scored = ScoredPlan(
         scene=scene, trajectory=trajectory, replay=replay, metrics={metric.name: metric for metric in metrics}, verdict=verdict,
         questions=found, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold),
     )  # fmt: skip
     return Score(
-        metrics=metrics, verdict=verdict, why=explain(told), judged=judged, waived=waived,
+        metrics=metrics, verdict=verdict, why=explain(scored), judged=judged, waived=waived,
         questions=tuple(found.items()), not_asked=_not_asked(scene, rows, metrics),
     )  # fmt: skip
 

@@ -60,8 +60,8 @@ _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
-    """What there is to tell of one plan. other_hold: whether question 4 is answered yes with the inputs held the other way."""
+class ScoredPlan:
+    """One plan with its metrics and answers. other_hold: whether question 4 is answered yes with the inputs held the other way."""
 
     scene: Subject
     trajectory: Trajectory
@@ -83,7 +83,7 @@ class Told:
         return metric is not None and metric.is_judged and metric.ok is False
 
 
-def explain(told: Told) -> str:
+def explain(scored: ScoredPlan) -> str:
     """One or two sentences; see the module docstring."""
     sentence = {
         Verdict.VIOLATES: _violates,
@@ -91,120 +91,120 @@ def explain(told: Told) -> str:
         Verdict.HOLDS: _holds,
         Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
         Verdict.CONSISTENT: _consistent,
-        Verdict.NOT_APPLICABLE: lambda told: f"inputs alone claim nothing, and {_who_asks(told)} asks for nothing.",
-    }[told.verdict](told)
-    return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in told.waived)}." if told.waived else "")
+        Verdict.NOT_APPLICABLE: lambda scored: f"inputs alone claim nothing, and {_who_asks(scored)} asks for nothing.",
+    }[scored.verdict](scored)
+    return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in scored.waived)}." if scored.waived else "")
 
 
-def _judged(told: Told, ok: bool | None) -> list[Metric]:
+def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
     """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
     order = list(Question)
-    found = [metric for metric in told.metrics.values() if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)]
+    found = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)]
     return sorted(found, key=lambda metric: order.index(metric.question))
 
 
-def _violates(told: Told) -> str:
-    above = [metric for metric in _judged(told, False) if metric.question is not Question.JUDGE]
+def _violates(scored: ScoredPlan) -> str:
+    above = [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
     if not above:  # with feedback alone
-        above = [metric for metric in told.metrics.values() if metric.is_judged and metric.ok is False]
+        above = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is False]
     first = above[0]
-    text, quoted = _quote(first, told) + _cause(first, told), [first.name]
+    text, quoted = _quote(first) + _cause(first, scored), [first.name]
     consequence = next((metric for metric in above if metric.question is Question.MOTION), None)
     if first.question in (Question.TASK, Question.FORCES) and consequence is not None:
-        text += f"; {_quote(consequence, told)}"
+        text += f"; {_quote(consequence)}"
         quoted.append(consequence.name)
     others = [metric.name for metric in above if metric.name not in quoted]
     if others:
         text += f"; also above their limits: {', '.join(others)}"
     text += "."
-    if told.questions.get(Question.MOTION) != "yes" and told.replay is not None and told.replay.tracked is not None:
-        text += _why_feedback_fails(told)
+    if scored.questions.get(Question.MOTION) != "yes" and scored.replay is not None and scored.replay.tracked is not None:
+        text += _why_feedback_fails(scored)
     return text
 
 
-def _why_feedback_fails(told: Told) -> str:
-    missed = [metric for metric in told.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is False]
-    return f" With feedback too: {_quote(missed[0], told)}." if missed else ""
+def _why_feedback_fails(scored: ScoredPlan) -> str:
+    missed = [metric for metric in scored.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is False]
+    return f" With feedback too: {_quote(missed[0])}." if missed else ""
 
 
-def _undecided(told: Told) -> str:
+def _undecided(scored: ScoredPlan) -> str:
     unwell = [
-        metric for metric in told.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
+        metric for metric in scored.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
     ]
     if unwell:
         known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
-        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0], told)}{known}."
-    unsure = _judged(told, None)
+        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0])}{known}."
+    unsure = _judged(scored, None)
     if not unsure:
-        alone = _judged(told, False)
-        return f"{_quote(alone[0], told)}; whether feedback would help could not be decided." if alone else "no question could be decided."
+        alone = _judged(scored, False)
+        return f"{_quote(alone[0])}; whether feedback would help could not be decided." if alone else "no question could be decided."
     first = unsure[0]
     if first.value is None:
         text = f"{first.name} could not be measured: {first.reason.rstrip('.')}"
     elif math.isinf(first.error):
-        text = f"{_quote(first, told)}, but the replay has no error estimate"
+        text = f"{_quote(first)}, but the replay has no error estimate"
     else:
-        text = f"{_quote(first, told)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
+        text = f"{_quote(first)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
-    needed = "" if told.replay is None or first.value is None else getattr(told.replay.error, "would_decide", "")
+    needed = "" if scored.replay is None or first.value is None else getattr(scored.replay.error, "would_decide", "")
     return f"{text} What would decide it: {needed}" if needed else text
 
 
-def _holds(told: Told) -> str:
-    judged = _judged(told, True)
+def _holds(scored: ScoredPlan) -> str:
+    judged = _judged(scored, True)
     closest = max(judged, key=lambda metric: (metric.value or 0.0) / metric.limit if metric.limit else 0.0, default=None)
-    text = "every question asked is answered yes" if isinstance(told.scene, Scene) else f"holds {_of_what_is_shown(told)}"
+    text = "every question asked is answered yes" if isinstance(scored.scene, Scene) else f"holds {_of_what_is_shown(scored)}"
     if closest is None or closest.value is None:
         return f"{text}."
-    text += f"; closest to its limit: {_quote(closest, told)}"
-    grid = told.value("grid_error")
+    text += f"; closest to its limit: {_quote(closest)}"
+    grid = scored.value("grid_error")
     if grid is not None and closest.name.startswith("replay_"):
-        text += f", of which the grid's discretisation error is {number(grid, told.metrics['grid_error'].unit)}"
+        text += f", of which the grid's discretisation error is {number(grid, scored.metrics['grid_error'].unit)}"
     return text + "."
 
 
-def _of_what_is_shown(told: Told) -> str:
-    asked = [str(question.number) for question, word in told.questions.items() if question.number and word != NOT_ASKED]
+def _of_what_is_shown(scored: ScoredPlan) -> str:
+    asked = [str(question.number) for question, word in scored.questions.items() if question.number and word != NOT_ASKED]
     return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
 
 
-def _who_asks(told: Told) -> str:
-    return "the scene" if isinstance(told.scene, Scene) else "the map"
+def _who_asks(scored: ScoredPlan) -> str:
+    return "the scene" if isinstance(scored.scene, Scene) else "the map"
 
 
-def _consistent(told: Told) -> str:
-    if told.scene.task.has_goal:
+def _consistent(scored: ScoredPlan) -> str:
+    if scored.scene.task.has_goal:
         mend = "no limit on its goal counts for this plan; set one, with a reason"
-    elif isinstance(told.scene, Scene):
+    elif isinstance(scored.scene, Scene):
         mend = "give it a goal, or a limit on its cost"
     else:
         mend = "give it a [goal] with its limits"
-    shown = "" if isinstance(told.scene, Scene) else f" {_of_what_is_shown(told)}"
-    return f"consistent{shown}; {_who_asks(told)} asks for nothing: {mend}."
+    shown = "" if isinstance(scored.scene, Scene) else f" {_of_what_is_shown(scored)}"
+    return f"consistent{shown}; {_who_asks(scored)} asks for nothing: {mend}."
 
 
-def _holds_with_feedback(told: Told) -> str:
-    failing = [metric for metric in (*_judged(told, False), *_judged(told, None)) if metric.question is Question.MOTION]
-    text = f"not for the inputs alone: {_quote(failing[0], told)}" if failing else "not for the inputs alone"
-    growth = told.value("amplification")
+def _holds_with_feedback(scored: ScoredPlan) -> str:
+    failing = [metric for metric in (*_judged(scored, False), *_judged(scored, None)) if metric.question is Question.MOTION]
+    text = f"not for the inputs alone: {_quote(failing[0])}" if failing else "not for the inputs alone"
+    growth = scored.value("amplification")
     if growth is not None and growth > _UNSTABLE:
         text += f", unstable in the open loop (amplification {rounded(growth)})"
-    effort, share = told.value(EFFORT), told.value(SHARE)
+    effort, share = scored.value(EFFORT), scored.value(SHARE)
     took = [] if effort is None else [f"{percent(effort)} of the half-range"]
     took += [] if share is None else [f"{percent(share)} of the plan's own inputs"]
     text += f"; with LQR feedback, RMS effort {' and '.join(took)}, it holds"
-    end = next((told.metrics[name] for name in _ENDS if name in told.metrics and told.metrics[name].value is not None), None)
-    return text + ("." if end is None else f": {_quote(end, told)}.")
+    end = next((scored.metrics[name] for name in _ENDS if name in scored.metrics and scored.metrics[name].value is not None), None)
+    return text + ("." if end is None else f": {_quote(end)}.")
 
 
 _ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error"))
 
 
-def _cause(first: Metric, told: Told) -> str:
+def _cause(first: Metric, scored: ScoredPlan) -> str:
     """The cause of what failed first, and the advice."""
-    if first.name == "duration_error" and told.scene.task.horizon is not None:
-        return f" (it lasts {told.trajectory.duration:.6g} s, the task {told.scene.task.horizon:.6g} s)"
+    if first.name == "duration_error" and scored.scene.task.horizon is not None:
+        return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
     if first.name == "physics_scaled":
@@ -212,71 +212,73 @@ def _cause(first: Metric, told: Told) -> str:
     if first.name == "contact_law_error":
         return ": a relaxed contact law, or forces of another motion"
     if first.name == "max_penetration":
-        return _of_depth(told)
+        return _of_depth(scored)
     if first.name == "defect":
         return "; if another integrator made it, leave the declaration of the scheme out"
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
-        if told.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
+        if scored.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
             return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
         return f": a relaxed contact law; {_ADVICE_EXACT}"
     if first.question is Question.MOTION:
-        return _of_motion(first, told)
-    grid = told.metrics.get("grid_error")
-    if first.question is Question.POSSIBLE and told.value("grid_order") is not None and grid is not None and grid.value is not None:
+        return _of_motion(first, scored)
+    grid = scored.metrics.get("grid_error")
+    if first.question is Question.POSSIBLE and scored.value("grid_order") is not None and grid is not None and grid.value is not None:
         return f": discretisation error {number(grid.value, grid.unit)}"
     return ""
 
 
-def _of_depth(told: Told) -> str:
-    if not isinstance(told.scene, Scene) or told.replay is None or not told.replay.ok:
+def _of_depth(scored: ScoredPlan) -> str:
+    if not isinstance(scored.scene, Scene) or scored.replay is None or not scored.replay.ok:
         return ""
-    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array([np.inf if depth is None else depth for depth in told.scene.depths])
-    contact = told.scene.contacts[int(share.argmax())]
+    share = np.maximum(-scored.replay.gap, 0.0).max(axis=0) / np.array(
+        [np.inf if depth is None else depth for depth in scored.scene.depths]
+    )
+    contact = scored.scene.contacts[int(share.argmax())]
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 
 
-def _of_motion(first: Metric, told: Told) -> str:
+def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     """Why the inputs do not give the motion, by what the metrics show."""
-    plan = told.trajectory
-    if told.other_hold:
+    plan = scored.trajectory
+    if scored.other_hold:
         other = "linear" if plan.hold is Hold.ZERO_ORDER else "zero"
         return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
     if not plan.has_states or first.value is None:
         return ""
-    growth = told.value("amplification")
+    growth = scored.value("amplification")
     unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
     if plan.scheme is None:
-        if told.fails("unexplained_force") and first.name != "unexplained_force":
-            return f": {_PHRASES['unexplained_force'].format(percent(told.value('unexplained_force') or 0.0))}"
+        if scored.fails("unexplained_force") and first.name != "unexplained_force":
+            return f": {_PHRASES['unexplained_force'].format(percent(scored.value('unexplained_force') or 0.0))}"
         return unstable
-    grid = told.metrics.get("grid_error")
+    grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
-    law = told.value("law_error") or 0.0
-    if told.fails("defect"):
-        return f": {_quote(told.metrics['defect'], told)}"
+    law = scored.value("law_error") or 0.0
+    if scored.fails("defect"):
+        return f": {_quote(scored.metrics['defect'])}"
     if law > grid.value:
         return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
-    if any(told.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
+    if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
-    return text + _finer(first, grid.value, told)
+    return text + _finer(first, grid.value, scored)
 
 
-def _finer(first: Metric, grid: float, told: Told) -> str:
+def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
     """The step that the order of the scheme predicts to be enough: a prediction until a plan on that grid is made."""
-    plan = told.trajectory
+    plan = scored.trajectory
     if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
         return ""
     # A kink of the contact force leaves an error of order two, whatever the scheme.
     order = 1 if plan.scheme is Scheme.SEMI_IMPLICIT_EULER else min(2, tableau(plan.scheme).order)
     step = plan.duration / plan.steps * min(1.0, _SAFETY * first.limit / max(grid, first.value or 0.0)) ** (1.0 / order)
-    smooth = isinstance(told.scene, Scene) and not told.scene.nf and not told.scene.damped and told.scene.relaxation_index is None
+    smooth = isinstance(scored.scene, Scene) and not scored.scene.nf and not scored.scene.damped and scored.scene.relaxation_index is None
     other = ", or `collocation`" if order == 1 and smooth else ""  # which takes neither friction nor damped contacts
     return f". Try h = {step:.2g} s (predicted from the order of the scheme){other}"
 
 
-def _quote(metric: Metric, told: Told) -> str:
+def _quote(metric: Metric) -> str:
     """`the motion ends 0.3 m from the goal, limit 0.06 m`, or why there is no number."""
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:

@@ -1,12 +1,10 @@
-"""The equations of the score, one function a figure; arrays in, one number out.
+"""The equations of the score, one function a metric; arrays in, one number out.
 
-Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step,
-where the plan's lam (steps, nc) belongs.
+Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step, where the plan's lam (steps, nc)
+belongs.
 
-What the replay of a scene can be held against where the scene states it in closed form (models.scene.Answer.measure).
-
-Each measure gives the value and how wrong the replay may make it. They speak of the first contact of the replay: the first that closes, and
-the time until that one opens again.
+`answer_error` holds the replay against closed forms that the scene states (models.scene.parts.Answer.measure). Each measure gives a value and how
+wrong the replay may make it, and speaks of the first contact: the first that closes, and the time until that one opens again.
 """
 
 from __future__ import annotations
@@ -22,86 +20,281 @@ from validate.judge.score.verdict import Unmeasured
 
 
 def physics(lam: np.ndarray, push: np.ndarray) -> float:
-    """Sum over steps and contacts of abs(lam*(lam - push)) [N^2], push (steps, nc) = k*phi without damping: the paper's (10)."""
+    """Complementarity violation of the paper's (10): sum over steps and contacts of abs(lam*(lam - push)).
+
+    Parameters
+    ----------
+    lam : (steps, nc) contact forces [N].
+    push : (steps, nc) what the true force is the positive part of [N]: k*phi without damping.
+
+    Returns
+    -------
+    [N^2]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float(np.abs(lam * (lam - push)).sum())
 
 
 def physics_scaled(lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2 [s]; L (nc,) [m] the contact's nominal penetration, h (steps,) [s]."""
+    """Complementarity violation, the same on any grid: sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2.
+
+    Parameters
+    ----------
+    lam, push : (steps, nc) as of `physics` [N].
+    k : (nc,) stiffness [N/m].
+    length : (nc,) L, the contact's nominal penetration [m].
+    h : (steps,) [s].
+
+    Returns
+    -------
+    [s]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float((h[:, None] * np.abs(lam * (lam - push)) / (k * length) ** 2).sum())
 
 
 def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """(2 nq,) largest abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t], with a from the plan's own lam [m or rad, and per second]."""
+    """Largest misses of semi-implicit Euler: abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t].
+
+    Parameters
+    ----------
+    q, v : (nodes, nq) positions [m or rad], velocities [m/s or rad/s].
+    acceleration : (steps, nq) a, with the plan's own lam [m/s^2 or rad/s^2].
+    h : (steps,) [s].
+
+    Returns
+    -------
+    (2*nq,) of the positions, then of the velocities.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     positions = q[1:] - (q[:-1] + h[:, None] * v[1:])
     velocities = v[1:] - (v[:-1] + h[:, None] * acceleration)
     return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
 
 
 def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h times the distance of lam (steps, nc) from what the true law gives over the step [N s].
+    """Sum over steps and contacts of h times the distance of lam from what the true law gives over the step.
 
-    law (nodes, nc): at the step's two ends; least, most (steps, nc): within it, on the true motion from its start.
+    Parameters
+    ----------
+    lam : (steps, nc) planned contact forces [N].
+    law : (nodes, nc) of the true law at the nodes [N].
+    least, most : (steps, nc) of the true law within each step, on the true motion from its start [N].
+    h : (steps,) [s].
+
+    Returns
+    -------
+    [N s]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
     """
     low, high = np.minimum(np.minimum(law[:-1], law[1:]), least), np.maximum(np.maximum(law[:-1], law[1:]), most)
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
 def distance(state: np.ndarray, goal: np.ndarray) -> float:
-    """Euclidean norm of state - goal, over whatever components are given; a goal of NaN is free."""
+    """Euclidean norm of state - goal; what is NaN in the goal is free.
+
+    Parameters
+    ----------
+    state, goal : (n,) positions [m or rad], velocities [m/s or rad/s], or both.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
 
 
 def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """(n,) largest max(x - upper, lower - x, 0) over the rows of values (rows, n)."""
+    """Largest max(x - upper, lower - x, 0) of each column.
+
+    Parameters
+    ----------
+    values : (rows, n) [unit of each column].
+    lower, upper : (n,) bounds [unit of each column], may be infinite.
+
+    Returns
+    -------
+    (n,) [unit of each column].
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return np.maximum(values - upper, lower - values).max(axis=0, initial=0.0)
 
 
 def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
-    """Largest abs difference of any one coordinate over the nodes, and the node."""
+    """Largest abs difference of any one coordinate over the nodes.
+
+    Parameters
+    ----------
+    one, other : (nodes, nq) positions [m or rad].
+
+    Returns
+    -------
+    The difference [m or rad], and the node.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     worst = np.abs(one - other).max(axis=1)
     node = int(worst.argmax())
     return float(worst[node]), node
 
 
 def ghost_impulse(plan_lam: np.ndarray, largest: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h max(plan_lam - largest, 0) [N s], `largest` of `force_window`."""
+    """Planned impulse that the replay has not: sum over steps and contacts of h max(plan_lam - largest, 0).
+
+    Parameters
+    ----------
+    plan_lam : (steps, nc) planned contact forces [N].
+    largest : (steps, nc) of `force_window` [N].
+    h : (steps,) [s].
+
+    Returns
+    -------
+    [N s]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float((h[:, None] * np.maximum(plan_lam - largest, 0.0)).sum())
 
 
 def missed_impulse(plan_lam: np.ndarray, least: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h max(least - plan_lam, 0) [N s], `least` of `force_window`."""
+    """Impulse of the replay that the plan has not: sum over steps and contacts of h max(least - plan_lam, 0).
+
+    Parameters
+    ----------
+    plan_lam : (steps, nc) planned contact forces [N].
+    least : (steps, nc) of `force_window` [N].
+    h : (steps,) [s].
+
+    Returns
+    -------
+    [N s]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float((h[:, None] * np.maximum(least - plan_lam, 0.0)).sum())
 
 
 def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
-    """max(abs(f) - mu N, 0) over steps and frictions [N]; friction, limit (steps, nf)."""
+    """Coulomb's law: the largest max(abs(f) - mu N, 0) over steps and frictions.
+
+    Parameters
+    ----------
+    friction, limit : (steps, nf) f and mu N [N].
+
+    Returns
+    -------
+    [N]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
 
 
 def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """(nf,) largest abs of mu N abs(s) + f s [W] with the mu N between least and most (steps, nf) that makes it smallest: 0 where it sticks or slips
-    against all of mu N; slip (steps, nf) that of each step's friction."""
+    """Largest abs of mu N abs(s) + f s, with the mu N in its range that makes it smallest: 0 where it sticks or slips against all of mu N.
+
+    Parameters
+    ----------
+    friction : (steps, nf) f [N].
+    least, most : (steps, nf) range of mu N [N].
+    slip : (steps, nf) s [m/s], that of each step's friction.
+
+    Returns
+    -------
+    (nf,) [W]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     against = -friction * np.sign(slip)
     off = np.maximum(np.maximum(least - against, against - most), 0.0)
     return (off * np.abs(slip)).max(axis=0, initial=0.0)
 
 
 def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
-    """Integral over time of abs(f - f_plan) [N s], friction (n, nf) of the replay, by the trapezoid rule on its pieces."""
+    """Integral over time of abs(f - f_plan), by the trapezoid rule on the pieces of the replay's grid.
+
+    Parameters
+    ----------
+    plan : (steps, nf) f_plan [N].
+    step_of : (n-1,) the plan's step of each piece [-].
+    friction : (n, nf) f of the replay [N].
+    duration : (n-1,) of each piece [s].
+
+    Returns
+    -------
+    [N s]
+
+    Raises
+    ------
+    ValueError, IndexError : if the shapes do not fit.
+    """
     planned = plan[step_of]
     return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
 
 
 def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:
-    """max over time of abs(E - E(0) - W_in + W_dissipated) [J]; E with the energy stored in contacts."""
+    """Largest abs(E - E(0) - W_in + W_dissipated) over time.
+
+    Parameters
+    ----------
+    energy : (n,) E, with the energy stored in contacts [J].
+    input_work, dissipated_work : (n,) since the start [J].
+
+    Returns
+    -------
+    [J]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
 
 
 def energy_turnover(
     kinetic: np.ndarray, potential: np.ndarray, contact: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
 ) -> float:
-    """The largest energy that is there to be turned over [J]: kinetic, in contacts, range of the potential, work in, work dissipated."""
+    """The largest energy that is there to be turned over: kinetic, in contacts, range of the potential, work in, work dissipated.
+
+    Parameters
+    ----------
+    kinetic, potential, contact : (n,) energies [J].
+    input_work, dissipated_work : (n,) since the start [J].
+
+    Returns
+    -------
+    [J]
+
+    Raises
+    ------
+    ValueError : for no rows.
+    """
     return float(max(kinetic.max(), contact.max(), np.ptp(potential), np.abs(input_work).max(), np.abs(dissipated_work).max()))
 
 

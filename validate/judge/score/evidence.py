@@ -39,6 +39,7 @@ class Evidence:
 
     @cached_property
     def kernel(self) -> Kernel:
+        """The scene's compiled functions. Raises Unmeasured for somebody's FMU."""
         return load_kernel(self.equations)
 
     def need(self, *parts: str) -> None:
@@ -50,7 +51,7 @@ class Evidence:
 
     @property
     def q(self) -> np.ndarray:
-        """(nodes, nq) positions of the plan, if it says any."""
+        """Positions of the plan, (nodes, nq) [m or rad]. Raises Unmeasured if it does not say them."""
         self.need("q")
         if not self.trajectory.has_states:
             columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
@@ -59,19 +60,31 @@ class Evidence:
 
     @cached_property
     def goal(self) -> np.ndarray:
-        """(2*nq,) positions, then velocities; NaN where the end is free."""
+        """The goal, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]; NaN where the end is free. Raises nothing."""
         return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
 
     @cached_property
     def h(self) -> np.ndarray:
-        """(steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it."""
+        """Steps of the plan, (steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it. Raises nothing."""
         h = np.diff(self.trajectory.t)
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
     def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """The task's cost of a motion t (n,), q, v (n, nq) under the plan's inputs u (steps, nu): its running cost at the starts of the task's own steps,
-        whatever grid the plan has, and the final cost. Between the rows positions are cubics."""
+        """The task's cost of a motion: its running cost at the starts of the task's own steps, whatever grid the plan has, and the final cost.
+
+        Between the rows positions are cubics.
+
+        Parameters
+        ----------
+        t : (n,) times of the rows [s].
+        q, v : (n, nq) positions [m or rad], velocities [m/s or rad/s].
+        u : (steps, nu) inputs of the plan [N or N m].
+
+        Raises
+        ------
+        Unmeasured : for somebody's FMU.
+        """
         step = self.scene.task.step
         if len(t) == len(u) + 1 and (self.h == step).all():
             return self.kernel.cost(q, v, u)
@@ -85,21 +98,28 @@ class Evidence:
 
     @cached_property
     def phi(self) -> np.ndarray:
-        """(steps, nc) penetration at the start of each step of the plan [m]."""
+        """Penetration at the start of each step of the plan, (steps, nc) [m]. Raises Unmeasured for somebody's FMU."""
         return self.kernel.penetration(self.trajectory.q[:-1])
 
     @cached_property
     def push(self) -> np.ndarray:
-        """(steps, nc) what the true force is the positive part of at the start of each step [N]: k phi, and with damping more or less."""
+        """What the true force is the positive part of at the start of each step, (steps, nc) [N]: k phi, and with damping more or less.
+
+        Raises Unmeasured for somebody's FMU, or where a damped contact needs velocities that the plan does not say.
+        """
         return self.kernel.contact_push(self.trajectory.q[:-1], self.v[:-1]) if self.equations.damped else self.k * self.phi
 
     @cached_property
     def k(self) -> np.ndarray:
+        """Stiffness of the contacts, (nc,) [N/m]. Raises Unmeasured for somebody's FMU."""
         return self.kernel.stiffness()
 
     @cached_property
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """(nc,) each: the largest derivatives of the replay's contact forces by penetration [N/m] and by its rate [N s/m]."""
+        """Largest derivatives of the replay's contact forces, (nc,) each: by penetration [N/m] and by its rate [N s/m].
+
+        Raises Unmeasured for somebody's FMU, or without a whole replay.
+        """
         scene, k = self.equations, self.k
         if not scene.damped:
             return k, np.zeros_like(k)
@@ -111,19 +131,19 @@ class Evidence:
 
     @cached_property
     def length(self) -> np.ndarray:
-        """(nc,) L: the scene's nominal penetration of each contact [m]."""
+        """L, the scene's nominal penetration of each contact, (nc,) [m]. Raises nothing."""
         return np.array([contact.nominal for contact in self.scene.contacts])
 
     @property
     def lam(self) -> np.ndarray:
-        """(steps, nc) contact forces of the plan [N], if it says any."""
+        """Contact forces of the plan, (steps, nc) [N]. Raises Unmeasured if it does not say them."""
         if "lam" in self.trajectory.missing:
             raise Unmeasured(f"the plan does not say its contact forces ({', '.join(self.scene.force_names[: self.scene.nc])}).")
         return self.trajectory.lam[:, : self.scene.nc]
 
     @property
     def forces(self) -> np.ndarray:
-        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says all of them."""
+        """Contact forces, then friction forces of the plan, (steps, nc + nf) [N]. Raises Unmeasured if it does not say all of them."""
         if self.scene.nf and "friction" in self.trajectory.missing:
             raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
         if self.scene.nc:
@@ -137,11 +157,12 @@ class Evidence:
 
     @cached_property
     def law(self) -> np.ndarray:
-        """(nodes, nc) contact forces of the true law at the plan's nodes [N]."""
+        """Contact forces of the true law at the plan's nodes, (nodes, nc) [N]. Raises Unmeasured without positions or equations."""
         return self.kernel.contact_force(self.q, v=self.own_velocities if self.equations.damped else None)
 
     @cached_property
     def stepper(self) -> Stepper:
+        """The true motion over the plan's steps. Raises Unmeasured for somebody's FMU."""
         return Stepper(self.kernel, self.held_inputs, self.trajectory.t, np.diff(self.trajectory.t))
 
     @cached_property
@@ -151,14 +172,23 @@ class Evidence:
 
     @cached_property
     def own_velocities(self) -> np.ndarray:
-        """(nodes, nq) velocities of the plan; where it says none, those that its positions take."""
+        """Velocities of the plan, (nodes, nq) [m/s or rad/s]; where it says none, those that its positions take. Raises Unmeasured without positions."""
         if "v" not in self.trajectory.missing:
             return self.trajectory.v
         v = self.departures.v
         return np.vstack([v, self.own_steps(v).ends[-1, self.scene.nq :]])
 
     def own_steps(self, v: np.ndarray) -> OwnSteps:
-        """The true motion over each step from the plan's positions and velocities v (steps, nq)."""
+        """The true motion over each step from the plan's positions and given velocities.
+
+        Parameters
+        ----------
+        v : (steps, nq) velocities at the starts of the steps [m/s or rad/s].
+
+        Raises
+        ------
+        Unmeasured : where it cannot be found.
+        """
         own = self._own_steps.get(v.tobytes())
         if own is None:
             mass, start, end = self.masses[1:], self.q[:-1], self.q[1:]
@@ -170,11 +200,11 @@ class Evidence:
 
     @cached_property
     def masses(self) -> np.ndarray:
-        """(nodes, nq, nq) along the plan."""
+        """Mass matrices along the plan, (nodes, nq, nq) [kg or kg m^2]. Raises Unmeasured without positions or equations."""
         return self.masses_at(self.q)
 
     def masses_at(self, q: np.ndarray) -> np.ndarray:
-        """(n, nq, nq) at positions q (n, nq)."""
+        """Mass matrices (n, nq, nq) [kg or kg m^2] at positions q (n, nq). Raises Unmeasured for somebody's FMU."""
         d = derive(self.equations)
         mass = d.function(d.mass_matrix, d.q)
         return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
@@ -208,7 +238,10 @@ class Evidence:
         random = np.random.default_rng(0)
 
         def acceleration(scale: float) -> np.ndarray:
+            """(steps, nq) [m/s^2 or rad/s^2] with all numbers moved by `scale` of their printing. Raises KernelError."""
+
             def moved(group: str, values: np.ndarray) -> np.ndarray:
+                """All values (steps, n) [unit of the group], each moved up or down. Raises KeyError for no group."""
                 return values + scale * size[group] * random.choice((-1.0, 1.0), size=values.shape)
 
             q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
@@ -224,24 +257,27 @@ class Evidence:
 
     @cached_property
     def held_inputs(self) -> HeldInputs:
+        """The plan's inputs as functions of time."""
         return HeldInputs(self.trajectory)
 
     @property
     def start_velocity(self) -> np.ndarray:
-        """(nq,) of the task."""
+        """Velocities of the task's start, (nq,) [m/s or rad/s]. Raises TypeError where the task gives none."""
         return np.array(self.scene.task.start[self.scene.nq :], dtype=float)
 
     @property
     def friction(self) -> np.ndarray:
-        """(steps, nf) friction forces of the plan [N], if it says any."""
+        """Friction forces of the plan, (steps, nf) [N]. Raises Unmeasured if it does not say them."""
         if "friction" in self.trajectory.missing:
             raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
     def friction_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest mu N (steps, nf) [N], with the plan's own contact forces where they press; what pulls does not press. At the start of the
-        step; of a plan that declares no scheme at both its ends."""
+        """Least and largest mu N, (steps, nf) each [N], with the plan's own contact forces where they press; what pulls does not press.
+
+        At the start of the step; of a plan that declares no scheme at both its ends. Raises Unmeasured without positions or equations.
+        """
         forces, kernel = self.trajectory.lam, self.kernel
         first = np.maximum(kernel.friction_limit(self.q[:-1], forces), 0.0)
         if self.trajectory.scheme is not None:
@@ -251,8 +287,10 @@ class Evidence:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, with the geometry of its start; of a plan that declares no
-        scheme the least of that and those at both ends."""
+        """Slip speeds to which a step's friction force belongs, (steps, nf) [m/s]: at its end, with the geometry of its start.
+
+        Of a plan that declares no scheme the least of that and those at both ends. Raises Unmeasured without velocities or equations.
+        """
         stepped = self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
         if self.trajectory.scheme is not None:
             return stepped
@@ -261,7 +299,7 @@ class Evidence:
 
     @property
     def v(self) -> np.ndarray:
-        """(nodes, nq) velocities of the plan, if it says any."""
+        """Velocities of the plan, (nodes, nq) [m/s or rad/s]. Raises Unmeasured if it does not say them."""
         if "v" in self.trajectory.missing:
             columns = ", ".join(coordinate.velocity_name for coordinate in self.scene.coordinates)
             raise Unmeasured(f"the plan does not say its velocities ({columns}).")
@@ -276,7 +314,7 @@ class Evidence:
 
     @cached_property
     def acceleration(self) -> np.ndarray:
-        """(steps, nq) of the plan's states, inputs and own contact forces."""
+        """Acceleration by the plan's states, inputs and own contact forces, (steps, nq) [m/s^2 or rad/s^2]. Raises Unmeasured if one is missing."""
         plan = self.trajectory
         try:
             return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
@@ -285,7 +323,10 @@ class Evidence:
 
     @property
     def collocation_defect(self) -> np.ndarray:
-        """(2 nq,) largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
+        """Largest misses of a collocation plan in its own step, (2*nq,) [m or rad], then [m/s or rad/s]; infinite where a step has no solution.
+
+        Raises Unmeasured without velocities or equations.
+        """
         self.v  # noqa: B018 - refused where the plan does not say it
         try:
             return collocation.defect(self.kernel, self.trajectory)
@@ -293,12 +334,15 @@ class Evidence:
             raise Unmeasured(str(error)) from error
 
     def refined_motion(self, parts: int) -> np.ndarray:
-        """(nodes, nq) the plan's inputs run through its own time step in so many parts, with the true contact law."""
+        """The plan's inputs run through its own time step in so many parts, with the true contact law: (nodes, nq) [m or rad]. Raises Unmeasured."""
         return self._own_motion(parts)[0]
 
     @cached_property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
+        """Positions [m or rad] and velocities [m/s or rad/s], (nodes, nq) each, of the plan's inputs through its own time step with the true contact law.
+
+        Raises Unmeasured without positions or equations, LeavesBounds where that diverges.
+        """
         return self._own_motion(1)
 
     def _own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
@@ -326,7 +370,7 @@ class Evidence:
 
     @property
     def true_end(self) -> np.ndarray:
-        """(2*nq,) where `true_motion` ends."""
+        """Where `true_motion` ends, (2*nq,) [m or rad], then [m/s or rad/s]. Raises Unmeasured."""
         q, v = self.true_motion
         return np.concatenate([q[-1], v[-1]])
 
@@ -361,31 +405,31 @@ class Evidence:
 
     @property
     def replay_q(self) -> np.ndarray:
-        """(nodes, nq) of the replay, at the plan's nodes."""
+        """Positions of the replay at the plan's nodes, (nodes, nq) [m or rad]. Raises Unmeasured without a whole replay."""
         self.need("q")
         return self.replay.q[self.replay.knots]
 
     @property
     def end(self) -> np.ndarray:
-        """(2*nq,) where the plan ends; the velocities only if a velocity of the goal is given."""
+        """Where the plan ends, (2*nq,) [m or rad], then [m/s or rad/s]; the velocities only if a velocity of the goal is given. Raises Unmeasured."""
         wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
         return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
 
     @property
     def replay_v(self) -> np.ndarray:
-        """(nodes, nq) of the replay, at the plan's nodes."""
+        """Velocities of the replay at the plan's nodes, (nodes, nq) [m/s or rad/s]. Raises Unmeasured without a whole replay."""
         self.need("v")
         return self.replay.v[self.replay.knots]
 
     @property
     def all_replay_v(self) -> np.ndarray:
-        """(n, nq) of the replay, at all its rows."""
+        """Velocities of the replay at all its rows, (n, nq) [m/s or rad/s]. Raises Unmeasured without a whole replay."""
         self.need("v")
         return self.replay.v
 
     @property
     def replay_end(self) -> np.ndarray:
-        """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
+        """Where the replay ends, (2*nq,) [m or rad], then [m/s or rad/s]. Raises Unmeasured if what the goal asks is not known."""
         self.need("q")
         if np.isfinite(self.goal[self.scene.nq :]).any():
             self.need("v")
@@ -393,20 +437,20 @@ class Evidence:
 
     @property
     def replay_gap(self) -> np.ndarray:
-        """(n, nc) of the replay [m], negative in contact."""
+        """Gaps of the replay, (n, nc) [m], negative in contact. Raises Unmeasured without a whole replay."""
         self.need("gap")
         return self.replay.gap
 
     @cached_property
     def gap_rate(self) -> np.ndarray | None:
-        """(n, nc) rate of the replay's gaps [m/s]; None of somebody's FMU."""
+        """Rates of the replay's gaps, (n, nc) [m/s]; None of somebody's FMU. Raises Unmeasured without a whole replay."""
         if not isinstance(self.scene, Scene):
             return None
         return -self.kernel_rates(self.replay.q, self.replay.v)
 
     @property
     def deepest(self) -> np.ndarray:
-        """(nc,) largest penetration of the replay [m]; of a scene between its rows too."""
+        """Largest penetration of the replay, (nc,) [m]; of a scene between its rows too. Raises Unmeasured without a whole replay."""
         gap, rate = self.replay_gap, self.gap_rate
         lowest = gap.min(axis=0, initial=0.0)
         if rate is None or len(gap) < 2:
@@ -430,23 +474,25 @@ class Evidence:
         return self.kernel.penetration(run.q)
 
     def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(n, nc) phi' = d phi/dq v [m/s] at states (n, nq)."""
+        """Penetration rates phi' = d phi/dq v, (n, nc) [m/s], at states q, v (n, nq). Raises Unmeasured for somebody's FMU."""
         return collocation.penetration_rates(self.kernel, q, v)
 
     @property
     def opened_q(self) -> np.ndarray:
-        """(n, nq) of the replay of the inputs alone, as far as it got; without one the plan's."""
+        """Positions of the replay of the inputs alone, as far as it got, (n, nq) [m or rad]; without one the plan's. Raises nothing."""
         return self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
 
     @property
     def opened_lam(self) -> np.ndarray:
-        """(n, nc) contact forces that belong to `opened_q` [N]."""
+        """Contact forces that belong to `opened_q`, (n, nc) [N]. Raises Unmeasured without a replay and without positions of the plan."""
         return self.law if self._replay is None or not len(self._replay.t) else self._replay.lam
 
     @cached_property
     def force_window(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N], their means over steps among them: of a
-        bounce between two rows no row tells."""
+        """Least and largest of the replay's contact forces within a step of each of the plan's, (steps, nc) each [N].
+
+        Their means over steps are among them: of a bounce between two rows no row tells. Raises Unmeasured without a whole replay.
+        """
         self.need("lam")
         replay, steps = self.replay, self.trajectory.steps
         mean = (
@@ -458,13 +504,13 @@ class Evidence:
 
     @cached_property
     def step_of(self) -> np.ndarray:
-        """(n-1,) the plan's step in which each piece of the replay's grid lies."""
+        """The plan's step in which each piece of the replay's grid lies, (n-1,) [-]. Raises Unmeasured without a whole replay."""
         pieces = np.arange(len(self.replay.t) - 1)
         return np.searchsorted(self.replay.knots, pieces, side="right") - 1
 
     @cached_property
     def duration(self) -> np.ndarray:
-        """(n-1,) of each piece of the replay's grid [s]."""
+        """Duration of each piece of the replay's grid, (n-1,) [s]. Raises Unmeasured without a whole replay."""
         return np.diff(self.replay.t)
 
 
@@ -486,6 +532,20 @@ def _at_times(times: np.ndarray, t: np.ndarray, q: np.ndarray, v: np.ndarray) ->
 
 
 def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:
-    """(n,) sqrt(dv' M dv) of changes dv (n, nq) or (nq,), mass (n, nq, nq)."""
+    """Size of changes of velocity in the norm of the mass matrix: sqrt(dv' M dv).
+
+    Parameters
+    ----------
+    mass : (n, nq, nq) [kg or kg m^2].
+    dv : (n, nq) or (nq,) changes [m/s or rad/s].
+
+    Returns
+    -------
+    (n,) [kg^0.5 m/s]
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
     dv = np.broadcast_to(dv, mass.shape[:2])
     return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", dv, mass, dv), 0.0))

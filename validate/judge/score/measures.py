@@ -26,8 +26,11 @@ _AT_REST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
-    component; allowed (n,): what printing may be the cause of, which is added to the limit; base: added to the default limit alone."""
+    """What was measured of one metric.
+
+    values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
+    component; allowed (n,): what printing may be the cause of, which is added to the limit; base: added to the default limit alone.
+    """
 
     values: np.ndarray
     error: float | np.ndarray = 0.0
@@ -53,6 +56,7 @@ def _velocity_units(scene: Subject) -> tuple[str, ...]:
 
 
 def start_error(case: Evidence) -> Measured:
+    """Distance of the plan's first state from the task's start, of each component."""
     nominals, task = _nominals(case.scene), case.equations.task
     asked = np.abs(goal_state(task) - np.array(task.start))
     # A task of a micrometre is not started a millionth of a metre away.
@@ -69,11 +73,13 @@ def start_error(case: Evidence) -> Measured:
 
 
 def duration_error(case: Evidence) -> Measured:
+    """Difference of the plan's duration and the task's [s]."""
     asked = float(case.scene.task.horizon or 0.0)
     return Measured(values=np.array([abs(case.trajectory.duration - asked)]), scales=case.scene.task.step)
 
 
 def bound_violation(case: Evidence) -> Measured:
+    """How far the plan's inputs leave their bounds, of each input."""
     inputs = case.scene.inputs
     lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
     plan = case.trajectory
@@ -111,20 +117,24 @@ def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def terminal_error(case: Evidence) -> float:
+    """Euclidean distance of the plan's end from the goal, over what the goal gives."""
     return eq.distance(case.end, case.goal)
 
 
 def terminal_position_error(case: Evidence) -> Measured:
+    """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
     return Measured(values=np.array([eq.distance(case.q[-1], case.goal[:nq])]), allowed=case.printing("q") * np.sqrt(nq))
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
+    """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
     return Measured(values=np.array([eq.distance(case.v[-1], case.goal[nq:])]), allowed=case.printing("v") * np.sqrt(nq))
 
 
 def cost(case: Evidence) -> float:
+    """The task's cost of the plan."""
     return case.cost_of(case.trajectory.t, case.q, case.v, case.trajectory.u)
 
 
@@ -132,10 +142,12 @@ def cost(case: Evidence) -> float:
 
 
 def physics(case: Evidence) -> float:
+    """Complementarity violation of the paper's (10) [N^2]."""
     return eq.physics(lam=case.lam, push=case.push)
 
 
 def physics_scaled(case: Evidence) -> Measured:
+    """Complementarity violation, the same on any grid [s]."""
     value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
     p_lam, p_push = case.printing("lam"), case.k * case.printing("q")
     rounded = p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push)) + np.abs(case.lam) * p_push + p_lam * (p_lam + p_push)
@@ -144,6 +156,7 @@ def physics_scaled(case: Evidence) -> Measured:
 
 
 def contact_law_error(case: Evidence) -> Measured:
+    """Impulse by which planned contact forces lie outside the range of the true law over their step [N s]."""
     within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
     value = eq.contact_law_error(lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h)
     touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
@@ -158,6 +171,7 @@ def _grazing(case: Evidence) -> float:
 
 
 def force_sign_violation(case: Evidence) -> Measured:
+    """Largest planned contact force that pulls [N]."""
     lam = case.lam
     return Measured(
         values=np.array([max(float(-lam.min(initial=0.0)), 0.0)]), scales=float(np.abs(lam).max(initial=0.0)), allowed=case.printing("lam")
@@ -165,6 +179,7 @@ def force_sign_violation(case: Evidence) -> Measured:
 
 
 def friction_violation(case: Evidence) -> Measured:
+    """How far a planned friction force exceeds mu N, with N what the plan itself presses with [N]."""
     limit = case.friction_limits[1]
     pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
     mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
@@ -175,6 +190,7 @@ def friction_violation(case: Evidence) -> Measured:
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
+    """Power mu N |s| + f s that friction does not dissipate as it must, of each friction [W]."""
     (least, most), slip = case.friction_limits, case.slip
     values = eq.friction_dissipation_error(case.friction, least, most, slip)
     nominal = np.array([item.nominal for item in case.scene.frictions])
@@ -188,6 +204,7 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 
 def replay_error(case: Evidence) -> Measured:
+    """Largest difference of plan and replay at the plan's nodes, of each position."""
     values = np.abs(case.q - case.replay_q).max(axis=0)
     return Measured(
         values=values,
@@ -199,20 +216,24 @@ def replay_error(case: Evidence) -> Measured:
 
 
 def replay_terminal_error(case: Evidence) -> tuple[float, float]:
+    """Euclidean distance of the replay's end from the goal, and its error."""
     return eq.distance(case.replay_end, case.goal), case.error.state
 
 
 def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
+    """Euclidean distance of the replay's last positions from the goal, and its error."""
     # The norm over positions differs by at most as much as each of them does.
     error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
     return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
 
 
 def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
+    """Euclidean distance of the replay's last velocities from the goal, and its error."""
     return eq.distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
 
 
 def replay_cost(case: Evidence) -> tuple[float, float]:
+    """The task's cost of the replay, and its error."""
     replay = case.replay
     u = case.trajectory.u if replay.applied is None else replay.applied
     case.need("q", "v")
@@ -225,10 +246,12 @@ def replay_cost(case: Evidence) -> tuple[float, float]:
 
 
 def replay_error_time(case: Evidence) -> float:
+    """Time at which plan and replay differ most [s]."""
     return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
 
 
 def grid_error(case: Evidence) -> tuple[float, float]:
+    """Discretisation error: largest difference of the true law on the plan's grid and in continuous time [m or rad], and its error."""
     return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
 
 
@@ -256,6 +279,7 @@ def _replay_limit(case: Evidence) -> float:
 
 
 def max_penetration(case: Evidence) -> Measured:
+    """Deepest penetration of each contact in the replay [m]."""
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
     if not isinstance(case.scene, Scene):
         _check_gaps(case)
@@ -279,11 +303,13 @@ def _check_gaps(case: Evidence) -> None:
 
 
 def ghost_impulse(case: Evidence) -> Measured:
+    """Planned contact impulse where the replay has none within a step [N s]."""
     value = eq.ghost_impulse(plan_lam=case.lam, largest=case.force_window[1], h=case.h)
     return _of_impulses(case, value)
 
 
 def missed_impulse(case: Evidence) -> Measured:
+    """Contact impulse of the replay where the plan has none within a step [N s]."""
     value = eq.missed_impulse(plan_lam=case.lam, least=case.force_window[0], h=case.h)
     return _of_impulses(case, value)
 
@@ -310,6 +336,7 @@ def _impulse_error(case: Evidence) -> float:
 
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
+    """How far the replay's velocities leave their bounds, of each velocity."""
     lower, upper = _velocity_bounds(case)
     return Measured(
         values=eq.outside(case.all_replay_v[:-1], lower, upper),
@@ -323,6 +350,7 @@ def replay_velocity_bound_violation(case: Evidence) -> Measured:
 
 
 def defect(case: Evidence) -> Measured:
+    """How far the plan misses its declared scheme, of each component of the state."""
     p_q, p_v, h = case.printing("q"), case.printing("v"), float(case.h.max())
     if case.trajectory.scheme is not Scheme.SEMI_IMPLICIT_EULER:
         # Stages are not stored: its forces are taken to be those of the true law there.
@@ -346,10 +374,12 @@ def _explained(case: Evidence) -> float:
 
 
 def law_error(case: Evidence) -> Measured:
+    """Largest difference of the plan and its own time step under the true contact law [m or rad]."""
     return Measured(values=np.array([eq.largest_difference(case.q, case.true_motion[0])[0]]), scales=_explained(case))
 
 
 def discrete_terminal_error(case: Evidence) -> float:
+    """Euclidean distance from the goal of the end of the plan's own time step under the true contact law."""
     return eq.distance(case.true_end, case.goal)
 
 
@@ -366,10 +396,12 @@ def discrete_terminal(part: str, value: Callable[[Evidence], float]) -> Callable
 
 
 def discrete_position(case: Evidence) -> float:
+    """The same of the positions alone."""
     return eq.distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
 
 
 def discrete_velocity(case: Evidence) -> float:
+    """The same of the velocities alone."""
     return eq.distance(case.true_end[case.scene.nq :], case.goal[case.scene.nq :])
 
 
@@ -383,10 +415,12 @@ def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 
 def energy_residual(case: Evidence) -> float:
+    """Energy that the replay makes or loses: work in, less dissipated, less the change of energy [J]."""
     return eq.energy_residual(case.replay.energy, *_work(case))
 
 
 def energy_residual_relative(case: Evidence) -> float:
+    """The same as a share of the energy that is turned over [-]."""
     replay, work = case.replay, _work(case)
     turned = eq.energy_turnover(replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work)
     speeds = _nominals(case.scene)[None, :]
@@ -395,4 +429,5 @@ def energy_residual_relative(case: Evidence) -> float:
 
 
 def friction_impulse_error(case: Evidence) -> float:
+    """Integral over time of the difference of planned and replayed friction [N s]."""
     return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)

@@ -29,7 +29,10 @@ Size = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnSteps:
-    """ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the true law within them [N]."""
+    """The true motion over each step.
+
+    ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the true law within them [N].
+    """
 
     ends: np.ndarray
     least: np.ndarray
@@ -38,8 +41,11 @@ class OwnSteps:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Departures:
-    """v (steps, nq): velocities at the starts of the steps with which the true motion arrives at the next position, but for missed (steps, nq) [m]; gains
-    (steps,): by how much a position that is off by 1 changes them [1/s]."""
+    """The velocities with which the true motion arrives at each next position.
+
+    v (steps, nq): at the starts of the steps; missed (steps, nq) [m]: by how much it does not arrive; gains (steps,) [1/s]: by how much a position
+    that is off by 1 changes them.
+    """
 
     v: np.ndarray
     missed: np.ndarray
@@ -53,15 +59,23 @@ class Stepper:
         self._kernel, self._held, self._t, self._h = kernel, held, t, h
 
     def run(self, x: np.ndarray, size: Size, scale: float) -> OwnSteps:
-        """From states x (steps, 2 nq) at the starts. size: (n,) of velocities (n, nq), with their step's mass; scale: what it is measured by.
+        """The true motion over each step, in as many parts as it takes.
 
-        Raises Unmeasured where no number of parts settles.
+        Parameters
+        ----------
+        x : (steps, 2*nq) states at the starts [m or rad], [m/s or rad/s].
+        size : (n,) of velocities (n, nq), with their step's mass.
+        scale : what that is measured by.
+
+        Raises
+        ------
+        Unmeasured : where no number of parts settles.
         """
         nq, steps = x.shape[1] // 2, np.arange(len(x))
-        found = self.parts(steps, x, _FIRST)
+        found = self._parts(steps, x, _FIRST)
         ends, least, most = found.ends.copy(), found.least.copy(), found.most.copy()
         for doubling in range(1, _DOUBLINGS + 1):
-            finer = self.parts(steps, x[steps], _FIRST * 2**doubling)
+            finer = self._parts(steps, x[steps], _FIRST * 2**doubling)
             with np.errstate(invalid="ignore", over="ignore"):
                 change = np.zeros((2, len(x), nq))
                 change[0, steps] = finer.ends[:, nq:] - ends[steps, nq:]
@@ -76,7 +90,7 @@ class Stepper:
             "parts of the step do not tell it."
         )
 
-    def parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
+    def _parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
         """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
         nl, held = self._kernel.scene.nl, self._held
         ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
@@ -96,9 +110,17 @@ class Stepper:
             yield from np.array_split(rows, -(-len(rows) * parts // _AT_ONCE))
 
     def departures(self, q: np.ndarray, v0: np.ndarray, nominal: np.ndarray) -> Departures:
-        """From positions q (nodes, nq) alone. v0 (nq,): velocities of the task's start; nominal (nq,) of the positions.
+        """The velocities that lead from each position to the next; the first guess is that with which the step before arrived.
 
-        The first guess is the velocity with which the step before arrived.
+        Parameters
+        ----------
+        q : (nodes, nq) positions [m or rad].
+        v0 : (nq,) velocities of the task's start [m/s or rad/s].
+        nominal : (nq,) typical sizes of the positions [m or rad].
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError : if a Newton matrix has no pseudo-inverse.
         """
         found, missed, gains, before = np.empty((len(q) - 1, q.shape[1])), np.empty((len(q) - 1, q.shape[1])), np.empty(len(q) - 1), v0
         enough = _SETTLED * float(np.abs(np.diff(q, axis=0) / self._h[:, None]).max()) + _MISSED * float(nominal.max())
@@ -134,7 +156,7 @@ class Stepper:
         for _ in range(_SHOTS):
             x = np.tile(np.concatenate([q[step], v + move]), (nq + 1, 1))
             x[1:, nq:] += np.diag(nudge)
-            ends = self.parts(places, x, parts).ends
+            ends = self._parts(places, x, parts).ends
             miss = q[step + 1] - ends[0, :nq]
             if best is None or np.abs(miss).max() < np.abs(best[2]).max():
                 slope = np.nan_to_num((ends[1:, :nq] - ends[0, :nq]).T / nudge)
@@ -150,11 +172,25 @@ class Stepper:
 
 
 def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
-    plan's step of each piece; mean (steps, nc) over each step, where it is known.
+    """Range of a replay's forces from the step before each of the plan's to the one after.
 
     A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
     plan's grid.
+
+    Parameters
+    ----------
+    lam : (n, nc) forces of the replay [N].
+    step_of : (n-1,) the plan's step of each piece of the replay's grid [-].
+    steps : of the plan.
+    mean : (steps, nc) over each step, where it is known [N].
+
+    Returns
+    -------
+    Least and largest, (steps, nc) each [N].
+
+    Raises
+    ------
+    ValueError : if a step has no row, or the shapes do not fit.
     """
     first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
     least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
@@ -166,6 +202,19 @@ def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndar
 
 
 def least_slip(slips: np.ndarray) -> np.ndarray:
-    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
+    """The slip of least magnitude of each step; 0 where it turns round.
+
+    Parameters
+    ----------
+    slips : (n, steps, nf) slips of each step [m/s].
+
+    Returns
+    -------
+    (steps, nf) [m/s]
+
+    Raises
+    ------
+    ValueError : for no slips.
+    """
     low, high = slips.min(axis=0), slips.max(axis=0)
     return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))

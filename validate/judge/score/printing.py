@@ -22,8 +22,17 @@ _MOST = 5e-4
 
 
 def half_unit(values: np.ndarray, most: float) -> float:
-    """Half a unit of the last printed digit of `values`; 0 where all digits are given, or so few that they are the number: half a unit would be more
-    than 5e-4 of `most`, what counts as large here."""
+    """Half a unit of the last printed digit of some numbers.
+
+    Parameters
+    ----------
+    values : (n,) or (rows, columns) numbers of one kind [any unit].
+    most : what counts as large here, in the same unit.
+
+    Returns
+    -------
+    0 where all digits are given, or so few that they are the number: half a unit would be more than 5e-4 of `most`. Raises nothing.
+    """
     sizes = np.abs(values[values != 0.0])
     if not sizes.size:
         return 0.0

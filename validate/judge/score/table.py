@@ -1,12 +1,11 @@
 """The table of metrics: name, the question that it answers, unit, meaning, how it is measured, and the limit where a scene sets none.
 
-Every metric of the score stands here once; those of question `SHOWN` are told and judge nothing. A scene may set another limit with a reason, or
+Every metric of the score stands here once; those of question `SHOWN` are shown and judge nothing. A scene may set another limit with a reason, or
 waive it; it cannot forget one.
 
-Metrics of the replay with feedback, and what the feedback took.
-
-Each metric of the replay has a twin there: `replay_error` and `tracked_replay_error`, `ghost_impulse` and `tracked_ghost_impulse`; the same limits hold.
-The effort is limited: feedback that does more than correct a plan makes another one, and it is the plan that is to hold.
+Each metric of the replay has a twin for the replay with feedback: `replay_error` and `tracked_replay_error`, `ghost_impulse` and
+`tracked_ghost_impulse`; the same limits hold. The effort is limited too: feedback that does more than correct a plan makes another one, and it is the
+plan that is to hold.
 """
 
 from __future__ import annotations

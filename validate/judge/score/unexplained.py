@@ -54,6 +54,7 @@ def _of_friction(case: Evidence) -> np.ndarray:
     p_lam = case.printing("lam")
 
     def differs(true: np.ndarray) -> np.ndarray:
+        """(steps,) [N] between the claimed friction and a true one (steps, nf) [N]. Raises KernelError."""
         claimed, real = plan.lam.copy(), plan.lam.copy()
         claimed[:, nc:], real[:, nc:] = case.friction, true
         v = case.own_velocities[:-1]
@@ -107,7 +108,7 @@ def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray
 
 
 def _relaxation_time(case: Evidence) -> float:
-    """tau [s] of a scene without inertia."""
+    """Relaxation time tau [s] of a scene without inertia."""
     return case.equations.parameters[case.equations.relaxation_index].value  # type: ignore[index] - asked where there is one
 
 
@@ -127,8 +128,11 @@ def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
 
 
 def _reference(case: Evidence) -> float:
-    """The largest contact force of the replay, or a tenth of the inputs' range where that is more; without contact their range, and without inputs the
-    largest force of the motion, or what moves it by its nominal within the plan. In the norm of M^-1."""
+    """The force that unexplained ones are measured by, in the norm of M^-1.
+
+    The largest contact force of the replay, or a tenth of the inputs' range where that is more; without contact their range, and without inputs the
+    largest force of the motion, or what moves it by its nominal within the plan.
+    """
     scene, kernel = case.equations, case.kernel
     q = case.opened_q
     v, u, none = np.zeros_like(q), np.zeros((len(q), scene.nu)), np.zeros((len(q), scene.nl))

@@ -190,8 +190,11 @@ def is_of_feedback(name: str) -> bool:
 
 
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
-    """Whether feedback is to be tried: question 4 is not answered yes by the inputs alone, the plan's own motion is consistent, and nothing else that
-    feedback cannot mend surely fails."""
+    """Whether feedback is to be tried.
+
+    Where question 4 is not answered yes by the inputs alone, the plan's own motion is consistent, and nothing else that feedback cannot mend surely
+    fails.
+    """
     found = answers(metrics)
     if found[Question.MOTION] not in (NO, UNDECIDED) or NO in (
         found[Question.TASK],

@@ -20,8 +20,7 @@ from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay import everyday
 from validate.judge.replay import reference as exchange
 from validate.judge.replay.compiled import library
-from validate.judge.replay.recording import Run
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.tracking import design_feedback
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables

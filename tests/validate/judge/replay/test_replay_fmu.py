@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,36 +193,22 @@ def test_parameters_are_those_of_the_scene_not_of_the_file(carts: Scene):
     assert foreign.q[-1] == pytest.approx(own.q[-1], abs=1e-9)
 
 
-@pytest.mark.slow
-def test_another_fmu_is_replayed_by_a_map_of_names():
+def test_an_fmu_without_the_variables_of_the_scene_is_refused():
     scene = mass_on_a_line()
-    x, w, f = sp.symbols("x w f", real=True)
-    old = (*scene.coordinates, *scene.inputs)
-    renamed = Scene(
-        name="foreign",
-        title=scene.title,
-        source=scene.source,
-        coordinates=(Coordinate(symbol=x, velocity=w, unit="m"),),
-        inputs=(Input(symbol=f, unit="N"),),
-        parameters=scene.parameters,
-        kinetic_energy=scene.kinetic_energy.subs(old[0].velocity, w),
-        potential_energy=scene.potential_energy,
-        forces=tuple(force.subs({old[0].symbol: x, old[1].symbol: f}) for force in scene.forces),
-        contacts=(),
-        task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=f**2, step=0.2, steps=6),
-        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
     plan = driven(scene, np.ones((6, 1)))
-    foreign = replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "f"})
-    assert foreign.q[-1, 0] == pytest.approx(1.2**2 / 4, abs=1e-11)
     with pytest.raises(FmuError, match=r"no variable 'q' of scene mass_on_a_line; give its name"):
-        replay(scene, build_fmu(renamed), plan)
-    with pytest.raises(FmuError, match="the map gives 'y' for 'q'"):
-        replay(scene, build_fmu(renamed), plan, {"q": "y", "v": "w", "u": "f"})
-    with pytest.raises(FmuError, match="the map names 'qq'"):
-        replay(scene, build_fmu(renamed), plan, {"qq": "x"})
-    with pytest.raises(FmuError, match=r"x .* is no input"):
-        replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "x"})
+        replay(scene, build_fmu(load_scene("three_cart")), plan)
+    (position,), (push,) = scene.coordinates, scene.inputs
+    q, u = position.symbol, push.symbol
+    swapped = replace(
+        scene,
+        coordinates=(replace(position, symbol=u),),
+        inputs=(replace(push, symbol=q),),
+        forces=(scene.forces[0].subs({q: u, u: q}, simultaneous=True),),
+        task=replace(scene.task, running_cost=q**2),
+    )
+    with pytest.raises(FmuError, match=r"u .* is no input, but the plan drives it"):
+        replay(scene, build_fmu(swapped), plan)
 
 
 def test_what_is_no_fmu_is_refused(tmp_path: Path):

@@ -18,7 +18,7 @@ from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign
 from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
 from validate.execution.reaper import TOKEN_VARIABLE
-from validate.fmi.archive import IntakeError
+from validate.fmi.archive import ArchiveError
 from validate.fmi.description import read_package
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.map_schema import read_map
@@ -124,7 +124,7 @@ def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     bomb = build_foreign(folder / "bomb.fmu")
     with zipfile.ZipFile(bomb, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("resources/zeros", np.zeros(16 * 1024**2).tobytes())
-    with pytest.raises(IntakeError, match="zip bomb"):
+    with pytest.raises(ArchiveError, match="zip bomb"):
         run(folder, bomb)
     assert left(place) == []
 

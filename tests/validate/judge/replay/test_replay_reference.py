@@ -17,9 +17,8 @@ import python_loops
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.instance import References
 from validate.judge.replay import reference
-from validate.judge.replay.recording import Run
 from validate.judge.replay.reference import PARTS
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import HeldInputs
 
 RTOL = 1e-12

@@ -14,14 +14,15 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
+from models.netcdf import read_columns
 from models.scene import Scene
 from models.scene.parts import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid, write_csv
-from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
+from models.trajectory_netcdf import read_netcdf, write_netcdf
 from validate.cli.group import run
 from validate.judge.judgement import judge_trajectory
 from validate.judge.replay import Replay
-from validate.judge.replay.netcdf import read_replay, write_replay
+from validate.judge.replay.netcdf import write_replay
 from validate.judge.replay.result import Growth
 from validate.judge.replay.run import replay
 from validate.judge.replay.tracking import design_feedback
@@ -87,10 +88,10 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
 
 
 def test_the_motion_is_linearised_exactly_but_for_the_kernels_small_steps(scene: Scene, still: Trajectory, exact):
-    from validate.judge.replay.tracking import flow_derivative
+    from validate.judge.replay.tracking import FlowDerivative
 
     A, B = exact
-    found = flow_derivative(load_kernel(scene), np.zeros(2), np.zeros((10, 1)), H / 10)
+    found = FlowDerivative(load_kernel(scene), 10).at(np.zeros(2), np.zeros((10, 1)), H / 10)
     assert np.abs(found[0] - A).max() < 0.02
     assert np.abs(found[1][:, 0] - B).max() < 0.01
     assert design_feedback(load_kernel(scene), scene, still).gains.shape == (STEPS, 1, 2)
@@ -165,22 +166,24 @@ def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caugh
 
 
 @pytest.mark.slow
-def test_files_give_back_the_law_and_what_it_did(tmp_path, scene: Scene, still: Trajectory, caught: Replay):
+def test_files_hold_the_law_and_what_it_did(tmp_path, scene: Scene, still: Trajectory, caught: Replay):
     tracked = caught.tracked
     assert tracked is not None
     assert tracked.feedback is not None
-    write_netcdf(tmp_path / "plan.nc", still, scene, tracked.feedback.gains)
-    write_replay(tmp_path / "tracked.nc", tracked, scene)
-    gains = read_gains(tmp_path / "plan.nc", scene)
-    back = read_replay(tmp_path / "tracked.nc", scene)
-    assert gains is not None
-    assert gains.tobytes() == tracked.feedback.gains.tobytes()
-    assert read_netcdf(tmp_path / "plan.nc", scene).q.tobytes() == still.q.tobytes()
-    assert back.applied is not None
     assert tracked.applied is not None
-    assert (back.applied.tobytes(), back.effort) == (tracked.applied.tobytes(), tracked.effort)
+    gains = tracked.feedback.gains
+    write_netcdf(tmp_path / "plan.nc", still, scene, gains)
+    write_replay(tmp_path / "tracked.nc", tracked, scene)
+    (planned, _), (followed, attributes) = (read_columns(tmp_path / name) for name in ("plan.nc", "tracked.nc"))
+    (push,), states = (item.name for item in scene.inputs), [*scene.coordinates]
+    names = [item.name for item in states] + [item.velocity_name for item in states]
+    assert np.column_stack([planned[f"gain_{push}_{name}"].values for name in names]).tobytes() == gains[:, 0].tobytes()
+    assert read_netcdf(tmp_path / "plan.nc", scene).q.tobytes() == still.q.tobytes()
+    assert followed[f"applied_{push}"].values.tobytes() == tracked.applied[:, 0].tobytes()
+    assert tracked.effort is not None
+    assert json.loads(str(attributes["facts"]))["effort"]["rms_share"] == tracked.effort.rms_share
     write_netcdf(tmp_path / "bare.nc", still, scene)
-    assert read_gains(tmp_path / "bare.nc", scene) is None
+    assert not [name for name in read_columns(tmp_path / "bare.nc")[0] if name.startswith("gain_")]
     with pytest.raises(TrajectoryError, match="gains have shape"):
         write_netcdf(tmp_path / "plan.nc", still, scene, gains[1:])
 

@@ -16,9 +16,9 @@ from models.scene.contacts import Contact
 from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.tracking import (
+    FlowDerivative,
     TrackingError,
     design_feedback,
-    flow_derivative,
     input_scale,
     largest_growth,
     lqr_gains,
@@ -165,7 +165,7 @@ def test_steps_are_linearised_in_the_contact_that_is_closed():
     kernel = load_kernel(scene)
     for state in ([0.05, 0.3], [0.2, -0.4], [0.0995, 0.9]):
         u = np.full((10, 1), 0.7)
-        A, B = flow_derivative(kernel, np.array(state), u, 1e-3)
+        A, B = FlowDerivative(kernel, 10).at(np.array(state), u, 1e-3)
 
         def end(x: np.ndarray, w: float) -> np.ndarray:
             rollout = kernel.rollout(x, np.full((10, 1), w), 1e-3)

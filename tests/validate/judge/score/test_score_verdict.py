@@ -11,7 +11,7 @@ from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
-from validate.judge.score.cause import Told, explain
+from validate.judge.score.cause import ScoredPlan, explain
 from validate.judge.score.table import TABLE, feedback_entries
 from validate.judge.score.verdict import (
     EFFORT,
@@ -198,7 +198,7 @@ def told(*metrics: Metric, verdict: Verdict = Verdict.VIOLATES, scheme: bool = T
         scheme=Scheme.SEMI_IMPLICIT_EULER if scheme else None,
     )  # fmt: skip
     return explain(
-        Told(
+        ScoredPlan(
             scene=SCENE,
             trajectory=plan,
             replay=None,

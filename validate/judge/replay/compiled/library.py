@@ -153,5 +153,5 @@ def unsettled(reason: Reason, time: float) -> NoReturn:
 
 
 def address_of(array: np.ndarray) -> int:
-    """Of its memory."""
+    """Address of an array's memory, whatever its shape (n,) or (rows, n) and unit [any]. Raises nothing."""
     return array.ctypes.data

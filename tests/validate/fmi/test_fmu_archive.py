@@ -11,7 +11,7 @@ import pytest
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from validate.fmi.archive import CHECKS, DESCRIPTION, IntakeError, IntakeLimits, examine, problems, unpack
+from validate.fmi.archive import CHECKS, DESCRIPTION, ArchiveError, ArchiveLimits, check_archive, problems, unpack
 
 GOOD = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
 LIBRARY = "binaries/linux64/m.so"
@@ -38,24 +38,26 @@ def pipe(item: zipfile.ZipInfo) -> None:
 
 
 def test_ours_is_let_in_and_unpacked(tmp_path: Path):
-    intake = examine(build_fmu(load_scene("three_cart")))
-    identifiers = {kind: interface["modelIdentifier"] for kind, interface in intake.kinds.items()}
-    assert (intake.version, identifiers) == ("2.0", {"ModelExchange": "three_cart", "CoSimulation": "three_cart"})
-    assert intake.platforms == ("linux64",)
-    unpack(intake, tmp_path)
-    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) == intake.unpacked
-    assert problems(intake.path) == ()
+    archive = check_archive(build_fmu(load_scene("three_cart")))
+    identifiers = {kind: interface["modelIdentifier"] for kind, interface in archive.kinds.items()}
+    assert (archive.version, identifiers) == ("2.0", {"ModelExchange": "three_cart", "CoSimulation": "three_cart"})
+    assert archive.platforms == ("linux64",)
+    unpack(archive, tmp_path)
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) == archive.unpacked
+    assert problems(archive.path) == ()
 
 
 @pytest.mark.parametrize("version", ["3.0", "3.0.1", "3.0-rc.1"])
 def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
     text = GOOD.replace('"2.0"', f'"{version}"')
     assert (
-        examine(write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x"})).kinds["CoSimulation"]["modelIdentifier"]
+        check_archive(write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x"})).kinds["CoSimulation"][
+            "modelIdentifier"
+        ]
         == "m"
     )
-    with pytest.raises(IntakeError, match=r"no binary for this machine \(binaries/x86_64-linux/m\.so\); it has linux64"):
-        examine(write(tmp_path / "old.fmu", {DESCRIPTION: text, LIBRARY: b"x"}))
+    with pytest.raises(ArchiveError, match=r"no binary for this machine \(binaries/x86_64-linux/m\.so\); it has linux64"):
+        check_archive(write(tmp_path / "old.fmu", {DESCRIPTION: text, LIBRARY: b"x"}))
 
 
 @pytest.mark.parametrize(
@@ -76,8 +78,8 @@ def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
 )  # fmt: skip
 def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, words: str):
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **extra}, change)
-    with pytest.raises(IntakeError, match=words) as caught:
-        examine(path)
+    with pytest.raises(ArchiveError, match=words) as caught:
+        check_archive(path)
     assert (caught.value.check, check in CHECKS) == (check, True)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
@@ -100,8 +102,8 @@ def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, w
     ],
 )
 def test_what_is_no_fmu_for_this_machine_is_refused(tmp_path: Path, entries, check: str, words: str):
-    with pytest.raises(IntakeError, match=words) as caught:
-        examine(write(tmp_path / "m.fmu", entries))
+    with pytest.raises(ArchiveError, match=words) as caught:
+        check_archive(write(tmp_path / "m.fmu", entries))
     assert caught.value.check == check
 
 
@@ -110,12 +112,12 @@ def test_files_that_are_no_zip(tmp_path: Path):
     cases = {"text": b"no zip", "empty": b"", "cut": good.read_bytes()[:-40]}
     for name, data in cases.items():
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(IntakeError, match="not a zip file"):
-            examine(tmp_path / name)
-    with pytest.raises(IntakeError, match="no such file"):
-        examine(tmp_path / "absent.fmu")
-    with pytest.raises(IntakeError, match="it is a folder"):
-        examine(tmp_path)
+        with pytest.raises(ArchiveError, match="not a zip file"):
+            check_archive(tmp_path / name)
+    with pytest.raises(ArchiveError, match="no such file"):
+        check_archive(tmp_path / "absent.fmu")
+    with pytest.raises(ArchiveError, match="it is a folder"):
+        check_archive(tmp_path)
 
 
 def test_a_damaged_entry_is_a_sentence(tmp_path: Path):
@@ -124,8 +126,8 @@ def test_a_damaged_entry_is_a_sentence(tmp_path: Path):
     at = data.index(LIBRARY.encode()) + len(LIBRARY) + 20
     data[at : at + 30] = bytes(30)
     path.write_bytes(data)
-    with pytest.raises(IntakeError, match="damaged"):
-        unpack(examine(path), tmp_path / "out")
+    with pytest.raises(ArchiveError, match="damaged"):
+        unpack(check_archive(path), tmp_path / "out")
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -134,13 +136,13 @@ def test_duplicates_and_counts(tmp_path: Path):
     with zipfile.ZipFile(path, "w") as archive:
         for name in (DESCRIPTION, LIBRARY, LIBRARY):
             archive.writestr(name, GOOD)
-    with pytest.raises(IntakeError, match="is there 2 times"):
-        examine(path)
+    with pytest.raises(ArchiveError, match="is there 2 times"):
+        check_archive(path)
     many = write(tmp_path / "many.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **{f"f{n}": "" for n in range(20)}})
-    with pytest.raises(IntakeError, match="22 files, more than the 10"):
-        examine(many, IntakeLimits(entries=10))
-    with pytest.raises(IntakeError, match="unpacked it has"):
-        examine(many, IntakeLimits(unpacked=10))
+    with pytest.raises(ArchiveError, match="22 files, more than the 10"):
+        check_archive(many, ArchiveLimits(entries=10))
+    with pytest.raises(ArchiveError, match="unpacked it has"):
+        check_archive(many, ArchiveLimits(unpacked=10))
 
 
 def test_all_problems_of_a_file_are_listed(tmp_path: Path):
