@@ -81,10 +81,10 @@ def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
 
 def _write_report(folder: Path) -> Path:
     from reports.records.load import ReportError
-    from reports.render import write_report
+    from reports.render import REPORT, is_current, write_report
 
     try:
-        return write_report(folder)
+        return folder / REPORT if is_current(folder) else write_report(folder)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
 
