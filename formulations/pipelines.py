@@ -125,7 +125,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
     Pipeline(
         name="gd_converged",
-        title="Softplus gradient descent, then ReLU, each until our own stopping rule says stop",
+        title="Softplus gradient descent, then ReLU, each to convergence",
         legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
         source="ours: what the paper's gradient descent reaches when it is not cut off",
     ),

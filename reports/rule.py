@@ -23,7 +23,7 @@ RULE = (
     "a plan of a direct method stands beside a row of the paper, and does not hold",
     "direct methods ran on a scene, and no run of that scene holds, with feedback or without",
     "on a scene with nothing to plan the replay misses a closed form, or is not well otherwise",
-    "an examination (a check of one of our own FMUs, a stress case) finds what must not be, or ends without an answer",
+    "a check (of one of our own FMUs, a hard case) finds what must not be, or ends without an answer",
 )
 # What does not.
 RESULTS = (
@@ -39,8 +39,8 @@ _SHRINKS = 0.5
 
 
 def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord] = ()) -> tuple[str, ...]:
-    """Why the campaign of these records fails, by `RULE`; a sentence for each cell or scene."""
-    found = [sentence for run in runs if (sentence := _cell_failure(run))]
+    """Why the campaign of these records fails, by `RULE`; a sentence for each run or scene."""
+    found = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
     found += [_examined(record) for record in examinations if not record.passed]
@@ -68,14 +68,14 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
 
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:
-    """Whether a campaign fails because of this cell alone."""
+    """Whether a campaign fails because of this run alone."""
     from reports.records.check_record import ExaminationRecord
 
-    return not record.passed if isinstance(record, ExaminationRecord) else bool(_cell_failure(record))
+    return not record.passed if isinstance(record, ExaminationRecord) else bool(_run_failure(record))
 
 
 def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
-    """Keys of the cells because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
+    """Keys of the runs because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
     from reports.records.check_record import divided
 
     runs, examinations = divided(records)
@@ -92,7 +92,7 @@ def _examined(record: ExaminationRecord) -> str:
     return f"{record.title}: {ended} - {record.found or record.message or 'the record gives no reason.'}"
 
 
-def _cell_failure(run: RunRecord) -> str:
+def _run_failure(run: RunRecord) -> str:
     name = f"{run.scene.name} x {run.pipeline}"
     if run.outcome in {"crashed", "failed"}:
         return f"{name}: {run.outcome} - {run.message}"

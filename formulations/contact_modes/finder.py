@@ -163,12 +163,10 @@ class Finder:
             if account.is_late:
                 outcome, message = Outcome.TIME_LIMIT, "no contact modes with a plan were found in the time given."
             elif account.is_over:
-                outcome, message = Outcome.ITERATION_LIMIT, "no contact modes with a plan were found by the work it may do."
+                outcome, message = Outcome.ITERATION_LIMIT, "no feasible contact mode sequence within the work limit."
             elif is_given_up:
                 millions = self._options.first_work
-                message = (
-                    f"no contact modes with a plan were found by the work it may do until there is one (first_work, {millions:g} million)."
-                )
+                message = f"no feasible contact mode sequence within the work limit until there is one (first_work, {millions:g} million)."
                 outcome = Outcome.ITERATION_LIMIT
             return Search(answer=None, outcome=outcome, message=message)
         return self.searched(account, problem, answer, stride, far=not is_refined)

@@ -32,6 +32,7 @@ class Front:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no stage has a cost and an error."""
     fronts = [_front(scene, report.rows_of_scene(scene)) for scene in report.scenes]
     fronts = [front for front in fronts if front.plots]
     return Section("front", "Cost against terminal error", "front.html", {"fronts": fronts}) if fronts else None
@@ -77,7 +78,7 @@ def _plot(
         keys=[
             Key("indirect", "relaxed stage", "circle"),
             Key("direct", "direct stage", "square"),
-            Key("front", "front: no row is both cheaper and closer"),
+            Key("front", "front: no stage is both cheaper and closer"),
         ],
     )
     if known is not None and known.value is not None:
@@ -92,9 +93,9 @@ def _plot(
     for missed, price, row in points:
         style = row.stage.kind
         marker = "square" if style == "direct" else "circle"
-        tip = f"Row {row.number}, {row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
+        tip = f"{row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
         plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.link)
-    plot.name_points([(max(missed, _SMALLEST), price, str(row.number)) for missed, price, row in points])
-    steps = [f"row {row.number} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
-    plot.words = f"{count(len(points), 'row')}; on the front, from the smallest error: {listing(steps)}."
+    plot.name_points([(max(missed, _SMALLEST), price, row.name) for missed, price, row in front])
+    steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
+    plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
     return plot

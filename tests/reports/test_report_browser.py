@@ -124,9 +124,9 @@ def test_values_are_read_off_a_plot_by_keyboard(desk, full_folder, factory):
     assert desk.evaluate("document.querySelectorAll('#tightening-1 .cursor').length") == 1
 
 
-def test_points_of_the_front_tell_their_row_on_focus(desk):
+def test_points_of_the_front_tell_their_stage_on_focus(desk):
     desk.evaluate("document.querySelector('#front .draw a').focus()")
-    assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("Row 1, strict_lcp: cost 496.63")
+    assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("strict_lcp: cost 496.63")
 
 
 @pytest.mark.slow

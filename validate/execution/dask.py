@@ -38,6 +38,7 @@ from validate.execution.fork_server import WORTH, ForkServer, modules_for, termi
 from validate.execution.process import ForkServerError, interrupts_wait, shared_watchdog
 from validate.execution.worker import Job, Worker
 from validate.store.disk import disk_error, write_durably
+from validate.store.provenance import usable_cores
 from validate.store.store import LOG, RECORD, REQUEST, Store
 from validate.tasks.run import ChildExit
 
@@ -245,7 +246,7 @@ _GONE = "the Dask scheduler is gone; what finished is stored, and the same comma
 
 @contextmanager
 def open_dask(where: str, jobs: int | None, site: ExecutionContext, cells: int) -> Iterator[DaskEngine]:
-    """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them, or cells at a time;
+    """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them (None: one a core), or cells at a time;
     cells: how many there are.
 
     Raises MachineError where there is no cluster.
@@ -255,7 +256,7 @@ def open_dask(where: str, jobs: int | None, site: ExecutionContext, cells: int) 
         mark = site.store.open_partial(CAMPAIGN, site.token + uuid.uuid4().hex[:16]).resolve()
         open_now.callback(shutil.rmtree, mark, ignore_errors=True)
         shared_watchdog().tell("start", uuid.uuid4().hex, str(mark))
-        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or 1))
+        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or usable_cores()))
         engine = DaskEngine(client, site, jobs if where else None, mark, cells)
         try:
             yield engine

@@ -24,6 +24,7 @@ from models.errors import MachineError, TouchstoneError
 from validate.execution.process import interrupts_wait, shared_watchdog
 from validate.execution.worker import Job, Worker, progress_in
 from validate.store.disk import PARTIAL
+from validate.store.provenance import usable_cores
 from validate.tasks.run import ChildExit
 
 if TYPE_CHECKING:
@@ -119,12 +120,12 @@ def new_token() -> str:
 
 @contextmanager
 def open_local(jobs: int | None, context: ExecutionContext, cells: int) -> Iterator[Engine]:
-    """The engine of this machine; at the end, what runs is stopped. jobs: cells at a time; cells: how many there are. Raises MachineError."""
+    """The engine of this machine; at the end, what runs is stopped. jobs: cells at a time (None: one a core); cells: how many there are. Raises MachineError."""
     from validate.execution.fork_server import fork_server
 
     shared_watchdog()  # before there are threads that might each start one
     with fork_server(cells) as server:
-        engine = LocalEngine(jobs or 1, context, server)
+        engine = LocalEngine(jobs or usable_cores(), context, server)
         try:
             yield engine
         finally:

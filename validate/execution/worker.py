@@ -217,4 +217,4 @@ def progress_in(folder: Path) -> str:
 def _last_words(log: str, code: int) -> str:
     """The last line of the log where it tells why: that of a Python traceback."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
-    return f"its last words: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""
+    return f"its last log line: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""

@@ -151,7 +151,9 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
     from validate.judge.score import check_limits
 
     scenes: list[SceneReference] = []
-    for reference in dict.fromkeys(settings.scenes or scene_names()):
+    # The paper's scene first: what is read first is there first.
+    every = sorted(scene_names(), key=lambda name: name != "three_cart")
+    for reference in dict.fromkeys(settings.scenes or every):
         scene = load_scene(reference)
         check_limits(scene, scene_path(reference))
         if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):

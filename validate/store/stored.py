@@ -104,11 +104,11 @@ def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store)
     failed = {identity(store.request(key)) for key in failed_keys(records)}
     again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
     if not again:
-        hint = "drop --lf."
+        hint = "drop --last-failed."
         if failed:
             named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
             more = f" and {len(named) - 3} more" if len(named) > 3 else ""
-            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --plugin or the file of `run`."
         raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
     why = "it failed the last time"
     return [

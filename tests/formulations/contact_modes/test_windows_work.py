@@ -93,7 +93,7 @@ def test_the_clock_decides_nothing() -> None:
     assert "as many as it may try" in found[0].message
     assert found[2].outcome is Outcome.ITERATION_LIMIT
     assert found[2].trajectory is None
-    assert "by the work it may do" in found[2].message
+    assert "within the work limit" in found[2].message
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from validate.store.store import Store
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 KEPT = {"cell.json", "log.txt", "record.json", "files.json"}
 
 
@@ -52,7 +52,7 @@ def misbehaved(cli, tmp_path_factory):
         ("only_bad_soft", "crashed", "ValueError in bad_soft"),
         ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"),
         ("only_no_solution", "crashed", "it must hand back a Solution, not str"),
-        ("only_quits", "crashed", "its last words: SystemExit: 0"),
+        ("only_quits", "crashed", "its last log line: SystemExit: 0"),
         ("only_refuses", "refused", "it wants friction"),
         ("only_infeasible", "infeasible", ""),
         ("only_garbage", "solved", ""),
@@ -156,7 +156,7 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     process.send_signal(ending)
     _, told = process.communicate()
     assert process.returncode == 130
-    assert "interrupted: 1 of 2 cells are stored" in told
+    assert "interrupted: 1 of 2 runs are stored" in told
     assert f"resume with: python -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
     assert processes(tmp_path) == []
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [_records(tmp_path)["only_good"].key]
@@ -213,7 +213,7 @@ def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_
     assert shown.returncode == 0, "what finished can be told of, although the campaign never came to its end"
     told = cli("report", str(tmp_path))
     assert told.returncode == 0
-    assert told.stderr.startswith("1 of 2 cells have no readable record")
+    assert told.stderr.startswith("1 of 2 runs have no readable record")
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert again.returncode == 0
     assert "1 stored, 0 to run" in again.stderr
@@ -225,7 +225,7 @@ def test_a_cell_knows_how_it_was_run(misbehaved):
     request = json.loads((out / "runs" / record.key / "cell.json").read_text())
     assert request["cell"]["time_limit"] == 240.0
     assert record.provenance.threads == 1
-    assert record.provenance.command.startswith("python -m validate all --tools")
+    assert record.provenance.command.startswith("python -m validate all --plugin")
     assert record.provenance.packages["numpy"]
 
 

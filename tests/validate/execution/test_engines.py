@@ -19,7 +19,7 @@ from validate.execution.engine import EngineError, check_engine
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
@@ -89,7 +89,7 @@ def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tm
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: everything in the foreground hears it
     _, told = process.communicate()
     assert process.returncode == 130, told
-    assert "interrupted: 1 of 2 cells are stored" in told
+    assert "interrupted: 1 of 2 runs are stored" in told
     assert (
         f"resume with: python -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
         in told
@@ -114,7 +114,7 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
     )
     assert done.returncode == 1
     assert done.stderr.count("only_segfault crashed and will be tried again") == 1
-    assert "stopped at the first failure (-x): 1 of 2 cells are stored in " in done.stderr
+    assert "stopped at the first failure (-x): 1 of 2 runs are stored in " in done.stderr
     assert {name: record.outcome for name, record in _records(tmp_path).items()} == {"only_segfault": "crashed"}
     assert processes(tmp_path) == []
     assert unfinished(tmp_path) == []
