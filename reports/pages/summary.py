@@ -9,7 +9,8 @@ from reports.records.check_record import ExaminationRecord
 from reports.records.load import Unreadable
 from reports.records.record import HOLD, RunRecord
 from reports.rows import Row
-from reports.rule import RESULTS, RULE, failures, findings
+from reports.rule import failures, findings
+from reports.rule_text import RESULTS, RULE
 from reports.wording import VERDICTS, capital, cost, count, error, listing, seconds
 
 # So many runs that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from reports.rule import RESULTS, RULE
+from reports.rule_text import RESULTS, RULE
 from validate.cli.campaign_options import running_options
 
 

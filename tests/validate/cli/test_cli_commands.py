@@ -14,7 +14,7 @@ import click
 import pytest
 
 from formulations.pipelines import pipeline_names
-from reports.rule import RESULTS, RULE
+from reports.rule_text import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
 
