@@ -176,7 +176,7 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Store, "commit", interrupted)
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, heard)
     (record,) = _records(tmp_path).values()
@@ -204,7 +204,7 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
 
 @pytest.mark.slow
 def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
-    process = start_cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
+    process = start_cli("all", *FAKES, "--out", str(tmp_path), "-j", "1", "-k", "only_good or only_family")
     come(lambda: len(processes(tmp_path)) >= 3)
     process.kill()
     process.communicate()
@@ -251,7 +251,7 @@ class _Interrupting(PlainNarrator):
 @pytest.mark.slow
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, _Interrupting(ctrl_c))
     assert sorted(row["pipeline"] for row in untimed(tmp_path)) == ["only_good", "only_infeasible"]

@@ -24,7 +24,7 @@ pytestmark = [
 ]
 FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
-HALF = (*FAKES, "-k", "only_good or only_family")
+HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 
 
 def _outcomes(out: Path) -> dict[str, tuple[str, str]]:

@@ -66,7 +66,7 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):
@@ -89,7 +89,7 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
 
 @pytest.mark.slow
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
-    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x")
+    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
     assert done.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
     assert f"stopped at the first failure (-x): 2 of 3 runs are done, what {ran} holds of the others is kept" in done.stderr
     plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
@@ -98,7 +98,7 @@ def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
 
 @pytest.mark.slow
 def test_stop_at_the_first_failure(cli, tmp_path):
-    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x")
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x", "-j", "1")
     assert done.returncode == 1
     assert f"stopped at the first failure (-x): 1 of 3 runs are stored in {tmp_path}" in done.stderr
     assert names(tmp_path) == ["only_exit_seven"]
