@@ -35,10 +35,9 @@ from typing import TYPE_CHECKING, Any, cast
 from models.errors import MachineError
 from validate.execution.engine import CAMPAIGN, ExecutionContext
 from validate.execution.fork_server import WORTH, ForkServer, modules_for, terminal_blocked
-from validate.execution.process import ForkServerError, interrupts_wait, shared_watchdog
+from validate.execution.process import ForkServerError, interrupts_wait, shared_watchdog, usable_cores
 from validate.execution.worker import Job, Worker
 from validate.store.disk import disk_error, write_durably
-from validate.store.provenance import usable_cores
 from validate.store.store import LOG, RECORD, REQUEST, Store
 from validate.tasks.run import ChildExit
 

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
-from validate.execution.process import interrupts_wait, shared_watchdog
+from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
 from validate.execution.worker import Job, Worker, progress_in
 from validate.store.disk import PARTIAL
-from validate.store.provenance import usable_cores
 from validate.tasks.run import ChildExit
 
 if TYPE_CHECKING:

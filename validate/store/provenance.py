@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
 from models.scene.text import scene_text
-from validate.execution.process import ROOT, THREADS
+from validate.execution.process import ROOT, THREADS, usable_cores
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -165,11 +165,6 @@ def _cpu() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
-
-
-def usable_cores() -> int:
-    """Cores this process may use, which in a container are fewer than the machine has."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def now() -> str:
