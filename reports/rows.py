@@ -73,6 +73,11 @@ class Row:
         return None if self.stage.cost is None or not theirs else self.stage.cost / theirs - 1
 
 
+def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
+    """Name and value of the best known cost of an exact plan; None where there is none."""
+    return next(((item.name, item.value) for item in scene.answers if "cost" in item.name and item.value is not None), None)
+
+
 def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
     """Each scene once, in order of appearance."""
     return list({run.scene.name: run.scene for run in reversed(runs)}.values())[::-1]

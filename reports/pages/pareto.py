@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from reports.judged import TRACKED, is_tracked, judged_metric
-from reports.pages.front import unbeaten
+from reports.pages.front import draw_front, unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import MetricRecord, SceneRecord
-from reports.rows import Row
+from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
 # Below this an error is a rounding error: drawn at the edge, so that it does not squeeze the rest.
@@ -143,15 +143,15 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
     off = len(plans) - len(points)
     if not points:
         return None
-    known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
-    prices = [y for _, y, _ in points] + ([known.value] if known and known.value is not None else [])
+    known = known_cost(scene)
+    prices = [y for _, y, _ in points] + ([known[1]] if known else [])
     wide = min(prices) > 0 and max(prices) / min(prices) > _WIDE
     lasting = unbeaten([point for point in points if point[2].holds])
     plot = _plot(
         "CPU time against cost at equal terminal error", Axis.fitted("cost", "", prices, log=wide, margin=0.1), points, lasting, cost
     )
-    if known is not None and known.value is not None:
-        plot.level(known.value, f"{known.name}: {cost(known.value)}")
+    if known:
+        plot.level(known[1], f"{known[0]}: {cost(known[1])}")
     said = _concluded(
         lasting,
         lambda y: f"cost {cost(y)}",
@@ -214,12 +214,7 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
             Key("front", "front: no stage is both faster and better"),
         ],
     )
-    corners: list[tuple[float, float]] = []
-    for x, y, _ in front:
-        corners += [(x, corners[-1][1] if corners else plot.y.high), (x, y)]
-    if corners:
-        corners.append((plot.x.high, corners[-1][1]))
-        plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
+    draw_front(plot, [(x, y) for x, y, _ in front])
     for x, y, row in points:
         holds = row.holds
         quantity = y_axis.quantity

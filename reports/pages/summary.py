@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from reports.judged import end_of
-from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene, solved_scenes
+from reports.pages.judged_runs import Sentence, direct, failure, scene_by_scene, solved_scenes
 from reports.pages.section import Report, Section
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import Unreadable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from reports.pages.section import Report, Section
 from reports.paper import SCENE, TABLE_1
-from reports.rows import Row, lacking
+from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times
 
 # The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the print.
@@ -135,21 +135,13 @@ def _bought(rows: list[Row]) -> list[str]:
     """Costs below the best known exact plan are paid for with terminal error."""
     said = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
-        known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
-        below = [
-            row
-            for row in rows
-            if known
-            and known.value
-            and row.stage.kind == "direct"
-            and row.stage.cost is not None
-            and row.stage.cost < known.value * (1 - 1e-6)
-        ]
-        if known is None or not below:
+        _, known = known_cost(scene) or ("", 0.0)
+        below = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
+        if not known or not below:
             continue
         parts = [f"{row.label} ({cost(row.stage.cost)} at {error(row.metric('discrete_terminal_error'))})" for row in below]
         said.append(
-            f"The best known cost of an exact plan is {cost(known.value)}. Plans of direct methods below it buy their cost with terminal error "
+            f"The best known cost of an exact plan is {cost(known)}. Plans of direct methods below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."
         )
     return said
