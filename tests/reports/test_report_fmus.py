@@ -64,7 +64,7 @@ def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     assert failures(factory.runs(), [bad]) == ("FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2.",)
     assert "The campaign fails: FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2." in words
     assert "✗ failed check 1 (ME), check 2 (ME)" in words
-    assert "FMU: 0 of 1 examination passed." in words
+    assert "FMU: 0 of 1 check passed." in words
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
 
 
