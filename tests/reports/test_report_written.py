@@ -1,4 +1,5 @@
-"""Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record."""
+"""Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record; and whether
+anything of them would change."""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ def folder(factory, tmp_path: Path) -> Path:
     return stored
 
 
-def _written(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_ino for path in (folder / PAGES).iterdir()}
+def _written(folder: Path) -> dict[str, tuple[int, int]]:
+    """Which file each page is, and when it was written: the number of a file that is gone may be given to the next."""
+    return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (folder / PAGES).iterdir()}
 
 
 def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
