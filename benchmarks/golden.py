@@ -1,6 +1,6 @@
 """The golden campaign: what a full campaign found, without its seconds, as small committed data; and what a change of the code moved.
 
-    python -m validate all -j 2 --out runs/golden; python -m benchmarks golden compare runs/golden --exit-code $?
+    python -m validate all --out runs/golden; python -m benchmarks golden compare runs/golden --exit-code $?
     python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
 
 A row is a stage of a run, or an examination (hard case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,

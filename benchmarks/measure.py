@@ -115,7 +115,7 @@ def _peak() -> float:
 
 
 def sample(function: str, size: Size, folder: Path, *, seconds: float, what: str, once: bool = False) -> Sample:
-    """Measure a function `module:name` in a child; seconds: of the clock, that it may take; what: how it is called if it fails."""
+    """Measure a function `module:name` in a child; seconds: wall time that it may take; what: how it is called if it fails."""
     from validate.execution.isolated import Limits, run_isolated
 
     request = {"function": function, "n": size.n, "steps": size.steps, "once": once, "folder": str(folder)}
@@ -159,7 +159,7 @@ def run_child(
 ) -> subprocess.CompletedProcess[str]:
     """`python -m module arguments` with one thread, wherever this process stands; it is gone when this returns, and Ctrl-C is ours to tell.
 
-    cpu_limit: CPU seconds after which it is ended by SIGXCPU; timeout: seconds of the clock. Raises subprocess.TimeoutExpired.
+    cpu_limit: CPU seconds after which it is ended by SIGXCPU; timeout: wall seconds. Raises subprocess.TimeoutExpired.
     """
     environment = {**os.environ, **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), environment.get("PYTHONPATH", "")]))

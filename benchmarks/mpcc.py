@@ -162,7 +162,7 @@ def as_process(name: str, steps: int, search: bool, time_limit: float) -> dict[s
 @click.command()
 @click.option("--only", default="", metavar="TEXT", help="Rows whose name contains this text.")
 @click.option("--random", "random_scenes", type=click.IntRange(min=0), default=20, show_default=True, help="Random scenes of each kind.")
-@click.option("--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Of the clock, for a row.")
+@click.option("--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Wall time, for a row.")
 @out_option
 def command(only: str, random_scenes: int, time_limit: float, out: Path) -> int:
     """`mpcc` from a cold start: outcome, cost, residuals, certificate, CPU seconds."""

@@ -119,7 +119,7 @@ class RigidLimitRecord(_Record):
 
 class BalanceStart(_Model):
     """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given; wall_impulse [N s] in the replay with feedback; ends: norm of
-    the state's distance from the goal, None without a plan; effort, peak: of the feedback, as shares of half the inputs' range; CPU seconds of all that
+    the state's distance from the goal, None without a plan; effort, peak: of the feedback, as shares of the half-range of the inputs; CPU seconds of all that
     was tried for this start."""
 
     x: Finite

@@ -1,4 +1,4 @@
-"""The command that runs a cell again, and no other cell of its campaign.
+"""The command that repeats one run, and no other of its campaign.
 
 again(record)       python -m validate run mine.toml -k '="three_cart x strict"' --fresh --out runs/again
 """
@@ -11,12 +11,12 @@ from reports.records.check_record import ExaminationRecord
 from reports.records.record import RunRecord
 
 # Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
-_KEPT = ("--scene", "--tools", "--time-limit")
+_KEPT = ("--scene", "--plugin", "--tools", "--time-limit")  # --tools: in records from before it was called --plugin
 _WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
 
 
 def again(record: RunRecord | ExaminationRecord) -> str:
-    """Into a folder of its own, because a campaign of one cell would take the place of the whole one; the recorded command, if it is no campaign's."""
+    """Into a folder of its own, because a campaign of one run would take the place of the whole one; the recorded command, if it is no campaign's."""
     try:
         words = shlex.split(record.provenance.command)
     except ValueError:
@@ -29,7 +29,7 @@ def again(record: RunRecord | ExaminationRecord) -> str:
 
 
 def _kept(words: list[str]) -> list[str]:
-    """Of the words of a campaign's command those that say which cells there are: the options above and the campaign's file."""
+    """Of the words of a campaign's command those that say which runs there are: the options above and the campaign's file."""
     kept: list[str] = []
     place = 0
     while place < len(words):

@@ -1,4 +1,4 @@
-"""Runs that were split into several cells, told as one: the cheapest plan, all starts, the seconds of all of them together."""
+"""Runs that were split into parts, shown as one: the cheapest plan, all starts, the seconds of all of them together."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
 
 
 def grouped(runs: Iterable[RunRecord]) -> tuple[tuple[RunRecord, ...], ...]:
-    """The cells of each run, in order."""
+    """The parts of each run, in order."""
     groups: dict[tuple[str, str], list[RunRecord]] = {}
     for run in runs:
         groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(run)
@@ -83,7 +83,7 @@ def _spread(starts: tuple[StartRecord, ...]) -> str:
 
 def _lacking(parts: list[RunRecord]) -> str:
     whole = parts[0].parts
-    return "" if len(parts) == whole else f"Only {len(parts)} of the {whole} cells of this run are stored; the others are not counted."
+    return "" if len(parts) == whole else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
 
 
 def _last(parts: list[RunRecord]) -> list[StageRecord]:

@@ -32,6 +32,7 @@ class MetricView:
 
     @property
     def is_judged(self) -> bool:
+        """Whether either replay has a limit for it."""
         return any(metric is not None and metric.limit is not None for metric in (self.alone, self.followed))
 
     @property

@@ -24,6 +24,7 @@ class PaperRow:
 
     @property
     def numbers(self) -> dict[str, float]:
+        """The paper's numbers by their names in a record."""
         return {"cost": self.cost, "stability": self.stability, "physics": self.physics, "time": self.time}
 
 

@@ -5,7 +5,7 @@
 
 Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict Content-Security-Policy allows exactly the style and
 the script that are inside a page, by their hashes. What goes across runs is drawn from the numbers of the records each time; a run's page, which costs
-far more, only if there is none that is younger than its record and this program.
+far more, only if there is none that is younger than its record and this program. `is_current` says whether anything would change.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import multiprocessing
 import os
 import signal
 import socket
-import stat
 import threading
 import uuid
 from collections.abc import Sequence
@@ -45,7 +44,7 @@ from reports.pages import (
     violation,
 )
 from reports.pages.section import PAGES, Report, Section, run_page, scene_page
-from reports.records.load import ReportError, load
+from reports.records.load import ReportError, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 from reports.templating import Templates
 
@@ -75,17 +74,29 @@ _WORTH = 8
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
-    """Write report.html, the page of each scene, and those of the runs that have none of now; on so many processes (all cores). Raises ReportError."""
+    """Write the page of each scene, those of the runs that are out of date, and report.html; on so many processes (all cores). Raises ReportError."""
     templates = Templates()
     report = Report(load(folder), folder)
-    write_page(folder / REPORT, _across(templates, report), folder)
     if report.scenes:
         _make(folder / PAGES)
     beside = Report(report.stored, folder, at="")
     for one in report.scenes:
         write_page(folder / PAGES / scene_page(one), _of_scene(templates, beside, one), folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
+    # Last: a report that is younger than the folder of its pages has all of them.
+    write_page(folder / REPORT, _across(templates, report), folder)
     return folder / REPORT
+
+
+def is_current(folder: Path) -> bool:
+    """Whether report.html is younger than all it is made of and leads to; of a campaign whose runs are all stored, it says then what it would say anew."""
+    written = _written(folder / REPORT)
+    if not (folder / PAGES).is_dir() or written <= max(_program(), _time(folder / "campaign.json"), _time(folder / PAGES)):
+        return False
+    try:
+        return all(written > _time(path) for record in record_files(folder) for path in (record.parent, *record.parent.iterdir()))
+    except OSError:  # another campaign is at work there
+        return False
 
 
 def write_single(folder: Path) -> Path:
@@ -222,8 +233,13 @@ def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
     write_page(report.folder / PAGES / run_page(one), _of_run(templates, report, one), report.folder)
 
 
+def _program() -> int:
+    """When the last of our own files was written [ns]."""
+    return max(path.stat().st_mtime_ns for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+
+
 def _due(report: Report) -> list[RunRecord]:
-    program = max(path.stat().st_mtime_ns for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    program = _program()
     return [
         one
         for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
@@ -234,11 +250,14 @@ def _due(report: Report) -> list[RunRecord]:
 
 def _written(path: Path) -> int:
     """When a file was last written [ns]; 0 where there is none."""
+    return _time(path) if path.is_file() else 0
+
+
+def _time(path: Path) -> int:
     try:
-        found = path.stat()
+        return path.stat().st_mtime_ns
     except OSError:
         return 0
-    return found.st_mtime_ns if stat.S_ISREG(found.st_mode) else 0
 
 
 def _asset(name: str) -> str:
@@ -250,4 +269,4 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "page", "render", "write_page", "write_report", "write_single"]
+__all__ = ["PAGES", "is_current", "page", "render", "write_page", "write_report", "write_single"]

@@ -19,9 +19,8 @@ from reports.wording import small
 
 @dataclass(frozen=True)
 class Row:
-    """A stage and the stages it starts from. `number` names it in all tables and plots of the page; `link` leads to its run."""
+    """A stage and the stages it starts from; `link` leads to its run."""
 
-    number: int
     run: RunRecord
     stage: StageRecord
     chain: tuple[StageRecord, ...]
@@ -35,14 +34,16 @@ class Row:
         return tuple(name for place, name in enumerate(names) if place == 0 or names[place - 1] != name)
 
     @property
+    def name(self) -> str:
+        """The method and its eps: softplus_dc ε = 10⁻⁵."""
+        return self.stage.method + (f" ε = {small(self.stage.eps)}" if self.stage.eps else "")
+
+    @property
     def label(self) -> str:
-        """softplus_dc 10⁻⁵; strict_lcp after softplus_dc."""
+        """The name, and what the stage starts from: strict_lcp after softplus_dc."""
         before = self.methods[:-1]
-        eps = f" ε = {small(self.stage.eps)}" if self.stage.eps else ""
         after = f" after {', '.join(before)}" if before else ""
-        return f"{self.stage.method}{eps}{after}" + (
-            f" ({self.run.pipeline})" if self.twin and self.run.pipeline != self.stage.method else ""
-        )
+        return f"{self.name}{after}" + (f" ({self.run.pipeline})" if self.twin and self.run.pipeline != self.stage.method else "")
 
     @property
     def paper_total(self) -> float | None:
@@ -57,6 +58,7 @@ class Row:
 
     @property
     def holds(self) -> bool:
+        """Whether the plan holds, with feedback or without."""
         return self.stage.verdict in HOLD
 
     @property
@@ -69,6 +71,11 @@ class Row:
         """Relative difference of our cost to the paper's."""
         theirs = self.stage.paper.get("cost")
         return None if self.stage.cost is None or not theirs else self.stage.cost / theirs - 1
+
+
+def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
+    """Name and value of the best known cost of an exact plan; None where there is none."""
+    return next(((item.name, item.value) for item in scene.answers if "cost" in item.name and item.value is not None), None)
 
 
 def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
@@ -87,7 +94,7 @@ def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> li
             key = "\n".join(identity)
             if key not in rows:
                 chain = run.stages[: place + 1]
-                rows[key] = Row(len(rows) + 1, run, stage, chain, link(run))
+                rows[key] = Row(run, stage, chain, link(run))
     labels = Counter((row.run.scene.name, row.label) for row in rows.values())
     return [replace(row, twin=not row.stage.paper and labels[row.run.scene.name, row.label] > 1) for row in rows.values()]
 

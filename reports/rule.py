@@ -1,4 +1,4 @@
-"""What makes a campaign fail: in words, and as a function of its records. `validate all` and the report say and do the same.
+"""What makes a campaign fail, as a function of its records; in words it is in reports.rule_text. `validate all` and the report say and do the same.
 
 failures(runs, examinations)           # one sentence each; none: exit code 0
 findings(runs)                         # what the replay found of plans that are no failure
@@ -7,40 +7,17 @@ findings(runs)                         # what the replay found of plans that are
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
-# As reports.records.record has them, which would cost pydantic.
-HOLD = ("holds", "holds with feedback")
+from reports.records.check_record import ExaminationRecord, divided
+from reports.records.record import HOLD, RunRecord, StageRecord
 
-if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import RunRecord, StageRecord
-
-# What fails a campaign, each ending a sentence that begins "A campaign fails if".
-RULE = (
-    "a run crashed, or failed in a way that its method does not explain, whatever the method",
-    "a direct method reports success, and its plan does not hold - or holds only with feedback on a scene that does not say, with a reason, that it is unstable",
-    "a plan of a direct method stands beside a row of the paper, and does not hold",
-    "direct methods ran on a scene, and no run of that scene holds, with feedback or without",
-    "on a scene with nothing to plan the replay misses a closed form, or is not well otherwise",
-    "an examination (a check of one of our own FMUs, a stress case) finds what must not be, or ends without an answer",
-)
-# What does not.
-RESULTS = (
-    "A method that says itself that it stopped at a limit, stalled, diverged, found no plan or does not apply to the scene has given a result, "
-    "not a failure.",
-    "A relaxed (indirect) method is expected to violate contact physics: the report shows by how much.",
-    "A plan that fails by its time step alone - it is a plan of the task, says that it reaches the goal, has physical forces and solves its own discrete "
-    "equations, and what it misses shrinks as its grid is refined - is a finding about the grid: it is named, but no method broke its word.",
-    "A scene without inputs has nothing to plan: its free motion is replayed and held against closed forms.",
-)
 # From this observed order on a misfit is said to shrink with the step: a scheme of order one shows 0.8 to 1.2 on grids that are fine enough.
 _SHRINKS = 0.5
 
 
 def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord] = ()) -> tuple[str, ...]:
-    """Why the campaign of these records fails, by `RULE`; a sentence for each cell or scene."""
-    found = [sentence for run in runs if (sentence := _cell_failure(run))]
+    """Why the campaign of these records fails, by its rule; a sentence for each run or scene."""
+    found = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
     found += [_examined(record) for record in examinations if not record.passed]
@@ -68,16 +45,12 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
 
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:
-    """Whether a campaign fails because of this cell alone."""
-    from reports.records.check_record import ExaminationRecord
-
-    return not record.passed if isinstance(record, ExaminationRecord) else bool(_cell_failure(record))
+    """Whether a campaign fails because of this run alone."""
+    return not record.passed if isinstance(record, ExaminationRecord) else bool(_run_failure(record))
 
 
 def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
-    """Keys of the cells because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
-    from reports.records.check_record import divided
-
+    """Keys of the runs because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
     runs, examinations = divided(records)
     failed = {record.key for record in (*runs, *examinations) if fails(record)}
     for scene in dict.fromkeys(run.scene.name for run in runs):
@@ -92,7 +65,7 @@ def _examined(record: ExaminationRecord) -> str:
     return f"{record.title}: {ended} - {record.found or record.message or 'the record gives no reason.'}"
 
 
-def _cell_failure(run: RunRecord) -> str:
+def _run_failure(run: RunRecord) -> str:
     name = f"{run.scene.name} x {run.pipeline}"
     if run.outcome in {"crashed", "failed"}:
         return f"{name}: {run.outcome} - {run.message}"

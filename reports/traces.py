@@ -28,9 +28,11 @@ _DAMAGED = (OSError, ValueError, KeyError, TypeError, RuntimeError)
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One motion at times t (n,) [s]. columns: coordinates and inputs by their names, per contact `lam_<contact>` [N] and `gap_<contact>` [m], per friction
-    its force [N] by its name; of a replay also `position_error`, the largest difference of a coordinate to the plan. poses: (n, 3) x, y [m] and angle
-    [rad] of each shape."""
+    """One motion at times t (n,) [s].
+
+    columns: coordinates and inputs by their names, per contact `lam_<contact>` [N] and `gap_<contact>` [m], per friction its force [N] by its name; of a
+    replay also `position_error`, the largest difference of a coordinate to the plan. poses: (n, 3) x, y [m] and angle [rad] of each shape.
+    """
 
     t: Array
     columns: Mapping[str, Array]
@@ -122,8 +124,7 @@ def _plan(scene: SceneRecord, columns: Mapping[str, Array]) -> Trace | None:
 
 
 def _replay(scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str, Array]) -> Trace | None:
-    """A replay with the inputs as applied, by their own names, and with its distance from the plan, known at the plan's nodes and drawn as a line between
-    them."""
+    """A replay with the inputs as applied, by their own names, and with its distance from the plan, linear between the plan's nodes."""
     if not len(columns.get("t", ())):
         return None
     t, told = columns["t"], dict(columns)
@@ -155,18 +156,33 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
 
 
 def column(trace: Trace | None, name: str) -> Array | None:
-    """The column, or None if the trace lacks it."""
+    """A column of a trace.
+
+    Returns
+    -------
+    values : (n,) or (n - 1,), in the unit of the quantity, or None if the trace lacks it.
+    """
     return trace.columns.get(name) if trace is not None else None
 
 
 def force(trace: Trace | None, contact: str) -> Array | None:
-    """Of a contact by its name, or of a friction by its force's."""
+    """The force of a contact by its name, or of a friction by its force's.
+
+    Returns
+    -------
+    values : (n - 1,) or (n,) [N], or None if the trace lacks it.
+    """
     found = column(trace, f"lam_{contact}")
     return column(trace, contact) if found is None else found
 
 
 def gap(trace: Trace | None, contact: str) -> Array | None:
-    """Of a contact by its name."""
+    """The gap of a contact by its name.
+
+    Returns
+    -------
+    values : (n,) [m], or None if the trace lacks it.
+    """
     return column(trace, f"gap_{contact}")
 
 
@@ -189,6 +205,17 @@ def contact_phases(trace: Trace | None, contact: str) -> list[tuple[float, float
 
 
 def at_all(times: Sequence[float] | Array, values: Sequence[float] | Array, wanted: Array) -> Array:
-    """The values at many times, linear between the stored times and constant beyond them."""
+    """The values at many times, linear between the stored times and constant beyond them.
+
+    Parameters
+    ----------
+    times : (n,) [s], increasing
+    values : (n,) or (n - 1,), in any unit; the shorter of the two decides
+    wanted : (k,) [s]
+
+    Returns
+    -------
+    values : (k,), in the unit of `values`
+    """
     length = min(len(times), len(values))
     return np.interp(wanted, times[:length], values[:length])

@@ -56,14 +56,17 @@ ANSWERS = {
 
 
 def verdict(name: str) -> Sign:
+    """How a verdict is shown."""
     return VERDICTS.get(name, Sign(name, "?", "undecided", "a verdict this page does not know"))
 
 
 def answer(name: str) -> Sign:
+    """How the answer to a question is shown."""
     return ANSWERS.get(name, Sign(name, "?", "undecided", "an answer this page does not know"))
 
 
 def power(exponent: int) -> str:
+    """A power of ten: 10⁻³."""
     return "10" + str(exponent).translate(_SUPERSCRIPT)
 
 
@@ -153,6 +156,7 @@ def capital(text: str) -> str:
 
 
 def seconds(value: float | None) -> str:
+    """Seconds with two digits after the point, fewer of what is long, two significant ones of what is short."""
     if value is None:
         return DASH
     return number(value, 2) if value < 0.0995 else _grouped(f"{value:.2f}" if value < 99.5 else f"{value:.0f}")
@@ -215,6 +219,7 @@ def tail(text: str, limit: int = 8000) -> str:
 
 
 def count(amount: int, one: str, many: str | None = None) -> str:
+    """An amount with its noun: 1 run, 2 runs."""
     return f"{amount} {one if amount == 1 else many or one + 's'}"
 
 

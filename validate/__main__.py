@@ -31,8 +31,11 @@ def main(module: str = "validate.cli.group", program: str = "python -m validate"
 
 
 def _leave(codes: list[int]) -> None:
-    """End at once, after all other exit handlers (they run in reverse order): taking SymPy apart object by object takes a tenth
-    of a second, of 0.9 for a replay. An exception that was not caught, or output that cannot be written, ends as Python ends."""
+    """End at once, after all other exit handlers (they run in reverse order).
+
+    Taking SymPy apart object by object takes a tenth of a second, of 0.9 for a replay. An exception that was not caught, or output that cannot be
+    written, ends as Python ends.
+    """
     if not codes:
         return
     try:

@@ -42,6 +42,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no case was cut."""
     cases = [case for record in records if isinstance(record, CosimRecord) for case in record.cases]
     views = [_view(case) for case in cases if any(master.rows for master in case.masters)]
     if not views:
@@ -50,6 +51,7 @@ def build(records: Sequence[AnyRecord]) -> Section | None:
 
 
 def words_of(master: CosimMaster) -> str:
+    """What a coupling method is called."""
     return _look(master.name)[0]
 
 
@@ -130,7 +132,7 @@ def _conclusion(case: CosimCase, curves: dict[str, list[tuple[float, float]]], l
 
 
 def _needed(case: CosimCase, curve: list[tuple[float, float]], step: float) -> str:
-    """omega h, or that any step will do."""
+    """The product omega h, or that any step will do."""
     words = number(step * case.frequency, 2)
     return f"{words}, the largest tried" if step >= max(h for h, _ in curve) else words
 

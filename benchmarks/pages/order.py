@@ -31,11 +31,13 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no scene was measured."""
     views = [_view(scene) for record in records if isinstance(record, OrderRecord) for scene in record.scenes]
     return Section("order", "Step size and order", "order.html", {"views": views, "named": scheme_name}) if views else None
 
 
 def scheme_name(name: str) -> str:
+    """What an integration scheme is called."""
     return _NAMES.get(name, spaced(name))
 
 

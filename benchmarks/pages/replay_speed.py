@@ -28,6 +28,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no replay has a measured error."""
     scenes = [scene for record in records if isinstance(record, ReplaySpeedRecord) for scene in record.scenes]
     views = [_view(scene) for scene in scenes if any(row.error_m is not None for row in scene.sweep)]
     if not views:
@@ -36,7 +37,7 @@ def build(records: Sequence[AnyRecord]) -> Section | None:
 
 
 def _setting(row: SpeedRow) -> str:
-    """rtol 1e-8, or h/100."""
+    """As in rtol 1e-8, or h/100."""
     return f"rtol {small(row.setting)}" if "rtol" in row.kind else f"h/{number(row.setting)}"
 
 

@@ -25,6 +25,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no case has a cost."""
     cases = [case for record in records if isinstance(record, RigidLimitRecord) for case in record.cases]
     views = [_view(case) for case in cases if any(row.cost is not None for row in case.rows)]
     if not views:

@@ -27,6 +27,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where nothing was measured."""
     views = [_view(record) for record in records if isinstance(record, ScalingRecord)]
     return Section("scaling", "Growth with size", "scaling.html", {"views": views}) if views else None
 

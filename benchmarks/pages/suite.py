@@ -57,6 +57,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no suite ran."""
     views = [_view(record) for record in records if isinstance(record, SuiteRecord)]
     return Section("suite", "Speed, side by side", "suite.html", {"views": views}) if views else None
 

@@ -18,6 +18,8 @@ _FREE, _WALL, _LOST = ("c0", "circle", "balanced without a wall"), ("c5", "squar
 
 @dataclass(frozen=True)
 class View:
+    """What the section shows of one record; lost: (number, start) of those that do not hold."""
+
     record: BalanceRecord
     keys: list[Key]
     plots: list[Plot]
@@ -26,6 +28,7 @@ class View:
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
+    """The section, or None where no start was tried."""
     views = [_view(record) for record in records if isinstance(record, BalanceRecord) and record.starts]
     return Section("unstable-starts", "Unstable starts", "unstable_starts.html", {"views": views}) if views else None
 
@@ -87,7 +90,7 @@ def _sentence(record: BalanceRecord) -> str:
     for name, group in (("without a wall", [start for start in balanced if start not in walls]), ("by a wall", walls)):
         efforts = [start.effort for start in group if start.effort is not None]
         if efforts:
-            words += f" Balanced {name}, the feedback takes {number(100 * median(efforts), 2)} % of half the inputs' range in the median, at most {number(100 * max(efforts), 2)} %."
+            words += f" Balanced {name}, the feedback's RMS effort is {number(100 * median(efforts), 2)} % of the half-range of the inputs in the median, at most {number(100 * max(efforts), 2)} %."
     if margin:
         words += f" {margin} of them needed a plan that leaves the feedback some of the inputs."
     return words + f" Finding a plan took {error(median(cpu))} CPU s in the median, at most {error(max(cpu))}."

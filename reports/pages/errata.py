@@ -8,6 +8,7 @@ from reports.wording import error, listing, number, seconds
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where the paper's scene was not run."""
     rows = [row for row in report.rows if row.run.scene.name == SCENE]
     if not rows:
         return None
@@ -29,12 +30,12 @@ def _closed_form(report: Report) -> str:
 
 
 def _physics(report: Report) -> str:
-    found = [(row.number, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.metric("physics")) is not None]
+    found = [(row.label, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.metric("physics")) is not None]
     if not found:
         return ""
     if all(value == 0 for _, value in found):
-        return f"Here it is exactly 0 in {'row' if len(found) == 1 else 'rows'} {listing([str(place) for place, _ in found])}."
-    return f"Here: {listing([f'{number(value, 3)} in row {place}' for place, value in found])}."
+        return f"Here it is exactly 0 of {listing([label for label, _ in found])}."
+    return f"Here: {listing([f'{number(value, 3)} of {label}' for label, value in found])}."
 
 
 def _clock(report: Report) -> str:

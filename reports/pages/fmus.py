@@ -25,6 +25,7 @@ class FmuView:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no FMU was checked."""
     records = [record for record in report.stored.examinations if record.kind == KIND]
     if not records:
         return None

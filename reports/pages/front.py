@@ -8,7 +8,7 @@ from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import SceneRecord
-from reports.rows import Row
+from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing
 
 _ERRORS = (
@@ -32,6 +32,7 @@ class Front:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no stage has a cost and an error."""
     fronts = [_front(scene, report.rows_of_scene(scene)) for scene in report.scenes]
     fronts = [front for front in fronts if front.plots]
     return Section("front", "Cost against terminal error", "front.html", {"fronts": fronts}) if fronts else None
@@ -44,6 +45,16 @@ def unbeaten(points: list[tuple[float, float, Row]]) -> list[tuple[float, float,
         if not front or point[1] < front[-1][1]:
             front.append(point)
     return front
+
+
+def draw_front(plot: Plot, corners: list[tuple[float, float]]) -> None:
+    """The staircase through the points of a front, from the left; nothing where there is none."""
+    path: list[tuple[float, float]] = []
+    for x, y in corners:
+        path += [(x, path[-1][1] if path else plot.y.high), (x, y)]
+    if path:
+        path.append((plot.x.high, path[-1][1]))
+        plot.line("front", "front", [x for x, _ in path], [y for _, y in path])
 
 
 def _front(scene: SceneRecord, rows: list[Row]) -> Front:
@@ -62,8 +73,8 @@ def _front(scene: SceneRecord, rows: list[Row]) -> Front:
 def _plot(
     scene: SceneRecord, title: str, quantity: str, points: list[tuple[float, float, Row]], front: list[tuple[float, float, Row]]
 ) -> Plot:
-    known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
-    costs = [point[1] for point in points] + ([known.value] if known and known.value is not None else [])
+    known = known_cost(scene)
+    costs = [point[1] for point in points] + ([known[1]] if known else [])
     units = {metric.unit for _, _, row in points if (metric := row.stage.metric("replay_terminal_error"))}
     wide = min(costs) > 0 and max(costs) / min(costs) > _WIDE
     plot = Plot(
@@ -77,24 +88,18 @@ def _plot(
         keys=[
             Key("indirect", "relaxed stage", "circle"),
             Key("direct", "direct stage", "square"),
-            Key("front", "front: no row is both cheaper and closer"),
+            Key("front", "front: no stage is both cheaper and closer"),
         ],
     )
-    if known is not None and known.value is not None:
-        plot.level(known.value, f"best known cost of an exact plan: {cost(known.value)}")
-    corners: list[tuple[float, float]] = []
-    for missed, price, _ in front:
-        if corners:
-            corners.append((max(missed, _SMALLEST), corners[-1][1]))
-        corners.append((max(missed, _SMALLEST), price))
-    corners = [(corners[0][0], plot.y.high), *corners, (plot.x.high, corners[-1][1])]
-    plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
+    if known:
+        plot.level(known[1], f"best known cost of an exact plan: {cost(known[1])}")
+    draw_front(plot, [(max(missed, _SMALLEST), price) for missed, price, _ in front])
     for missed, price, row in points:
         style = row.stage.kind
         marker = "square" if style == "direct" else "circle"
-        tip = f"Row {row.number}, {row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
+        tip = f"{row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
         plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.link)
-    plot.name_points([(max(missed, _SMALLEST), price, str(row.number)) for missed, price, row in points])
-    steps = [f"row {row.number} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
-    plot.words = f"{count(len(points), 'row')}; on the front, from the smallest error: {listing(steps)}."
+    plot.name_points([(max(missed, _SMALLEST), price, row.name) for missed, price, row in front])
+    steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
+    plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
     return plot

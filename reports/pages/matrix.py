@@ -30,6 +30,7 @@ class Holding:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no run is stored."""
     runs = report.stored.runs
     if not runs:
         return None

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from reports.judged import TRACKED, is_tracked, judged_metric
-from reports.pages.front import unbeaten
+from reports.pages.front import draw_front, unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import MetricRecord, SceneRecord
-from reports.rows import Row
+from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
 # Below this an error is a rounding error: drawn at the edge, so that it does not squeeze the rest.
@@ -47,8 +47,11 @@ class ParetoView:
 
 @dataclass(frozen=True)
 class Pareto:
-    """The plots of one scene; failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply;
-    nothing: why there is no plot, where there is none."""
+    """The plots of one scene.
+
+    failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply; nothing: why there is no plot, where
+    there is none.
+    """
 
     scene: SceneRecord
     views: list[ParetoView]
@@ -58,6 +61,7 @@ class Pareto:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no plan was replayed."""
     found = [_pareto(scene, report.rows_of_scene(scene)) for scene in report.scenes]
     keys = next((pareto.views[0].plot.keys for pareto in found if pareto.views), None)
     return Section("pareto", "CPU time against error and cost", "pareto.html", {"scenes": found, "keys": keys}) if keys else None
@@ -139,15 +143,15 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
     off = len(plans) - len(points)
     if not points:
         return None
-    known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
-    prices = [y for _, y, _ in points] + ([known.value] if known and known.value is not None else [])
+    known = known_cost(scene)
+    prices = [y for _, y, _ in points] + ([known[1]] if known else [])
     wide = min(prices) > 0 and max(prices) / min(prices) > _WIDE
     lasting = unbeaten([point for point in points if point[2].holds])
     plot = _plot(
         "CPU time against cost at equal terminal error", Axis.fitted("cost", "", prices, log=wide, margin=0.1), points, lasting, cost
     )
-    if known is not None and known.value is not None:
-        plot.level(known.value, f"{known.name}: {cost(known.value)}")
+    if known:
+        plot.level(known[1], f"{known[0]}: {cost(known[1])}")
     said = _concluded(
         lasting,
         lambda y: f"cost {cost(y)}",
@@ -172,19 +176,19 @@ def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable
             steps.append(point)
     (first, least, row), rest = steps[0], steps[1:]
     by = f" by more than {100 * same:g} %" if len(steps) < len(front) else ""
-    said = f"The least CPU time for a plan that holds is {seconds(first)} s, row {row.number} ({row.named}), {value(least)}."
+    said = f"The least CPU time for a plan that holds is {seconds(first)} s ({row.named}), {value(least)}."
     if not rest:
         return f"{said} No other plan that holds is better{by}, whatever time it takes."
     after, better, second = rest[0]
     said += (
-        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.named}), "
+        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s ({second.named}): "
         f"{value(better)}, {gain(least, better)}."
     )
     if len(rest) == 1:
         return f"{said} More time buys nothing further."
     last, best, third = rest[-1]
     return (
-        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s: row {third.number} ({third.named}), {value(best)}, "
+        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s ({third.named}): {value(best)}, "
         f"{gain(least, best)}."
     )
 
@@ -207,25 +211,20 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
         keys=[
             Key("direct", "holds", "square"),
             Key("indirect", "does not hold", "circle"),
-            Key("front", "front: no row is both faster and better"),
+            Key("front", "front: no stage is both faster and better"),
         ],
     )
-    corners: list[tuple[float, float]] = []
-    for x, y, _ in front:
-        corners += [(x, corners[-1][1] if corners else plot.y.high), (x, y)]
-    if corners:
-        corners.append((plot.x.high, corners[-1][1]))
-        plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
+    draw_front(plot, [(x, y) for x, y, _ in front])
     for x, y, row in points:
         holds = row.holds
         quantity = y_axis.quantity
         missed = row.metric("replay_terminal_error")
         ends = f", ends {error(missed)} from the goal" if missed is not None else ""
-        tip = f"Row {row.number}, {row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
+        tip = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
         plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.link)
-    plot.name_points([(x, y, str(row.number)) for x, y, row in points])
-    steps = [f"row {row.number} ({seconds(x)} s, {said(y)})" for x, y, row in front]
-    plot.words = f"{count(len(points), 'row')}" + (
+    plot.name_points([(x, y, row.name) for x, y, row in front])
+    steps = [f"{row.label} ({seconds(x)} s, {said(y)})" for x, y, row in front]
+    plot.words = f"{count(len(points), 'stage')}" + (
         f"; on the front, the fastest first: {listing(steps)}." if steps else "; none on a front."
     )
     return plot

@@ -108,8 +108,10 @@ def _touch(shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: C
 
 
 def _faced(trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: str) -> tuple[float, float] | None:
-    """The point of the body (0 centre, -0.5 and 0.5 the ends of a line) that a side of the other meets, and the turn of that side's normal against
-    the other's direction [rad]. The gap is the distance along that normal, but for a constant; None where no side is such."""
+    """The point of the body that a side of the other meets, and the turn of that side's normal against the other's direction [rad].
+
+    The point: 0 centre, -0.5 and 0.5 the ends of a line. The gap is the distance along that normal, but for a constant; None where no side is such.
+    """
     gaps = gap(trace, contact)
     if trace is None or gaps is None or body.name not in trace.poses or other.name not in trace.poses:
         return None

@@ -9,6 +9,7 @@ _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where nothing is stored that has an origin."""
     stored = report.stored
     first = stored.campaign.provenance if stored.campaign else (stored.runs[0].provenance if stored.runs else None)
     if first is None:

@@ -1,5 +1,4 @@
-"""The page of one run: its verdict, its motion, its stages with questions and metrics, plan against replay, iteration history, certificate, options,
-seconds, log."""
+"""The page of one run: verdict, motion, stages with questions and metrics, plan against replay, iterations, certificate, options, seconds, log."""
 
 from __future__ import annotations
 
@@ -18,8 +17,11 @@ from reports.wording import small, tail
 
 @dataclass(frozen=True)
 class StageView:
-    """A stage and what is drawn of it; questions: what was asked and measured, ends: (which replay, where it ends); tracked: whether the verdict is of
-    the replay with feedback, both: whether there is one; empty: it left no plan, idle: it did not even run."""
+    """A stage and what is drawn of it.
+
+    questions: what was asked and measured; ends: (which replay, where it ends); tracked: whether the verdict is of the replay with feedback; both:
+    whether there is one; empty: it left no plan; idle: it did not even run.
+    """
 
     stage: StageRecord
     plots: StagePlots

@@ -20,6 +20,7 @@ class Listed:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no run is stored."""
     runs = report.stored.runs
     if not runs:
         return None

@@ -19,6 +19,7 @@ class SceneLink:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no run is stored."""
     if not report.scenes:
         return None
     listed = []

@@ -23,8 +23,11 @@ _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
 @dataclass(frozen=True)
 class Report:
-    """The stored records of a campaign, and the rows and scenes in them. folder: the campaign's, where motions are read from; at: what links to other
-    pages begin with; single: everything stands in one file, so that links lead to anchors in it."""
+    """The stored records of a campaign, and the rows and scenes in them.
+
+    folder: the campaign's, where motions are read from; at: what links to other pages begin with; single: everything stands in one file, so that links
+    lead to anchors in it.
+    """
 
     stored: Stored
     folder: Path = Path()
@@ -33,13 +36,16 @@ class Report:
 
     @cached_property
     def rows(self) -> list[Row]:
+        """Every stage once, in the order of the paper's table."""
         return rows_of(self.stored.runs, self.link)
 
     @cached_property
     def scenes(self) -> list[SceneRecord]:
+        """Every scene once, in the order of the campaign."""
         return scenes_of(self.stored.runs)
 
     def rows_of_scene(self, scene: SceneRecord) -> list[Row]:
+        """The rows of one scene."""
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
     def anchor(self, run: RunRecord) -> str:

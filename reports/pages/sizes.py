@@ -18,6 +18,7 @@ class MethodSize:
 
     @property
     def agrees(self) -> bool:
+        """Whether the solver was given as many unknowns and equations as were counted on paper."""
         size = self.size
         return (size.unknowns, size.equations) == (size.paper_unknowns, size.paper_equations)
 

@@ -53,6 +53,7 @@ class StabilityRow:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no hard case ran."""
     records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
     if not records:
         return None

@@ -25,7 +25,7 @@ class Optimum:
 
     @property
     def reached_from(self) -> str:
-        """softplus chain (1); random inputs (5, 7)."""
+        """Where its starts began: softplus chain (1); random inputs (5, 7)."""
         kinds = dict.fromkeys(start.start for start in sorted(self.starts, key=lambda start: start.number))
         numbers = {kind: sorted(start.number for start in self.starts if start.start == kind) for kind in kinds}
         return "; ".join(f"{kind} ({', '.join(map(str, numbers[kind]))})" for kind in kinds)

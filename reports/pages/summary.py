@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from reports.judged import end_of
-from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene, solved_scenes
+from reports.pages.judged_runs import Sentence, direct, failure, scene_by_scene, solved_scenes
 from reports.pages.section import Report, Section
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import Unreadable
 from reports.records.record import HOLD, RunRecord
 from reports.rows import Row
-from reports.rule import RESULTS, RULE, failures, findings
+from reports.rule import failures, findings
+from reports.rule_text import RESULTS, RULE
 from reports.wording import VERDICTS, capital, cost, count, error, listing, seconds
 
-# So many cells that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.
+# So many runs that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.
 _FEW = 12
 
 
 def build(report: Report) -> Section:
+    """The section; it says so where nothing is stored."""
     stored = report.stored
     runs = stored.runs
     whole = not (stored.missing or stored.unreadable)
@@ -36,6 +38,7 @@ def build(report: Report) -> Section:
                 *_examined(stored.examinations),
                 *_indirect(report.rows),
                 *_cheapest(report.rows),
+                *_found(runs),
                 *_times(runs),
                 *_stored(report),
             ],
@@ -68,12 +71,16 @@ def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
 
 
 def _rule(runs: tuple[RunRecord, ...], examinations: tuple[ExaminationRecord, ...], *, whole: bool) -> list[Sentence]:
-    """Whether the campaign fails, by its rule, and why; and what the replay found beside."""
-    besides = [Sentence("undecided", "!", f"Found by the replay: {sentence.rstrip('.')}.") for sentence in findings(runs)]
+    """Whether the campaign fails, by its rule, and why."""
     failed = [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in failures(runs, examinations)]
     if failed or not (runs or examinations):
-        return [*failed, *besides]
-    return [Sentence("holds", "✓", f"All required checks passed{'' if whole else ', as far as they are stored'}."), *besides]
+        return failed
+    return [Sentence("holds", "✓", f"All required checks passed{'' if whole else ', as far as they are stored'}.")]
+
+
+def _found(runs: tuple[RunRecord, ...]) -> list[Sentence]:
+    """What the replay found of plans that is no failure."""
+    return [Sentence("undecided", "!", f"Found by the replay: {sentence.rstrip('.')}.") for sentence in findings(runs)]
 
 
 def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
@@ -82,7 +89,7 @@ def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
     for kind in dict.fromkeys(record.kind for record in examinations):
         passed = [record.passed for record in examinations if record.kind == kind]
         style, symbol = ("holds", "✓") if all(passed) else ("violates", "✗")
-        said.append(Sentence(style, symbol, f"{kind}: {sum(passed)} of {count(len(passed), 'examination')} passed."))
+        said.append(Sentence(style, symbol, f"{kind}: {sum(passed)} of {count(len(passed), 'check')} passed."))
     return said
 
 
@@ -110,7 +117,7 @@ def _indirect(rows: list[Row]) -> list[Sentence]:
     )
     if len(violating) == len(relaxed):
         return [Sentence("plain", "•", text + lost)]
-    exempt = [row.label for row in relaxed if row.stage.verdict in HOLD]
+    exempt = [f"{row.label} on {row.run.scene.name}" for row in relaxed if row.stage.verdict in HOLD]
     open_still = sum(row.stage.verdict == "undecided" for row in relaxed)
     named = listing(exempt) if len(exempt) <= _FEW else f"{len(exempt)} of them"
     holding = f" {named} {'holds' if len(exempt) == 1 else 'hold'}." if exempt else ""
@@ -127,13 +134,11 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
             continue
         exact = [row for row in holding if (missed := row.metric("discrete_terminal_error")) is not None and missed <= 1e-4]
         best = min(holding, key=lambda row: row.stage.cost or 0.0)
-        parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.named}: {_price(best)}."]
+        parts = [f"On {name} the cheapest plan that holds is by {best.named}: {_price(best)}."]
         if exact:
             strictest = min(exact, key=lambda row: row.stage.cost or 0.0)
             if strictest is not best:
-                parts.append(
-                    f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.named}: {_price(strictest)}."
-                )
+                parts.append(f"The cheapest that also reaches the goal on its own grid is by {strictest.named}: {_price(strictest)}.")
         said.append(Sentence("plain", "•", " ".join(parts)))
     return said
 
@@ -152,7 +157,7 @@ def _times(runs: tuple[RunRecord, ...]) -> list[Sentence]:
         Sentence(
             "plain",
             "•",
-            f"All cells together took {seconds(cpu)} CPU seconds ({seconds(wall)} seconds of the clock, each cell counted alone).",
+            f"All runs together took {seconds(cpu)} CPU seconds ({seconds(wall)} s wall, summed over the runs).",
         )
     ]
 
@@ -175,7 +180,7 @@ def _stored(report: Report) -> list[Sentence]:
             Sentence(
                 "noplan",
                 "○",
-                f"{count(len(stored.missing), 'cell')} of the campaign {'has' if len(stored.missing) == 1 else 'have'} no stored record yet.",
+                f"{count(len(stored.missing), 'run')} of the campaign {'has' if len(stored.missing) == 1 else 'have'} no stored record yet.",
             )
         )
     if stored.unreadable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from reports.pages.section import Report, Section
 from reports.paper import SCENE, TABLE_1
-from reports.rows import Row, lacking
+from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times
 
 # The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the print.
@@ -14,6 +14,7 @@ _FAILED_COST = 2.0
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no stage is stored."""
     tables = [(scene, rows, lacking(scene, rows)) for scene in report.scenes if (rows := report.rows_of_scene(scene))]
     if not tables:
         return None
@@ -44,12 +45,12 @@ def _reproduced(both: list[Row]) -> list[str]:
         return []
     same = [row for row in both if abs(row.cost_difference or 0.0) <= _SAME_COST]
     other = [row for row in both if row not in same]
-    text = f"{len(same)} of {count(len(both), 'row')} that both have agree in cost with the paper's printed digits (1 part in {number(1 / _SAME_COST)})"
+    text = f"{len(same)} of {count(len(both), 'stage')} that both have agree in cost with the paper's printed digits (1 part in {number(1 / _SAME_COST)})"
     if not same or not other:
         return [text + "."]
     far = max(other, key=lambda row: abs(row.cost_difference or 0.0))
     return [
-        f"{text}: rows {listing([str(row.number) for row in same])}. The largest relative difference is {percent(far.cost_difference)}, row {far.number}, {far.label}."
+        f"{text}: {'; '.join(row.label for row in same)}. The largest relative difference is {percent(far.cost_difference)}, of {far.label}."
     ]
 
 
@@ -62,9 +63,9 @@ def _failed(both: list[Row]) -> list[str]:
             continue
         pair = f"ours {cost(ours)} at a replayed terminal error of {error(row.metric('replay_terminal_error'))}, the paper's {cost(theirs)}"
         if theirs / ours >= _FAILED_COST:
-            dear.append((row, f"{row.label} (row {row.number}): {pair}, {times(theirs / ours)} as much"))
+            dear.append((row, f"{row.label}: {pair}, {times(theirs / ours)} as much"))
         elif ours / theirs >= _FAILED_COST:
-            worse.append(f"{row.label} (row {row.number}): {pair}, so ours is the worse one.")
+            worse.append(f"{row.label}: {pair}, so ours is the worse one.")
     said = []
     if dear:
         held = all(row.holds for row, _ in dear)
@@ -88,7 +89,7 @@ def _relaxed(rows: list[Row]) -> list[str]:
             continue
         parts = [
             f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)} at {error(row.metric('replay_terminal_error'))} terminal error, "
-            f"{seconds(row.stage.seconds.total)} s in all"
+            f"{seconds(row.stage.seconds.total)} s in total"
             for row in warm
         ]
         start = f"{method} cold: cost {cost(cold.stage.cost)} at {error(cold.metric('replay_terminal_error'))} terminal error, {seconds(cold.stage.seconds.total)} s"
@@ -124,31 +125,23 @@ def _physics(rows: list[Row]) -> list[str]:
     nonzero = [row for row in descended if row.metric("physics") != 0]
     if not nonzero:
         return [
-            "The physics of every ReLU gradient-descent row is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
+            "The physics of every plan of ReLU gradient descent is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
         ]
-    parts = [f"row {row.number}: {error(row.metric('physics'))}" for row in nonzero]
-    return [f"The physics of a ReLU gradient-descent row must be exactly 0, but is not in {listing(parts)}."]
+    parts = [f"{row.label}: {error(row.metric('physics'))}" for row in nonzero]
+    return [f"The physics of a plan of ReLU gradient descent must be exactly 0, but is not in {listing(parts)}."]
 
 
 def _bought(rows: list[Row]) -> list[str]:
     """Costs below the best known exact plan are paid for with terminal error."""
     said = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
-        known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
-        below = [
-            row
-            for row in rows
-            if known
-            and known.value
-            and row.stage.kind == "direct"
-            and row.stage.cost is not None
-            and row.stage.cost < known.value * (1 - 1e-6)
-        ]
-        if known is None or not below:
+        _, known = known_cost(scene) or ("", 0.0)
+        below = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
+        if not known or not below:
             continue
-        parts = [f"row {row.number} ({cost(row.stage.cost)} at {error(row.metric('discrete_terminal_error'))})" for row in below]
+        parts = [f"{row.label} ({cost(row.stage.cost)} at {error(row.metric('discrete_terminal_error'))})" for row in below]
         said.append(
-            f"The best known cost of an exact plan is {cost(known.value)}. Direct rows below it buy their cost with terminal error "
+            f"The best known cost of an exact plan is {cost(known)}. Plans of direct methods below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."
         )
     return said
@@ -163,5 +156,5 @@ def _clock(both: list[Row]) -> list[str]:
         return []
     lacks = "" if len(timed) == len(TABLE_1) else f" ({len(timed)} of its {len(TABLE_1)} rows)"
     return [
-        f"All stages alone take {seconds(ours)} s here and {seconds(theirs)} s in the paper{lacks}, on other machines: {times(theirs / ours)} as long."
+        f"All stages, without those they start from, take {seconds(ours)} s here and {seconds(theirs)} s in the paper{lacks}, on other machines: {times(theirs / ours)} as long."
     ]

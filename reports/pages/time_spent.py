@@ -57,6 +57,7 @@ class Slow:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no run left a profile."""
     profiled = sorted((run for run in report.stored.runs if run.profile), key=lambda run: (-run.wall_seconds, run.key))
     if not profiled:
         return None

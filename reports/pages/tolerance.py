@@ -17,6 +17,7 @@ _EDGE = 0.25
 _WIDE = 20.0
 # Relative difference below which a row lies on the front: that of two solves of one problem.
 _SAME = 1e-6
+_ON_IT = "on it"
 
 
 @dataclass(frozen=True)
@@ -42,12 +43,13 @@ class Exactness:
 
 
 def build(report: Report) -> Section | None:
+    """The section, or None where no run has a front."""
     views = [view for run in report.stored.runs if (view := _view(report, run)) is not None]
     return Section("tolerance", "Least cost within a terminal tolerance", "tolerance.html", {"views": views}) if views else None
 
 
 def windows_text(windows: tuple[tuple[str, int, int], ...]) -> str:
-    """left 131–178, 227–274; right 276–306."""
+    """The steps at which contacts are closed: left 131–178, 227–274; right 276–306."""
     names = list(dict.fromkeys(name for name, _, _ in windows))
     return "; ".join(f"{name} " + ", ".join(f"{first}–{last}" for other, first, last in windows if other == name) for name in names)
 
@@ -88,7 +90,7 @@ def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
     elif loose is not None and price < loose * (1 - _SAME):
         above = "below the front: a better front exists"
     elif tight is not None and abs(price - tight) <= _SAME * tight:
-        above = "on it"
+        above = _ON_IT
     elif near and tight is not None:
         above = f"{percent(price / tight - 1)}, for missing the goal by more"
     else:
@@ -128,12 +130,12 @@ def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], link: str)
         plot.point(max(point.tolerance, edge), price, "front", "diamond", tip, link)
     for item in beside:
         kind = item.row.stage.kind
-        tip = f"Row {item.row.number}, {item.row.label}: cost {cost(item.price)}, terminal error {error(item.missed)}, least known {item.least}"
+        tip = f"{item.row.label}: cost {cost(item.price)}, terminal error {error(item.missed)}, least known {item.least}"
         plot.point(max(item.missed, edge), item.price, kind, "square" if kind == "direct" else "circle", tip, item.row.link)
-    plot.name_points([(max(item.missed, edge), item.price, str(item.row.number)) for item in beside])
+    plot.name_points([(max(item.missed, edge), item.price, item.row.name) for item in beside if item.above == _ON_IT])
     plot.words = (
         f"{count(len(priced), 'point')} of the front, from cost {cost(priced[0][1])} within {error(priced[0][0].tolerance)} "
-        f"to {cost(priced[-1][1])} within {error(priced[-1][0].tolerance)}; {count(len(beside), 'row')}. What misses the goal by less than "
+        f"to {cost(priced[-1][1])} within {error(priced[-1][0].tolerance)}; {count(len(beside), 'stage')}. What misses the goal by less than "
         f"{error(edge)} is drawn at the left edge."
     )
     return plot

@@ -17,6 +17,7 @@ _LAWS = {
 
 
 def build(report: Report) -> Section | None:
+    """The section; it says so where the campaign measured no point."""
     campaign = report.stored.campaign
     points = [point for point in campaign.violation if point.eps > 0] if campaign else []
     if not points:
@@ -51,7 +52,7 @@ def build(report: Report) -> Section | None:
 
 
 def _force(point: ViolationPoint) -> float:
-    """k L [N], the force at a penetration of the scene's length, which D of softplus contact goes by: from its closed form."""
+    """The force k L [N] at a penetration of the scene's length, which D of softplus contact goes by: from its closed form."""
     return math.sqrt(abs(point.closed_form)) * abs(math.log(point.eps)) / math.log(2.0)
 
 

@@ -41,7 +41,20 @@ class Axis:
         margin: float = 0.05,
         zero: bool = False,
     ) -> Axis:
-        """An axis that holds all values; `zero` makes a linear axis begin (or end) at zero."""
+        """An axis that holds all values.
+
+        Parameters
+        ----------
+        quantity, unit : what it shows, in which unit
+        values : (n,), in that unit; what is not finite counts for nothing
+        log : whether it is logarithmic
+        margin : room at both ends, as a share of the range [-]
+        zero : a linear axis then begins (or ends) at zero
+
+        Returns
+        -------
+        axis : Axis
+        """
         smallest = 1 / _LARGEST if log else -_LARGEST
         if isinstance(values, np.ndarray) and len(values) and smallest <= values.min() and values.max() <= _LARGEST:
             values = (float(values.min()), float(values.max()))
@@ -68,6 +81,7 @@ class Axis:
 
     @property
     def title(self) -> str:
+        """The quantity with its unit, and the power of ten that its labels are divided by."""
         words = unit(self.unit)
         if self.exponent:
             words = f"{power(self.exponent)} {words}".strip()
@@ -83,7 +97,17 @@ class Axis:
         return min(max(position, -0.5), 1.5)
 
     def pixels(self, values: Sequence[float] | NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
-        """Pixels of many values, `start` at the low end and `end` at the high end: the same as by `fraction`."""
+        """Pixels of many values, the same as by `fraction`.
+
+        Parameters
+        ----------
+        values : (n,), in the unit of the axis
+        start, end : [pixel] of its low and its high end
+
+        Returns
+        -------
+        pixels : (n,) [pixel]
+        """
         array = np.asarray(values, np.float64)
         if self.log:
             begin = math.log10(self.low)
@@ -94,6 +118,7 @@ class Axis:
         return start + np.clip(position, -0.5, 1.5) * (end - start)
 
     def ticks(self, most: int = 6) -> list[tuple[float, str]]:
+        """At most about so many (value, label)."""
         return self._decades(most) if self.log else self._linear(most)
 
     def _decades(self, most: int) -> list[tuple[float, str]]:

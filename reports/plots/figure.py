@@ -26,8 +26,8 @@ from reports.wording import unit
 _TOLERANCE = 0.25
 # Digits of the axes' ends, from which values are read back with four.
 _DIGITS = 7
-# Width of a character of the 12 px font, for keeping labels apart; a little too wide rather than too narrow.
-_CHARACTER, _LINE = 6.6, 14.0
+# Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
+_CHARACTER, _BOLD, _LINE = 6.6, 7.8, 14.0
 _SHIFTS = (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE)
 
 
@@ -60,13 +60,21 @@ class Plot:
     _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
 
     def px(self, value: float) -> float:
+        """The pixel of a value of x, from the left."""
         return self._LEFT + self.x.fraction(value) * (self.width - self._LEFT - self._RIGHT)
 
     def py(self, value: float) -> float:
+        """The pixel of a value of y, from the top."""
         return self.height - self._BOTTOM - self.y.fraction(value) * (self.height - self._TOP - self._BOTTOM)
 
     def line(self, name: str, style: str, xs: Sequence[float] | NDArray[np.float64], ys: Sequence[float] | NDArray[np.float64]) -> None:
-        """A line; the shorter of the two sequences decides (quantities of steps are one shorter than those of nodes)."""
+        """Draw a line.
+
+        Parameters
+        ----------
+        name, style : words for reading values back, CSS class
+        xs, ys : (n,), in the units of the axes; the shorter decides, as quantities of steps are one shorter than those of nodes
+        """
         length = min(len(xs), len(ys))
         if not length:
             return
@@ -121,7 +129,7 @@ class Plot:
     ) -> bool:
         """Words at a point of the plot, moved up or down past other labels; left out (False) if there is no room."""
         left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
-        wide = len(words) * _CHARACTER
+        wide = len(words) * (_BOLD if style == "strong" else _CHARACTER)
         start = left - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
         start = min(max(start, self._LEFT + 2), self.width - 2 - wide)
         for shift in shifts:
@@ -134,7 +142,7 @@ class Plot:
         return False
 
     def name_points(self, named: list[tuple[float, float, str]]) -> None:
-        """Names beside points; points closer than their markers share one label."""
+        """Names beside points; of points closer than their markers the first is named, and how many more there are."""
         groups: list[tuple[float, float, list[str]]] = []
         for x, y, name in named:
             left, top = self.px(x), self.py(y)
@@ -144,7 +152,7 @@ class Plot:
             else:
                 near.append(name)
         for left, top, names in groups:
-            words = ", ".join(names)
+            words = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
             for dx, dy, anchor in (
                 (7, -6, "start"),
                 (9, 4, "start"),

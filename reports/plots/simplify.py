@@ -12,9 +12,19 @@ _STRETCH, _STRAIGHT = 8, 0.1
 
 
 def seen(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> list[int]:
-    """Numbers of the points that are kept: every other lies at most `tolerance` above or below what is drawn. x must not decrease.
+    """The points that are kept: every other lies at most `tolerance` above or below what is drawn.
 
     A cone of slopes from the last kept point narrows with each point; the point before it closes is kept.
+
+    Parameters
+    ----------
+    xs : (n,) [pixel], not decreasing
+    ys : (n,) [pixel]
+    tolerance : [pixel]
+
+    Returns
+    -------
+    indices : (k,) [-], with the first and the last
     """
     if len(xs) < 3:
         return list(range(len(xs)))

@@ -1,4 +1,4 @@
-"""ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
+"""ExaminationRecord: what is stored of a check, which is no scene x pipeline - a question with an expected answer, and what was found.
 
 record = record_of(path.read_bytes())      # a RunRecord or an ExaminationRecord
 runs, examinations = divided(records)
@@ -21,6 +21,8 @@ class _Model(BaseModel):
 
 
 class AxisRecord(_Model):
+    """An axis of a chart; log: whether it is logarithmic."""
+
     quantity: str
     unit: str = ""
     log: bool = False
@@ -70,10 +72,12 @@ class FmuRecord(_Model):
     rows: tuple[CheckRow, ...]
 
     def count(self, status: str) -> int:
+        """How many checks of the FMU have this status."""
         return sum(row.status == status for row in self.rows)
 
     @property
     def failed(self) -> tuple[CheckRow, ...]:
+        """The checks that the FMU failed."""
         return tuple(row for row in self.rows if row.status == "failed")
 
 
@@ -105,6 +109,7 @@ class ExaminationRecord(_Model):
 
     @property
     def title(self) -> str:
+        """The kind and the name, by which the campaign and `show` know it."""
         return f"{self.kind}: {self.name}"
 
 

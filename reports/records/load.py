@@ -55,7 +55,7 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    examinations: cells that are no scene x pipeline; parts: of each run, the records of its cells.
+    examinations: checks, which are no scene x pipeline; parts: of each run, the records of its parts.
     """
 
     folder: str
@@ -80,7 +80,7 @@ def load(folder: Path) -> Stored:
         if run is None:
             continue
         if run.key != path.parent.name:
-            sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run the cell again."
+            sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run it again."
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
         found[run.key] = run
@@ -135,9 +135,9 @@ def _validation_sentence(problem: ValidationError) -> str:
     more = problem.error_count() - 1
     place = ".".join(str(part) for part in first["loc"])[:120]
     if first["type"] == "json_invalid":
-        return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run the cell again."
+        return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run it again."
     if first["loc"][-1:] == ("schema_version",):
         return _ANOTHER_SCHEMA
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
-    return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run the cell again."
+    return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run it again."

@@ -1,4 +1,4 @@
-"""RunRecord: what is stored of one cell (scene x pipeline), and the numbers that the report knows.
+"""RunRecord: what is stored of one run (scene x pipeline), and the numbers that the report knows.
 
     record = RunRecord.model_validate_json(path.read_text())
 
@@ -7,10 +7,6 @@ which `stage_files` names and reports.traces reads; of arrays a record has the c
 
 Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian): read ten times as fast as digits, and a third as
 long. A list of numbers is read as well.
-
-TimeStepRecord: whether the time step of a scene is stable while contacts are closed, found out before anything ran.
-
-TrackedRecord: what is stored of a replay with feedback, beside the one of the inputs alone.
 """
 
 from __future__ import annotations
@@ -27,9 +23,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class TimeStepRecord(BaseModel):
-    """radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there.
+    """Whether the time step of a scene is stable while contacts are closed, found out before anything ran.
 
-    largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
+    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there; largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
     of the scene, so that it is looked at once.
     """
 
@@ -67,19 +63,28 @@ _FILES = ("trajectory", "replay", "tracked")
 
 
 def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
-    """Indices of at most `longest` of `points` points, evenly spread, with the first and the last."""
+    """Indices of at most `longest` of `points` points, evenly spread, with the first and the last.
+
+    Returns
+    -------
+    indices : (min(points, longest),) [-], increasing
+    """
     return np.unique(np.linspace(0, points - 1, min(points, longest)).round().astype(int))
 
 
 def stage_files(index: int, stages: int) -> dict[str, str]:
-    """The files of stage `index` (from 0) of a cell of so many stages, by what they hold; those of the last stage have no number."""
+    """The files of stage `index` (from 0) of a run of so many stages, by what they hold; those of the last stage have no number."""
     ending = "" if index == stages - 1 else f"_{index + 1}"
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
 class TrackedRecord(BaseModel):
-    """rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the feedback; the rest as in ReplayRecord."""
+    """Facts about the replay with feedback.
+
+    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
+    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the
+    feedback; the rest as in ReplayRecord.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -139,6 +144,8 @@ class EquationRecord(_Model):
 
 
 class SceneRecord(_Model):
+    """A scene as it was planned for: its quantities, task, equations and shapes."""
+
     name: str
     title: str
     source: str
@@ -308,7 +315,7 @@ class StageRecord(_Model):
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, Floats] = {}
     certificate: CertificateRecord | None = None
-    certificate_missing: bool = False  # the cell ended while it was made
+    certificate_missing: bool = False  # the run ended while it was made
     starts: tuple[StartRecord, ...] = ()
     front: tuple[FrontPointRecord, ...] = ()
     seconds: SecondsRecord = SecondsRecord()
@@ -320,15 +327,19 @@ class StageRecord(_Model):
     replay: ReplayRecord | None = None
     has_plan: bool = False  # whether a plan came back: the files of the stage are there
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
-    shared_from: str = ""  # the pipeline in whose cell this stage ran, where that was another: its seconds were spent there
+    shared_from: str = ""  # the pipeline in whose run this stage ran, where that was another: its seconds were spent there
 
     def metric(self, name: str) -> MetricRecord | None:
+        """The metric of this name; None where it was not measured."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
 
 class LegRecord(_Model):
-    """What a leg found (validate.tasks.leg). pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of its files by name;
-    limit [s]: of the run whose time it used up, if it did; profile [s]: where the time of that run had gone when this was written."""
+    """What a leg found (validate.tasks.leg).
+
+    pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of its files by name; limit [s]: of the run whose time it
+    used up, if it did; profile [s]: where the time of that run had gone when this was written.
+    """
 
     key: str
     pipeline: str
@@ -362,28 +373,29 @@ class ProvenanceRecord(_Model):
 
 
 class RunRecord(_Model):
-    """One cell: a scene by a pipeline."""
+    """One run: a scene by a pipeline."""
 
     schema_version: Literal[4] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
     pipeline_title: str
-    part: int = 1  # of `parts` cells in which this pipeline is run
+    part: int = 1  # of `parts` tasks in which this pipeline is run
     parts: int = 1
     stages: tuple[StageRecord, ...]
-    outcome: str  # of the cell: that of its last stage, or crashed / time_limit / refused
+    outcome: str  # of the run: that of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
     must_hold: bool  # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
     wall_seconds: Finite
     cpu_seconds: Finite
-    profile: dict[str, Finite] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the cell left no answer
+    profile: dict[str, Finite] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the run left no answer
     provenance: ProvenanceRecord
     log_tail: str = ""
 
     @property
     def title(self) -> str:
+        """Scene and pipeline, and which part of the run, by which the campaign and `show` know it."""
         return f"{self.scene.name} x {self.pipeline}" + (f" ({self.part} of {self.parts})" if self.parts > 1 else "")
 
 
@@ -405,7 +417,7 @@ class CampaignRecord(_Model):
     started: str
     quick: bool = False
     left_out: tuple[str, ...] = ()  # what a quick campaign did not run, in words
-    keys: tuple[str, ...]  # of the cells, in order
+    keys: tuple[str, ...]  # of the runs, in order
     violation: tuple[ViolationPoint, ...] = ()
     time_steps: tuple[TimeStepRecord, ...] = ()  # of the scenes planned for
     provenance: ProvenanceRecord

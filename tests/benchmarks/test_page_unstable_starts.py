@@ -43,8 +43,8 @@ def test_the_sentence_is_counted_from_the_starts(page: str):
         "3 of 5 starts are balanced in the replay with feedback, 1 of them by a wall; in the open loop 2 of these plans end as near."
         in told
     )
-    assert "Balanced without a wall, the feedback takes 4 % of half the inputs' range in the median, at most 5 %." in told
-    assert "Balanced by a wall, the feedback takes 20 % of half the inputs' range in the median, at most 20 %." in told
+    assert "Balanced without a wall, the feedback's RMS effort is 4 % of the half-range of the inputs in the median, at most 5 %." in told
+    assert "Balanced by a wall, the feedback's RMS effort is 20 % of the half-range of the inputs in the median, at most 20 %." in told
     assert "1 of them needed a plan that leaves the feedback some of the inputs." in told
 
 

@@ -124,9 +124,9 @@ def test_values_are_read_off_a_plot_by_keyboard(desk, full_folder, factory):
     assert desk.evaluate("document.querySelectorAll('#tightening-1 .cursor').length") == 1
 
 
-def test_points_of_the_front_tell_their_row_on_focus(desk):
+def test_points_of_the_front_tell_their_stage_on_focus(desk):
     desk.evaluate("document.querySelector('#front .draw a').focus()")
-    assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("Row 1, strict_lcp: cost 496.63")
+    assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("strict_lcp: cost 496.63")
 
 
 @pytest.mark.slow
@@ -240,10 +240,10 @@ def test_every_table_is_saved_as_csv(chromium, page_file):
     text, name = page.evaluate("saved[0].text().then((text) => [text, saved[1]])")
     rows = list(csv.reader(text.lstrip("\ufeff").splitlines()))
     assert name.endswith(".csv")
-    assert rows[0][:6] == ["Row", "Stage", "Verdict", "Cost ours", "Cost paper", "Cost relative"]
+    assert rows[0][:5] == ["Stage", "Verdict", "Cost ours", "Cost paper", "Cost relative"]
     assert {len(row) for row in rows} == {len(rows[0])}
-    first = next(row for row in rows if row[1].startswith("softplus_dc"))
-    assert (float(first[3]), float(first[4])) == (197.863, 197.86)
+    first = next(row for row in rows if row[0].startswith("softplus_dc"))
+    assert (float(first[2]), float(first[3])) == (197.863, 197.86)
 
 
 def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):

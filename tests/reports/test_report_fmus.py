@@ -53,7 +53,7 @@ def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     assert "2 FMUs of 1 scene in FMI 2.0 and 3.0: every one passes. Checks: 5 passed, 0 failed, 1 not offered; 12 CPU seconds." in words
     assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ none" in words
     assert "Claim <2>. Found 2." in words
-    assert "FMU: 2 of 2 examinations passed." in words
+    assert "FMU: 2 of 2 checks passed." in words
     assert "All required checks passed" in words
 
 
@@ -64,7 +64,7 @@ def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     assert failures(factory.runs(), [bad]) == ("FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2.",)
     assert "The campaign fails: FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2." in words
     assert "✗ failed check 1 (ME), check 2 (ME)" in words
-    assert "FMU: 0 of 1 examination passed." in words
+    assert "FMU: 0 of 1 check passed." in words
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
 
 

@@ -6,7 +6,7 @@ import html
 import re
 
 from reports.judged import end_of, judged_metric, questions_of
-from reports.pages.judged_cells import direct, scene_by_scene
+from reports.pages.judged_runs import direct, scene_by_scene
 from reports.pages.table1 import conclude
 from reports.records.record import MetricRecord, TrackedRecord
 from reports.render import write_single

@@ -54,12 +54,12 @@ def test_the_sentences_conclude_from_the_numbers() -> None:
         cell("slow", 20.0, 0.002, 499.0, 0.01),
     )
     error, cost = (view.sentence for view in found.views)
-    assert "1.00 s, row 1 (quick), replay error 0.010 m" in error
-    assert "4.0 times as long, 4.00 s: row 2 (better), replay error 0.0050 m, 2.0 times nearer" in error
-    assert "The best takes 10 times as long as the first, 10.00 s: row 3 (best), replay error 0.0010 m, 10 times nearer" in error
+    assert "1.00 s (quick), replay error 0.010 m" in error
+    assert "4.0 times as long, 4.00 s (better): replay error 0.0050 m, 2.0 times nearer" in error
+    assert "The best takes 10 times as long as the first, 10.00 s (best): replay error 0.0010 m, 10 times nearer" in error
     assert "cost 495.00, 1 % cheaper" in cost
     assert "slow" not in error + cost
-    assert "row 1 (1.00 s, 0.010), row 2 (4.00 s, 0.0050) and row 3 (10.00 s, 0.0010)" in found.views[0].plot.words
+    assert "quick (1.00 s, 0.010), better (4.00 s, 0.0050) and best (10.00 s, 0.0010)" in found.views[0].plot.words
 
 
 def test_a_cost_is_compared_only_where_the_replay_ends_as_near_as_the_scene_asks() -> None:
@@ -69,8 +69,8 @@ def test_a_cost_is_compared_only_where_the_replay_ends_as_near_as_the_scene_asks
         cell("relaxed", 0.5, 0.015, 300.0, 0.05, "violates"),
     )
     cost = found.views[1]
-    assert "2 rows" in cost.plot.words
-    assert "on the front, the fastest first: row 1 (2.00 s, 490.00)." in cost.plot.words  # what breaks a limit is drawn, but sets no front
+    assert "2 stages" in cost.plot.words
+    assert "on the front, the fastest first: honest (2.00 s, 490.00)." in cost.plot.words  # what breaks a limit is drawn, but sets no front
     assert "the scene allows: 1 plan." in cost.sentence
     assert "ends 0.40 from the goal" in str(found.views[0].plot.markup())
     assert "200.00" not in str(cost.plot.markup())
@@ -87,7 +87,7 @@ def test_a_gain_too_small_for_a_sentence_is_told_as_one() -> None:
     assert "No other plan that holds is better by more than 5 %, whatever" in error
     assert "No other plan that holds is better by more than 0.1 %, whatever" in cost
     error = page(one, hardly, cell("far", 3.0, 0.001, 500.0, 0.01)).views[0].sentence
-    assert "The next one that is better by more than 5 % takes 3.0 times as long, 3.00 s: row 3 (far)" in error
+    assert "The next one that is better by more than 5 % takes 3.0 times as long, 3.00 s (far): " in error
 
 
 def test_failures_and_refusals_are_listed() -> None:

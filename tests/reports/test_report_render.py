@@ -127,7 +127,7 @@ def test_conclusions_are_computed(factory, tmp_path):
     good = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
     _, page = render(factory.store(tmp_path / "good", [good]))
     assert (
-        "strict_lcp after softplus_dc (row 4): ours 490.83 at a replayed terminal error of 0.0040, the paper's 16\u202f619.35, 34 times as much"
+        "strict_lcp after softplus_dc: ours 490.83 at a replayed terminal error of 0.0040, the paper's 16\u202f619.35, 34 times as much"
         in page.text
     )
     assert "hold after the replay" in page.text
@@ -147,7 +147,7 @@ def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
     metrics = tuple(metric.model_copy(update={"value": 0.16}) if metric.name == "physics" else metric for metric in run.stages[0].metrics)
     wrong = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"metrics": metrics}),)})
     _, page = render(factory.store(tmp_path / "wrong", [wrong]))
-    assert "must be exactly 0, but is not in row 1: 0.16" in page.text
+    assert "must be exactly 0, but is not in relu_gd: 0.16" in page.text
 
 
 def test_failures_are_told_with_their_sentence_and_log(full):

@@ -10,7 +10,8 @@ import pytest
 
 from reports.records.record import MetricRecord
 from reports.render import write_report
-from reports.rule import RESULTS, RULE, failures, findings
+from reports.rule import failures, findings
+from reports.rule_text import RESULTS, RULE
 
 
 def words_of(folder: Path) -> str:

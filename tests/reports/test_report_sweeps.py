@@ -64,7 +64,7 @@ def test_parts_become_one_run_with_the_cheapest_plan_and_all_starts(factory) -> 
 
 def test_a_part_that_is_missing_crashed_or_found_nothing_is_told(factory) -> None:
     (alone,) = collected([part(factory, 2, [490.55, None])])
-    assert "Only 1 of the 2 cells" in alone.message
+    assert "Only 1 of the 2 parts" in alone.message
     assert "1 of 2 starts were solved" in alone.message
     (crashed,) = collected([part(factory, 1, [490.55, 490.55]), part(factory, 2, [491.0, 491.0], outcome="crashed", message="it died.")])
     assert crashed.outcome == "crashed"

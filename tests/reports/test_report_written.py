@@ -1,4 +1,5 @@
-"""Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record."""
+"""Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record; and whether
+anything of them would change."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import pytest
 
 from reports import render as module
 from reports.records.load import ReportError
-from reports.render import PAGES, write_report, write_single
+from reports.render import PAGES, is_current, write_report, write_single
 
 
 @pytest.fixture
@@ -26,8 +27,9 @@ def folder(factory, tmp_path: Path) -> Path:
     return stored
 
 
-def _written(folder: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_ino for path in (folder / PAGES).iterdir()}
+def _written(folder: Path) -> dict[str, tuple[int, int]]:
+    """Which file each page is, and when it was written: the number of a file that is gone may be given to the next."""
+    return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (folder / PAGES).iterdir()}
 
 
 def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
@@ -66,6 +68,35 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     write_report(folder)
     last = _written(folder)
     assert {name for name in again if again[name] != last[name]} == {"scene-three_cart.html", *again} - {"scene-other.html"}
+
+
+def _touch(folder: Path, name: str) -> None:
+    os.utime(folder / name)
+
+
+def _remove(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (_touch, "campaign.json"),
+        (_touch, "runs/part-2/record.json"),
+        (_remove, "runs/part-2/record.json"),
+        (_remove, "pages/part-1.html"),
+        (_remove, "report.html"),
+    ],
+)
+def test_a_report_is_current_until_something_that_it_is_made_of_changes(folder: Path, change, name: str):
+    assert not is_current(folder)
+    write_report(folder)
+    assert is_current(folder)
+    change(folder, name)
+    assert not is_current(folder)
+    write_report(folder)
+    assert is_current(folder)
 
 
 @pytest.mark.slow

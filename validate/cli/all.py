@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from reports.rule import RESULTS, RULE
+from reports.rule_text import RESULTS, RULE
 from validate.cli.campaign_options import running_options
 
 
@@ -24,10 +24,10 @@ _RULE = "\n\n".join(
 _EPILOG = f"""{_RULE}
 
 \b
-What is stored is used again, except cells that crashed, ran out of a shorter
-time limit than they would have now, or were to be run anew (--fresh, --lf)
-when that was interrupted. A cell's key is the hash of its content: scene,
-pipeline with all options, our sources, library versions.
+What is stored is used again, except runs that crashed, ran out of a shorter
+time limit than they would have now, or were to be run anew (--fresh,
+--last-failed) when that was interrupted. The key of a run is the hash of its content:
+scene, pipeline with all options, our sources, library versions.
 
 \b
 Examples:
@@ -37,7 +37,7 @@ Examples:
   python -m validate all -k hard                       only the hard cases
   python -m validate all -k "strict and not relaxed"   some
   python -m validate all --scene my/own_scene.py       a scene of your own
-  python -m validate all --lf                          what failed last time
+  python -m validate all --last-failed                 what failed last time
 
 \b
 Exit codes: 0 every required check passed; 1 one failed; 2 usage,
@@ -54,8 +54,8 @@ def command(arguments: tuple[str, ...], as_json: bool, **options: Any) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
     Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html with its pages,
-    results.csv (one row a stage), examinations.csv (one row an examination, such as the check of a scene's FMU), violation.csv,
-    starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each cell, runs/<key>.
+    results.csv (one row a stage), examinations.csv (one row a check, such as that of a scene's FMU), violation.csv,
+    starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
     """
     from validate.cli.running import run_and_tell
     from validate.plan.runs import CampaignSettings

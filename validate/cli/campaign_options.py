@@ -46,7 +46,7 @@ _CHOOSING = (
         callback=_positive,
         show_default=True,
         metavar="SECONDS",
-        help="For each cell, all its stages and replays.",
+        help="For each run, all its stages and replays.",
     ),
 )
 _SELECTING = (
@@ -55,19 +55,20 @@ _SELECTING = (
         "expression",
         default="",
         metavar="EXPR",
-        help="Only cells whose scene, pipeline or method names match, in upper or lower case: words joined with and, or, not; =NAME means the whole name.",
+        help="Only runs whose scene, pipeline or method names match, in upper or lower case: words joined with and, or, not; =NAME means the whole name.",
     ),
-    click.option("--fresh", is_flag=True, help="Run cells again that are stored."),
-    click.option("--lf", "last_failed", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
+    click.option("--fresh", is_flag=True, help="Run again what is stored."),
+    click.option("--last-failed", "--lf", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
     click.option(
         "-j",
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Cells at a time. With more than one, times are less comparable.  [default: 1; on a standing Dask cluster, as many as it takes]",
+        help="Runs at a time, each on one core.  [default: the number of cores; on a standing Dask cluster, as many as it takes]",
     ),
     click.option(
-        "--tools",
+        "--plugin",
+        "tools",
         default=DEFAULT_TOOLS,
         metavar="MODULE:NAME",
         help="Methods, pipelines and judge from elsewhere (see validate/tasks/plugins.py).",
@@ -79,12 +80,10 @@ _ENDING = (
         default="local",
         show_default=True,
         metavar="local|dask[:ADDRESS|:FILE.json]",
-        help="What runs the cells: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
+        help="Where the runs are executed: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
     ),
-    click.option("-x", "stop_early", is_flag=True, help="Stop at the first cell that runs and makes the campaign fail."),
-    click.option(
-        "--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run a cell that crashes again, up to N times."
-    ),
+    click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
+    click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
 )
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign."
@@ -95,7 +94,7 @@ _OUT_OF_FILE = click.option(
 
 
 def campaign_options(command: _Command) -> _Command:
-    """What `plan` takes: everything by which cells are chosen."""
+    """What `plan` takes: everything by which runs are chosen."""
     return _decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
 
 

@@ -1,4 +1,4 @@
-"""`check`: does an FMU do what it says?"""
+"""`check`: whether an FMU does what it says."""
 
 from __future__ import annotations
 

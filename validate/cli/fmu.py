@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from validate.cli.doubts import tell_doubts
 from validate.cli.options import scenes
+from validate.cli.warnings import print_warnings
 
 
 @click.command(
@@ -53,7 +53,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
             f"{output}: {'--coupled writes an .ssp' if coupled else 'this is an FMU, and only --coupled writes an .ssp'}; call it {output.with_suffix('.ssp' if coupled else '.fmu').name}."
         )
     loaded = load_scene(scene)
-    tell_doubts([loaded])
+    print_warnings([loaded])
     if coupled:
         from models.fmu.coupled import build_ssp
 

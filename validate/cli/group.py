@@ -42,10 +42,11 @@ _COMMANDS = {
     "check": "Check any FMU: its files, and how its code behaves.",
     "doctor": "Try what this machine can do, and say how to mend what it cannot.",
 }
+_RENAMED = {"--tools": "--plugin"}
 _EPILOG = """\b
 Examples:
   python -m validate all --quick
-  python -m validate all -k "strict and not relaxed" -j 2
+  python -m validate all -k "strict and not relaxed"
   python -m validate list
 
 \b
@@ -76,15 +77,18 @@ class LazyGroup(click.Group):
         self.told = told
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Their names, in the order of the overview."""
         return list(self.told)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of this name, imported now; None where there is none."""
         own = super().get_command(ctx, cmd_name)
         if own is not None or cmd_name not in self.told:
             return own
         return importlib.import_module(self.told[cmd_name][0]).command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, but a name that is none is refused with the nearest one."""
         if args and args[0] not in self.told and not args[0].startswith("-") and not ctx.resilient_parsing:
             close = difflib.get_close_matches(args[0], self.told, n=1)
             hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(self.told)}."
@@ -92,6 +96,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The overview, without importing a command."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, words) for name, (_, words) in self.told.items()])
 
@@ -104,10 +109,7 @@ class LazyGroup(click.Group):
 )
 @click.version_option(package_name="touchstone-contact", prog_name="touchstone")
 def group() -> None:
-    """Does this plan through contact hold?
-
-    Contact-rich plans by every method of the field, replayed through FMUs and scored.
-    """
+    """Plan through contact by every method of the field, replay each plan through an FMU, and say whether it holds."""
 
 
 def run(arguments: Sequence[str], command: click.Group = group, program: str = PROGRAM) -> int:
@@ -185,6 +187,8 @@ def _say(sentence: str, code: int) -> int:
 
 
 def _sentence(error: click.ClickException) -> str:
+    if isinstance(error, click.NoSuchOption) and error.option_name in _RENAMED:
+        return f"{error.option_name} is called {_RENAMED[error.option_name]} now."
     text = error.format_message()
     if isinstance(error, click.UsageError) and error.ctx is not None and "did you mean" not in text.lower():
         text = f"{text.rstrip('.')}; {error.ctx.command_path} --help says what is possible."

@@ -1,4 +1,4 @@
-"""Says on stderr how a campaign goes: a bar on a terminal, one plain line a finished cell anywhere else."""
+"""Says on stderr how a campaign goes: a bar on a terminal, one plain line a finished run anywhere else."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def narrator() -> PlainNarrator:
 
 
 class PlainNarrator:
-    """One line a finished cell."""
+    """One line a finished run."""
 
     def __init__(self) -> None:
         self.total = self.stored = self.done = self.anew = 0
 
     def begins(self, total: int, stored: int, anew: int) -> None:
-        """stored: cells whose records are used again; anew: others of which a record is stored too."""
+        """stored: runs whose records are used again; anew: others of which a record is stored too."""
         self.total, self.stored, self.anew = total, stored, anew
         self._line(
             f"{stored} stored, {total - stored} to run"
@@ -46,10 +46,10 @@ class PlainNarrator:
         )
 
     def so_far(self, out: Path) -> str:
-        """How many cells there is a result of, in words."""
+        """How many runs there is a result of, in words."""
         if not out.is_dir():
             return f"{out} is gone, and what was stored in it with it"
-        count = f"{self.stored + self.done} of {self.total} cells"
+        count = f"{self.stored + self.done} of {self.total} runs"
         return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
 
     def warns(self, sentence: str) -> None:
@@ -60,11 +60,12 @@ class PlainNarrator:
         """Called many times a second with the running workers."""
 
     def finished(self, record: RunRecord | ExaminationRecord) -> None:
+        """A run or check ended with this record."""
         self.done += 1
         self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
 
     def ends(self) -> None:
-        """The last cell finished, or the campaign was interrupted."""
+        """The last run finished, or the campaign was interrupted."""
 
     def _line(self, text: str) -> None:
         click.echo(text, err=True)
@@ -74,6 +75,7 @@ class BarNarrator(PlainNarrator):
     """The same lines above a bar that says what is running."""
 
     def begins(self, total: int, stored: int, anew: int) -> None:
+        """Show the bar."""
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.table import Column
@@ -98,23 +100,26 @@ class BarNarrator(PlainNarrator):
         self._began, self._said = time.monotonic(), 0.0
 
     def runs(self, workers: Sequence[Running]) -> None:
-        if time.monotonic() - self._said > 0.25:  # no faster than an eye reads
+        """Say what runs, no more often than an eye reads."""
+        if time.monotonic() - self._said > 0.25:
             self._said = time.monotonic()
             text = "; ".join(f"{worker.task.title}: {worker.progress()}" for worker in workers)
             self._progress.update(self._task, description=one_line(text), left=self._left())
 
     def _left(self) -> str:
-        """How long the cells that have not finished take, if they take as long as those that have."""
+        """How long the runs that have not finished take, if they take as long as those that have."""
         if not self.done:
             return ""
         each = (time.monotonic() - self._began) / self.done
         return f"about {in_words(each * (self.total - self.stored - self.done))} left"
 
     def finished(self, record: RunRecord | ExaminationRecord) -> None:
+        """A run or check ended with this record."""
         super().finished(record)
         self._progress.advance(self._task)
 
     def ends(self) -> None:
+        """Take the bar away."""
         self._progress.stop()
 
     def _line(self, text: str) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.campaign_options import campaign_options
-from validate.cli.doubts import tell_doubts
 from validate.cli.table import one_line, table
+from validate.cli.warnings import print_warnings
 
 if TYPE_CHECKING:
     from validate.plan.runs import CampaignSettings
@@ -47,7 +47,7 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
 
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
-    tell_doubts(scenes.values(), steps=True)
+    print_warnings(scenes.values(), steps=True)
     if sentence := earlier_schema(settings.out):
         click.echo(one_line(f"warning: {sentence}"), err=True)
     store = Store(settings.out)

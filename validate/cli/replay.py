@@ -116,14 +116,14 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     from models.catalog import load_scene
     from models.fmu import build_fmu
     from models.trajectory import read_csv
-    from validate.cli.doubts import doubts_of
+    from validate.cli.warnings import warnings_of
     from validate.judge.judgement import judge_trajectory
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, hold)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
-    warnings = doubts_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
+    warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
     return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
 
 

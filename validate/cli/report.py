@@ -59,7 +59,7 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
     missing = len(campaign.keys) - sum(map(len, stored.parts)) - len(stored.examinations)
     if missing:
         click.echo(
-            f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}",
+            f"{missing} of {len(campaign.keys)} runs have no readable record; the command of the campaign runs them: {campaign.command}",
             err=True,
         )
     if as_json:

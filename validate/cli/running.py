@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from validate.plan.runs import CampaignSettings
 
 # Words of a command that the same command, typed again to go on, does without.
-_ONCE = frozenset({"--fresh", "--lf", "-x"})
+_ONCE = frozenset({"--fresh", "--lf", "--last-failed", "-x"})
 
 
 def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], as_json: bool) -> int:
@@ -26,7 +26,7 @@ def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], as_json: 
     from validate.execution.campaign import run_campaign
     from validate.store.provenance import command_line
 
-    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished cells kept. What nohup ignores stays ignored.
+    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept. What nohup ignores stays ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
@@ -61,7 +61,7 @@ def _print_table(outcome: CampaignResult, settings: CampaignSettings, resume: st
         click.echo()
     for kind in dict.fromkeys(record.kind for record in outcome.examinations):
         passed = [record.passed for record in outcome.examinations if record.kind == kind]
-        click.echo(f"{kind}: {sum(passed)} of {len(passed)} examinations passed")
+        click.echo(f"{kind}: {sum(passed)} of {len(passed)} checks passed")
     if settings.quick:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
     for sentence in outcome.failures:
@@ -74,7 +74,7 @@ def _print_table(outcome: CampaignResult, settings: CampaignSettings, resume: st
         click.echo("all required checks passed")
     click.echo(f"report:  {outcome.report}")
     click.echo(f"results: {settings.out / 'results.csv'}")
-    click.echo(f"again:   {resume}   (stored cells are used again; --fresh runs them anew)")
+    click.echo(f"again:   {resume}   (stored runs are used again; --fresh runs them anew)")
 
 
 def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:

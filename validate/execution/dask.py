@@ -35,7 +35,7 @@ from models.errors import MachineError
 from reports.records.record import ProvenanceRecord
 from validate.execution.engine import CAMPAIGN, ExecutionContext
 from validate.execution.fork_server import WORTH, start_fork_server, terminal_blocked
-from validate.execution.process import interrupts_wait, shared_watchdog
+from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
 from validate.execution.worker import Worker, write_request
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import fingerprint, machine
@@ -206,7 +206,7 @@ _GONE = "the Dask scheduler is gone; what finished is stored, and the same comma
 def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[DaskEngine]:
     """The engine of a cluster.
 
-    where: address or scheduler file, "" for worker processes here; jobs: that many of them, or tasks at a time; tasks: how many there are.
+    where: address or scheduler file, "" for worker processes here; jobs: that many of them (None: one a core), or tasks at a time; tasks: how many there are.
     Raises MachineError where there is no cluster.
     """
     quieten()
@@ -214,7 +214,7 @@ def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: in
         mark = context.store.open_partial(CAMPAIGN, context.token + uuid.uuid4().hex[:16]).resolve()
         open_now.callback(shutil.rmtree, mark, ignore_errors=True)
         shared_watchdog().tell("start", uuid.uuid4().hex, str(mark))
-        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or 1))
+        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or usable_cores()))
         engine = DaskEngine(client, context, jobs if where else None, mark, tasks)
         try:
             yield engine

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
 from validate.execution.fork_server import ForkServer, start_fork_server
-from validate.execution.process import interrupts_wait, shared_watchdog
+from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
 from validate.execution.worker import Worker, progress_in
 from validate.store.disk import PARTIAL
 from validate.store.store import Store
@@ -116,11 +116,11 @@ def _check_scheduler_file(path: Path) -> None:
 
 
 @contextmanager
-def open_local(jobs: int, context: ExecutionContext, tasks: int) -> Iterator[Engine]:
-    """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time; tasks: how many there are. Raises MachineError."""
+def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[Engine]:
+    """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many there are. Raises MachineError."""
     shared_watchdog()  # before there are threads that might each start one
     server = start_fork_server(tasks)
-    engine = LocalEngine(jobs, context, server)
+    engine = LocalEngine(jobs or usable_cores(), context, server)
     try:
         yield engine
     finally:

@@ -74,6 +74,11 @@ _THREAD_VARIABLES = (
 )
 
 
+def usable_cores() -> int:
+    """Cores this process may use, which in a container are fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def child_environment(token: str, temporary: Path) -> dict[str, str]:
     """The environment of a child that carries a token. A child of a child carries both, so that whoever ends the outer ends the inner."""
     given = [str(Path(part).resolve()) for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]

@@ -182,4 +182,4 @@ def progress_in(folder: Path) -> str:
 def _last_line(log: str, code: int) -> str:
     """The last line of the log where it says why: that of a Python traceback."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
-    return f"its last words: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""
+    return f"its last log line: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""

@@ -138,7 +138,9 @@ def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
 
 def _scenes(settings: CampaignSettings) -> list[SceneReference]:
     scenes: list[SceneReference] = []
-    for reference in dict.fromkeys(settings.scenes or scene_names()):
+    # The paper's scene first: what is read first is there first.
+    every = sorted(scene_names(), key=lambda name: name != "three_cart")
+    for reference in dict.fromkeys(settings.scenes or every):
         scene = load_scene(reference)
         check_limits(scene, scene_path(reference))
         if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):
@@ -257,11 +259,11 @@ def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store)
     failed = {identity(store.request(key)) for key in failed_keys(records)}
     again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
     if not again:
-        hint = "drop --lf."
+        hint = "drop --last-failed."
         if failed:
             named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
             more = f" and {len(named) - 3} more" if len(named) > 3 else ""
-            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --plugin or the file of `run`."
         raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
     why = "it failed the last time"
     return [

@@ -1,4 +1,4 @@
-"""Plausibility warnings: what is possible in a scene, but hardly meant, is said before anything runs, and nothing more.
+"""Plausibility warnings: what is possible in a scene, but probably a mistake; they stop nothing.
 
 scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
 

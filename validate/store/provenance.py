@@ -24,7 +24,7 @@ from models.errors import MachineError
 from models.scene import Scene
 from models.scene.text import scene_text
 from reports.records.record import ProvenanceRecord
-from validate.execution.process import ROOT, THREADS
+from validate.execution.process import ROOT, THREADS, usable_cores
 
 if TYPE_CHECKING:
     from validate.tasks.examination import Examination
@@ -164,11 +164,6 @@ def _cpu() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
-
-
-def usable_cores() -> int:
-    """Cores this process may use, which in a container are fewer than the machine has."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def now() -> str:

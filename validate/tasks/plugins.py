@@ -1,6 +1,6 @@
 """What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
 
-    python -m validate all --tools my_package.my_module:TOOLS
+    python -m validate all --plugin my_package.my_module:TOOLS
 
 `TOOLS` is a `Tools`; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
 the module must be importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU, certificate, judge - is imported where it
@@ -71,10 +71,10 @@ def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
 
 def _write_report(folder: Path) -> Path:
     from reports.records.load import ReportError
-    from reports.render import write_report
+    from reports.render import REPORT, is_current, write_report
 
     try:
-        return write_report(folder)
+        return folder / REPORT if is_current(folder) else write_report(folder)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
 
@@ -113,11 +113,11 @@ def load_tools(reference: str) -> Tools:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise UnknownNameError(
-            f"--tools {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME."
+            f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME."
         ) from error
     tools = getattr(module, name or "TOOLS", None)
     if not isinstance(tools, Tools):
-        raise UnknownNameError(f"--tools {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tasks.plugins.Tools.")
+        raise UnknownNameError(f"--plugin {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tasks.plugins.Tools.")
     return tools
 
 

@@ -14,11 +14,11 @@ import click
 import pytest
 
 from formulations.pipelines import pipeline_names
-from reports.rule import RESULTS, RULE
+from reports.rule_text import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
 
-TOOLS = ("--tools", "campaign_fakes:TOOLS")
+TOOLS = ("--plugin", "campaign_fakes:TOOLS")
 FAKES = (*TOOLS, "--scene", "three_cart")
 GOOD = (*FAKES, "-k", "only_good")
 
@@ -79,6 +79,7 @@ def test_list_imports_no_solver():
         (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
         (("all", "--retry", "-1"), "-1 is not in the range"),
         (("all", "--quik"), "Did you mean '--quick'?"),
+        (("all", "--tools", "campaign_fakes:TOOLS"), "--tools is called --plugin now."),
         (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"),
         (("all", "--time-limit", "-1"), "not a positive number of seconds"),
@@ -88,8 +89,8 @@ def test_list_imports_no_solver():
         (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
         (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
         (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
-        (("all", "--tools", "no_such_module:TOOLS"), "cannot be imported"),
-        (("all", "--tools", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
+        (("all", "--plugin", "no_such_module:TOOLS"), "cannot be imported"),
+        (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
         (("report", "nowhere/at_all"), "there is no campaign in this folder"),
         (("replay", "plan.csv"), "give either --scene or --fmu"),
         (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
@@ -187,7 +188,7 @@ def test_no_compiler(cli, tmp_path):
 
 @pytest.mark.slow
 def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
-    command = ("all", "--tools", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
+    command = ("all", "--plugin", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
     broken = cli(*command, TMPDIR=str(tmp_path))
     assert broken.returncode == 1
     (last,) = [line for line in broken.stderr.splitlines() if line.startswith("error:")]
@@ -232,7 +233,7 @@ def test_quick_says_what_it_left_out(cli, tmp_path):
 )
 def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     done = cli(
-        "all", "--tools", f"campaign_fakes:{tools}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
+        "all", "--plugin", f"campaign_fakes:{tools}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
     )
     assert done.returncode == 1
     failures = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]

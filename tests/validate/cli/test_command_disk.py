@@ -20,7 +20,7 @@ from models.codegen.compiler import find_compiler
 
 pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is for Linux")]
 _FOR_EVER = 2**62
-_FAKES = ("--tools", "refused_commands:TOOLS", "--scene", "three_cart", "-k", "only_good or only_infeasible")
+_FAKES = ("--plugin", "refused_commands:TOOLS", "--scene", "three_cart", "-k", "only_good or only_infeasible", "-j", "1")
 _ERRORS = (errno.ENOSPC, errno.EROFS, errno.EIO)
 _ERRORS_ELSEWHERE = (errno.EACCES, errno.ENOSPC, errno.EROFS)
 # What follows --out, or stands beside it: {out} is the folder whose disk refuses.
@@ -39,7 +39,7 @@ _ELSEWHERE = {
     "replaying": (("replay", "{made}/plan.csv", "--scene", _SCENE), {"TMPDIR": "{out}"}, 13),
     "a replay": (("replay", "{made}/plan.csv", "--scene", _SCENE, "--out", "{out}/answer"), {}, 4),
     "parts of a scene": (("fmu", _SCENE, "--coupled", "-o", "{out}/answer.ssp"), {}, 1),
-    "a campaign of a file": (("run", "{made}/campaign.toml", "--tools", _FAKES[1], "--out", "{out}"), {}, 4),
+    "a campaign of a file": (("run", "{made}/campaign.toml", "--plugin", _FAKES[1], "-j", "1", "--out", "{out}"), {}, 4),
 }
 # A compiler that takes no time: what it would have made is nowhere loaded.
 _COMPILER = """#!/bin/sh

@@ -54,7 +54,7 @@ def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
 def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     plain = narrator.PlainNarrator()
     plain.begins(3, 1, 0)
-    assert plain.so_far(tmp_path) == f"1 of 3 cells are stored in {tmp_path}"
+    assert plain.so_far(tmp_path) == f"1 of 3 runs are stored in {tmp_path}"
     gone = tmp_path / "gone"
     assert plain.so_far(gone) == f"{gone} is gone, and what was stored in it with it"
     with pytest.raises(MachineError, match=r"cannot write \S+campaign.json \(its folder is gone\); somebody removed or moved it"):

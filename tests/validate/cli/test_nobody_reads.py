@@ -13,7 +13,7 @@ from validate.cli.group import READER_GONE
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
     "list": ("list",),
@@ -33,7 +33,7 @@ CASES = [(command, together) for command in COMMANDS for together in (False, Tru
 def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli_environment, tmp_path):
     reads, writes = os.pipe()
     os.close(reads)
-    out = ("--out", str(tmp_path / "out")) if "--tools" in COMMANDS[command] else ()
+    out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     try:
         done = subprocess.run(
             [sys.executable, "-m", "validate", *COMMANDS[command], *out],
@@ -56,7 +56,7 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
 @pytest.mark.parametrize("command", ["list", "help", "a campaign"])
 def test_an_output_that_cannot_be_written_is_one_sentence(command: str, cli_environment, tmp_path):
-    out = ("--out", str(tmp_path / "out")) if "--tools" in COMMANDS[command] else ()
+    out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     with open("/dev/full", "w") as full:
         words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=cli_environment, check=False)

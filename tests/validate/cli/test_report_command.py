@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from validate.cli.report import command
 
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 NAMES = ("report.html", "results.csv", "violation.csv")
 
 
@@ -71,9 +71,9 @@ def test_a_record_that_is_gone_is_told(folder: Path):
     _report(folder)
     shutil.rmtree(next(folder.glob("runs/*")))
     told = _report(folder)
-    assert "1 of 2 cells have no readable record" in told.stderr
+    assert "1 of 2 runs have no readable record" in told.stderr
     assert len((folder / "results.csv").read_text().splitlines()) == 2
-    assert "1 of 2 cells have no readable record" in _report(folder).stderr
+    assert "1 of 2 runs have no readable record" in _report(folder).stderr
 
 
 @pytest.mark.slow

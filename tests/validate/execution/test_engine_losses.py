@@ -22,9 +22,9 @@ pytestmark = [
     pytest.mark.process,
     pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)"),
 ]
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
-HALF = (*FAKES, "-k", "only_good or only_family")
+HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 
 
 def _outcomes(out: Path) -> dict[str, tuple[str, str]]:
@@ -39,7 +39,7 @@ def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     counts, out = tmp_path / "counts", tmp_path / "out"
     counts.mkdir()
     asked = {"COUNTS": str(counts), "KILLS": "2", "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
-    done = cli("all", "--tools", "engine_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
+    done = cli("all", "--plugin", "engine_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
     assert done.returncode == 1, done.stderr
     outcomes = _outcomes(out)
     assert outcomes["calm"][0] == "solved", done.stderr
@@ -88,7 +88,7 @@ def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli,
     assert process.returncode == 3, told
     (sentence,) = [line for line in told.splitlines() if line.startswith("error:")]
     assert sentence == "error: the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
-    assert f"stopped: 1 of 2 cells are stored in {out}; resume with: python -m validate all" in told
+    assert f"stopped: 1 of 2 runs are stored in {out}; resume with: python -m validate all" in told
     assert "Traceback" not in told
     assert [row["pipeline"] for row in untimed(out)] == ["only_good"]
     assert unfinished(out) == []

@@ -19,7 +19,7 @@ from validate.execution.engine import EngineError, check_engine
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
@@ -83,13 +83,13 @@ def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, t
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
-    arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path))
+    arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path), "-j", "1")
     process = start_cli(*arguments)
     come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: everything in the foreground hears it
     _, told = process.communicate()
     assert process.returncode == 130, told
-    assert "interrupted: 1 of 2 cells are stored" in told
+    assert "interrupted: 1 of 2 runs are stored" in told
     assert (
         f"resume with: python -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
         in told
@@ -114,7 +114,7 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
     )
     assert done.returncode == 1
     assert done.stderr.count("only_segfault crashed and will be tried again") == 1
-    assert "stopped at the first failure (-x): 1 of 2 cells are stored in " in done.stderr
+    assert "stopped at the first failure (-x): 1 of 2 runs are stored in " in done.stderr
     assert {name: record.outcome for name, record in _records(tmp_path).items()} == {"only_segfault": "crashed"}
     assert processes(tmp_path) == []
     assert unfinished(tmp_path) == []

@@ -1,6 +1,6 @@
 """Methods that behave and methods that misbehave in every way, and a judge that is quick, for tests of the campaign's machinery.
 
-python -m validate all --tools campaign_fakes:TOOLS        # with this folder on PYTHONPATH
+python -m validate all --plugin campaign_fakes:TOOLS        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Examinations that pass, fail and misbehave, beside the cells of campaign_fakes.py.
 
-python -m validate all --tools examination_fakes:TOOLS        # with this folder on PYTHONPATH
+python -m validate all --plugin examination_fakes:TOOLS        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from validate.store.provenance import command_line
 from validate.store.store import Store
 
 HELPERS = Path(__file__).parents[1] / "helpers"
-FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
 
 
@@ -51,7 +51,7 @@ def test_last_failed_of_what_did_not_fail(cli, ran):
     assert done.returncode == 2
     assert "nothing that is selected failed" in done.stderr
     assert "what did is not selected (three_cart x " in done.stderr
-    assert "select it as it was, by -k, --scene, --tools or the file of `run`" in done.stderr
+    assert "select it as it was, by -k, --scene, --plugin or the file of `run`" in done.stderr
 
 
 class _Stopped(PlainNarrator):
@@ -66,13 +66,13 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):
         run_campaign(replace(settings, fresh=True), stopped)
     assert (stopped.stored, stopped.done, stopped.anew, stopped.total) == (0, 1, 2, 2)
-    assert stopped.so_far(tmp_path) == f"1 of 2 cells are done, what {tmp_path} holds of the others is kept"
+    assert stopped.so_far(tmp_path) == f"1 of 2 runs are done, what {tmp_path} holds of the others is kept"
     assert "0 used again, 2 to run, 2 of them anew" in capsys.readouterr().err
     kept = {path.parent.name: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
     assert len(kept) == 2
@@ -89,18 +89,18 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
 
 @pytest.mark.slow
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
-    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x")
+    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
     assert done.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
-    assert f"stopped at the first failure (-x): 2 of 3 cells are done, what {ran} holds of the others is kept" in done.stderr
+    assert f"stopped at the first failure (-x): 2 of 3 runs are done, what {ran} holds of the others is kept" in done.stderr
     plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
     assert {cell["why"] for cell in plan["cells"]} == {"", "stored, but it crashed"}
 
 
 @pytest.mark.slow
 def test_stop_at_the_first_failure(cli, tmp_path):
-    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x")
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x", "-j", "1")
     assert done.returncode == 1
-    assert f"stopped at the first failure (-x): 1 of 3 cells are stored in {tmp_path}" in done.stderr
+    assert f"stopped at the first failure (-x): 1 of 3 runs are stored in {tmp_path}" in done.stderr
     assert names(tmp_path) == ["only_exit_seven"]
     assert "-x" not in done.stdout.splitlines()[-1]
 

@@ -162,7 +162,7 @@ def campaign(cli, tmp_path_factory):
 def test_the_cases_are_run_and_pass(campaign):
     out, done = campaign
     assert done.returncode == 0, done.stderr
-    assert "hard case: 2 of 2 examinations passed" in done.stdout
+    assert "hard case: 2 of 2 checks passed" in done.stdout
     records = [json.loads(path.read_text()) for path in out.glob("runs/*/record.json")]
     assert sorted(record["name"][:2] for record in records) == ["12", "13"]
     assert all(record["passed"] and record["figures"] for record in records)

@@ -17,7 +17,7 @@ from validate.store.provenance import examination_key
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.plugins import DEFAULT
 
-FAKES = ("--tools", "examination_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "examination_fakes:TOOLS", "--scene", "three_cart")
 
 
 def _records(out: Path) -> dict[str, ExaminationRecord]:

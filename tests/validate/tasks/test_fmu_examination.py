@@ -36,7 +36,7 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     command = ("all", "--scene", "bouncing_mass", "-k", "fmi2", "--out", str(tmp_path))
     done = cli(*command)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "FMU: 1 of 1 examinations passed" in done.stdout
+    assert "FMU: 1 of 1 checks passed" in done.stdout
     assert "[1/1] FMU: bouncing_mass, FMI 2.0: passed, " in done.stderr
     (record,) = (StoredRecord.model_validate_json(path.read_bytes()).root for path in tmp_path.glob("runs/*/record.json"))
     assert record.fmu.count("failed") == 0

@@ -18,7 +18,7 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
 from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
 
-FAKES = ("--scene", "three_cart", "--tools", "leg_fakes:SHARING")
+FAKES = ("--scene", "three_cart", "--plugin", "leg_fakes:SHARING")
 # How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.
 ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 2, "cold": 1}
 

@@ -49,8 +49,8 @@ _PHRASES = {
     "answer_error": "the replay is {} tolerances off a closed form of the scene",
     "energy_residual": "the replay's energy does not balance by {}",
     "energy_residual_relative": "the replay's energy does not balance by {} of what is turned over",
-    EFFORT: "the feedback takes {} of half the inputs' range (root mean square)",
-    SHARE: "the feedback takes {} of what the plan's own inputs give (root mean square)",
+    EFFORT: "the RMS effort of the feedback is {} of the half-range of the inputs",
+    SHARE: "the RMS effort of the feedback is {} of that of the plan's own inputs",
 }  # fmt: skip
 # From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
 _UNSTABLE = 100.0

@@ -213,7 +213,7 @@ TABLE = (
     ),
     MetricEntry(
         name="defect", question=Question.SCHEME, unit=_state_unit, measure=measures.defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),
-        default=(DEFECT, "1e-6 of the nominal: a plan that misses its own time step by more was not solved to the end"),
+        default=(DEFECT, "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme"),
         meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
     ),
     MetricEntry(

@@ -45,7 +45,7 @@ def measure() -> CaseFinding:
         wrong.append(f"from the origin: {solved.message}")
     return CaseFinding(
         happened=f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
-        f"feasible but with a way down of slope {origin.descent:.1f}; from there the solver goes on to {solved.objective:.3f}.",
+        f"feasible but with a descent direction (slope {origin.descent:.1f}); from there the solver goes on to {solved.objective:.3f}.",
         figures=(
             none_of("classes told wrongly", wrong, reason="S for the carts, C and not B-stationary for the origin, S for the solution"),
             at_most(

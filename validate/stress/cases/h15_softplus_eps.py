@@ -57,7 +57,7 @@ def measure() -> CaseFinding:
     return CaseFinding(
         happened=f"Finite over 20 km of depth for {', '.join(f'{eps:g}' for eps in USABLE)}; {', '.join(repr(eps) for eps in REFUSED)} refused by {len(takers)} takers.",
         figures=(
-            none_of("what is not finite, or taken without meaning", wrong, reason="no overflow, and a sentence that names eps"),
+            none_of("non-finite results or accepted nonsense inputs", wrong, reason="no overflow, and a sentence that names eps"),
             at_most("compiled law against the reference, relative", apart, 1e-13, reason="the same formula, but for the order of rounding"),
         ),
     )

@@ -1,4 +1,4 @@
-"""What is hardly meant in a scene, told on stderr before the command goes on; the steps of scenes of the user's own among it."""
+"""Plausibility warnings about scenes, on stderr before the command goes on."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ if TYPE_CHECKING:
     from models.scene import Scene
 
 
-def tell_doubts(scenes: Iterable[Scene], *, steps: bool = False) -> None:
-    """One line a doubt, as `doubts_of`."""
-    for sentence in doubts_of(scenes, steps=steps):
+def print_warnings(scenes: Iterable[Scene], *, steps: bool = False) -> None:
+    """Print the warnings of `warnings_of`, one line each."""
+    for sentence in warnings_of(scenes, steps=steps):
         click.echo(one_line(f"warning: {sentence}"), err=True)
 
 
-def doubts_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
-    """A sentence a doubt (validate.plan.warnings), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
-    the bank's are compiled."""
+def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
+    """Plausibility warnings (validate.plan.warnings), each scene once.
+
+    steps: also about a time step that is unstable in contact, for which scenes that are not in the bank are compiled.
+    """
     from validate.plan.warnings import doubts
 
     each = list({scene.name: scene for scene in scenes}.values())
