@@ -32,6 +32,7 @@ _TRIALS = {
     "kill": ("kill", "A campaign killed at random moments and resumed: nothing is lost."),
     "report": ("report", "What a campaign's report weighs, and how soon a browser shows it."),
     "golden": ("golden", "What a full campaign found, frozen as data, and what a change moved."),
+    "account": ("account", "Where the seconds of a campaign went."),
     "rejudge": ("rejudge", "The stored plans of a campaign, judged anew."),
     "house": ("house", "How large and how tangled the code is."),
 }
