@@ -25,11 +25,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.errors import TrajectoryError
+from models.errors import MachineError, TrajectoryError
 from models.plan_table import ArrayTable, PlanTable, real_numbers
 from models.schemes import Scheme
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from models.scene import Scene
 
 
@@ -191,6 +193,29 @@ class Trajectory:
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
         return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
+
+    def __repr__(self) -> str:
+        scheme = "no scheme declared" if self.scheme is None else self.scheme.value
+        sizes = f"{self.q.shape[1]} positions, {self.u.shape[1]} inputs, {self.lam.shape[1]} contact forces"
+        return f"Trajectory({self.steps} steps, {self.duration:g} s, {sizes}, {self.hold.value}, {scheme})"
+
+    def to_dataframe(self, scene: Scene) -> pd.DataFrame:
+        """A row a node, columns as in a CSV (`column_names`); of the last row, which begins no step, inputs and forces are NaN.
+
+        Raises
+        ------
+        MachineError : pandas is not installed.
+        TrajectoryError : it is a plan of another scene.
+        """
+        self.check_fits(scene)
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise MachineError("a DataFrame needs pandas, which is not installed: pip install pandas") from error
+        names, last = column_names(scene), np.full((1, self.u.shape[1] + self.lam.shape[1]), np.nan)
+        steps = np.vstack([np.hstack([self.u, self.lam]), last])
+        values = np.hstack([self.t[:, None], self.q, self.v, steps])
+        return pd.DataFrame(values, columns=["t", *names["q"], *names["v"], *names["u"], *names["lam"]])
 
 
 def uniform_grid(step: float, steps: int) -> np.ndarray:

@@ -29,6 +29,7 @@ from reports.pages import (
     fmus,
     front,
     matrix,
+    overview,
     pareto,
     provenance,
     run,
@@ -51,6 +52,7 @@ from reports.templating import Templates
 REPORT, SINGLE = "report.html", "single.html"
 _HERE = Path(__file__).parent
 _ACROSS = (
+    overview,
     summary,
     matrix,
     stability,

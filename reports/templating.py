@@ -16,7 +16,7 @@ from reports.pages import tolerance
 
 _FILTERS = (
     *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "answer"),
-    *("count", "small", "product", "unit", "capital", "exact", "prose"),
+    *("count", "small", "product", "unit", "capital", "exact", "prose", "ratio"),
 )
 
 

@@ -177,6 +177,11 @@ def times(ratio: float) -> str:
     return f"{ratio:.0f} times" if ratio >= 9.5 else f"{ratio:.1f} times"
 
 
+def ratio(value: float) -> str:
+    """A cost over the best, in four characters: 1, 1.03, 2.4, 56."""
+    return "1" if value < 1.0005 else f"{value:.2f}" if value < 9.995 else f"{value:.0f}" if value < 999.5 else ">999"
+
+
 def exact(value: float) -> str:
     """A number for a program that reads the page: ten digits; all of them are in results.csv and the records."""
     return f"{value:.10g}"

@@ -20,6 +20,10 @@ def main(module: str = "validate.cli.group", program: str = "python -m validate"
     codes: list[int] = []
     atexit.register(_leave, codes)
     try:
+        import touchstone  # noqa: F401 - says what else is called like one of our packages
+    except ImportError as clash:
+        sys.exit(_refused(str(clash)))
+    try:
         from validate.cli.group import run
 
         code = run(sys.argv[1:], importlib.import_module(module).group, program)
@@ -28,6 +32,11 @@ def main(module: str = "validate.cli.group", program: str = "python -m validate"
         code = 130
     codes.append(code)
     sys.exit(code)
+
+
+def _refused(sentence: str) -> int:
+    print(sentence, file=sys.stderr)
+    return 2
 
 
 def _leave(codes: list[int]) -> None:

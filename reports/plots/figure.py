@@ -104,17 +104,20 @@ class Plot:
         self._under.append(f'<path class="level" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
         self._levels.append((y, words))
 
-    def point(self, x: float, y: float, style: str, marker: str, tip: str, href: str = "") -> None:
-        """A marker that can be focused: `tip` is read out on hover and focus."""
+    def point(
+        self, x: float, y: float, style: str, marker: str, tip: str, href: str = "", radius: float = 5.0, keeps_free: bool = True
+    ) -> None:
+        """A marker that can be focused: `tip` is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
         left, top = self.px(x), self.py(y)
         shape = {
             "square": f'<rect x="{left - 4.5:.1f}" y="{top - 4.5:.1f}" width="9" height="9"/>',
             "diamond": f'<path d="M{left:.1f},{top - 6:.1f}l6,6l-6,6l-6,-6z"/>',
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
-        }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="5"/>')
+        }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="{radius:g}"/>')
         inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
         self._over.append(f'<a href="{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
-        self._taken.append((left - 6, top - 6, left + 6, top + 6))
+        if keeps_free:
+            self._taken.append((left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1))
 
     def label(
         self,

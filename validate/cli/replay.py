@@ -91,9 +91,12 @@ def command(
     if map_path is not None and fmu is None:
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-    judgement, warnings = (
-        _of_fmu(fmu, plan, map_path, hold, limits, track) if fmu is not None else _of_scene(str(scene), plan, hold, limits, track)
-    )
+    if fmu is not None:
+        from validate.judge.judgement import judge_fmu
+
+        judgement, warnings = judge_fmu(fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits), []
+    else:
+        judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
     told = _told(judgement, warnings)
     if out is not None:
         _write(out, told, judgement)
@@ -125,25 +128,6 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
     return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
-
-
-def _of_fmu(fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
-    from models.plan_table import PlanTable
-    from validate.fmi.description import read_package
-    from validate.judge.judgement import judge_on_fmu
-    from validate.judge.replay.equal_names import hint
-    from validate.judge.replay.map_schema import MapError, read_map
-    from validate.judge.replay.mapping import wire
-    from validate.judge.score import metric_names
-
-    given = read_map(map_path) if map_path is not None else None
-    for name in given.limits if given is not None else ():
-        if name not in metric_names():
-            raise MapError(f"map {map_path}: limits.{name}: there is no metric of that name{hint(name, metric_names())}.")
-    package = read_package(fmu)
-    where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
-    foreign, trajectory = wire(package, PlanTable(plan), given, hold, where)
-    return judge_on_fmu(foreign, package, trajectory, feedback=track, limits=limits), []
 
 
 def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:

@@ -117,6 +117,55 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
     return Judgement(scene=scene, plan=plan, replay=replayed, score=result)
 
 
+def judge_fmu(
+    fmu: Path,
+    plan: Mapping[str, Any] | str | Path | Any,
+    *,
+    map_path: Path | None = None,
+    hold: str | None = None,
+    feedback: bool = False,
+    limits: Limits | None = None,
+) -> Judgement:
+    """Replay a plan on somebody's FMU, in a child process, and judge it.
+
+    Parameters
+    ----------
+    fmu : the file, of FMI 2.0 or 3.0
+    plan : path of a CSV | mapping or DataFrame of columns
+    map_path : the file that says which column is which variable (docs/replay.md); equal names without it.
+    hold : "zero" or "linear", the inputs within a step; None: as the plan or the map says.
+    feedback : replay with feedback too.
+    limits : of the child; None for the usual ones.
+
+    Raises
+    ------
+    FmuError, MapError, TrajectoryError, MachineError : in one sentence.
+    """
+    from models.plan_table import ArrayTable, PlanTable
+    from validate.fmi.description import read_package
+    from validate.judge.replay.equal_names import hint
+    from validate.judge.replay.map_schema import MapError, read_map
+    from validate.judge.replay.mapping import wire
+    from validate.judge.score import metric_names
+
+    given = read_map(map_path) if map_path is not None else None
+    for name in given.limits if given is not None else ():
+        if name not in metric_names():
+            raise MapError(f"map {map_path}: limits.{name}: there is no metric of that name{hint(name, metric_names())}.")
+    package = read_package(fmu)
+    where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
+    if isinstance(plan, (str, Path)):
+        table: PlanTable | ArrayTable = PlanTable(Path(plan))
+    elif isinstance(plan, Mapping) or hasattr(plan, "columns"):
+        table = ArrayTable(plan)
+    else:
+        raise TrajectoryError(
+            f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
+        )
+    foreign, trajectory = wire(package, table, given, hold, where)
+    return judge_on_fmu(foreign, package, trajectory, feedback=feedback, limits=limits or Limits())
+
+
 def judge_on_fmu(foreign: Foreign, package: Package, plan: Trajectory, *, feedback: bool = False, limits: Limits) -> Judgement:
     """The same of a plan on somebody's FMU, always in a child."""
     replayed = replay_foreign(foreign, package, plan, limits=limits, track=feedback)

@@ -10,7 +10,7 @@ import heapq
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from models.plan_table import PlanTable
+from models.plan_table import ArrayTable, PlanTable
 from models.scene.units import base_exponents
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.map_schema import MapError, MapFile, composed
@@ -87,7 +87,7 @@ class Named:
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
 
 
-def by_equal_names(named: Named, table: PlanTable) -> MapFile:
+def by_equal_names(named: Named, table: PlanTable | ArrayTable) -> MapFile:
     """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; in m/s or rad/s velocities; else positions."""
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
@@ -98,7 +98,7 @@ def by_equal_names(named: Named, table: PlanTable) -> MapFile:
             continue
         if variable is None:
             raise MapError(
-                f"plan {table.path}: the FMU has no variable {name!r}{hint(name, named.numbers())}; name the right one in a map (--map MAP.toml)."
+                f"{table.where}: the FMU has no variable {name!r}{hint(name, named.numbers())}; name the right one in a map (--map MAP.toml)."
             )
         if variable.causality == "input":
             sections["inputs"][name] = name
@@ -117,7 +117,7 @@ def by_equal_names(named: Named, table: PlanTable) -> MapFile:
         position: {"variable": rate, "column": rate} for position, rate in _paired(list(sections["positions"]), rates, by_name).items()
     }
     if not sections["inputs"] and not sections["positions"]:
-        raise MapError(f"plan {table.path}: the plan and the FMU share no names; say what belongs together in a map (--map MAP.toml).")
+        raise MapError(f"{table.where}: the plan and the FMU share no names; say what belongs together in a map (--map MAP.toml).")
     return MapFile.model_validate({**sections, "velocities": velocities})
 
 

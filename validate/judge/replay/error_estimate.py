@@ -208,7 +208,9 @@ def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
         return None
     state = np.hypot(np.linalg.norm(one.q - other.q, axis=1), np.linalg.norm(one.v - other.v, axis=1))
     return Difference(
-        position=float(np.abs(one.q - other.q).max()), state=float(state.max()), gap=float(np.abs(one.gap - other.gap).max(initial=0.0))
+        position=float(np.abs(one.q - other.q).max(initial=0.0)),
+        state=float(state.max()),
+        gap=float(np.abs(one.gap - other.gap).max(initial=0.0)),
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import PlanTable
+from models.plan_table import ArrayTable, PlanTable
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
@@ -30,16 +30,19 @@ _STEPS = 500
 _ROUNDING = 1e-9
 
 
-def wire(package: Package, table: PlanTable, given: MapFile | None, hold: str | None, where: str) -> tuple[Foreign, Trajectory]:
+def wire(
+    package: Package, table: PlanTable | ArrayTable, given: MapFile | None, hold: str | None, where: str
+) -> tuple[Foreign, Trajectory]:
     """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
-    table.check_form()
+    if isinstance(table, PlanTable):
+        table.check_form()
     named = Named(package)
     wiring = _Wiring(package, named, table, given or by_equal_names(named, table), where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
 class _Wiring:
-    def __init__(self, package: Package, named: Named, table: PlanTable, given: MapFile, where: str) -> None:
+    def __init__(self, package: Package, named: Named, table: PlanTable | ArrayTable, given: MapFile, where: str) -> None:
         self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
         self._by_name = named.by_name
         self._dimensions = Dimensions(package.description)
@@ -199,13 +202,13 @@ class _Wiring:
         for name in needed:
             if name not in table.names:
                 raise TrajectoryError(
-                    f"plan {table.path}: the column {name!r} is missing{hint(name, table.names)}; it has {', '.join(table.names)}."
+                    f"{table.where}: the column {name!r} is missing{hint(name, table.names)}; it has {', '.join(table.names)}."
                 )
         known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
         for name in table.names:
             if name not in known:
                 raise TrajectoryError(
-                    f"plan {table.path}: the column {name!r} is unknown{hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
+                    f"{table.where}: the column {name!r} is unknown{hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
                 )
         if given.plan.time in table.units:
             table.check_unit(given.plan.time, "s")
@@ -488,7 +491,7 @@ class _Wiring:
                 t=t, q=group("q", nodes), v=group("v", nodes), u=u, lam=group("lam", steps), hold=held, missing=missing, u_end=u_end
             )
         except TrajectoryError as error:
-            raise TrajectoryError(f"{error} (file {table.path})") from error
+            raise TrajectoryError(f"{error} ({self._table.source})") from error
 
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""

@@ -1,0 +1,342 @@
+"""Does this plan through contact hold? The public face of touchstone.
+
+>>> import touchstone as ts
+>>> scene = ts.scene("three_cart")           # a name, or the path of a scene file
+>>> plan = ts.solve(scene, "softplus_dc+strict")      # a pipeline or a method: a Solution
+>>> verdict = ts.judge(scene, plan)          # or a CSV, a DataFrame, arrays by name; or an FMU instead of the scene
+>>> verdict.holds
+True
+
+Importing it costs as much as NumPy. Pyomo solvers: `SolverFactory("touchstone_ipopt")` and `SolverFactory("mpec_ipopt")` are registered as soon as
+Pyomo is imported, before or after this module.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from formulations.solution import Outcome, Solution
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from validate.execution.campaign import CampaignResult
+    from validate.fmu_check import CheckReport
+    from validate.judge.judgement import Judgement
+    from validate.judge.score import Verdict
+
+# The types that the functions below give and take, and where each is at home: imported when one is asked for.
+_HOME = {
+    "CampaignResult": "validate.execution.campaign",
+    "CheckReport": "validate.fmu_check",
+    "Judgement": "validate.judge.judgement",
+    "Outcome": "formulations.solution",
+    "Scene": "models.scene",
+    "Solution": "formulations.solution",
+    "Trajectory": "models.trajectory",
+    "Verdict": "validate.judge.score",
+}
+__all__ = [
+    "CampaignResult",
+    "CheckReport",
+    "Judgement",
+    "Outcome",
+    "Scene",
+    "Solution",
+    "Trajectory",
+    "Verdict",
+    "campaign",
+    "check",
+    "export_fmu",
+    "judge",
+    "methods",
+    "pipelines",
+    "read_plan",
+    "scene",
+    "scenes",
+    "solve",
+]
+# Name of the Pyomo solver -> where its class is.
+_SOLVERS = {"touchstone_ipopt": ("formulations.ipopt", "TouchstoneIpopt"), "mpec_ipopt": ("formulations.mpec", "MpecIpopt")}
+_PACKAGES = ("models", "formulations", "validate", "reports")
+
+
+def name_clash() -> str | None:
+    """Why touchstone cannot run beside what else is called like one of its packages, and how to go on; None where nothing is."""
+    home = Path(__file__).resolve().parent
+    for name in _PACKAGES:
+        found = sys.modules.get(name) or find_spec(name)
+        where = next(iter(getattr(found, "__path__", None) or getattr(found, "submodule_search_locations", None) or ()), None)
+        place = where or getattr(found, "__file__", None) or getattr(found, "origin", None)
+        if place is None or Path(place).resolve().parent != home:
+            said = "is missing" if place is None else f"is {place}"
+            return (
+                f"touchstone needs its own package {name!r} in {home}, but here {name!r} {said}; "
+                "use the command `touchstone` instead of `python -m validate`, work in a folder without that name, or rename yours."
+            )
+    return None
+
+
+def scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with touchstone, sorted.
+
+    >>> "three_cart" in ts.scenes()
+    True
+    """
+    from models.catalog import scene_names
+
+    return tuple(scene_names())
+
+
+def scene(name: str | Path) -> Scene:
+    """A scene by its name, or from a scene file of one's own (docs/extending.md).
+
+    Raises
+    ------
+    SceneError, UnknownNameError : in one sentence.
+
+    >>> ts.scene("three_cart").nq
+    3
+    """
+    from models.catalog import load_scene
+
+    return load_scene(str(name))
+
+
+def methods() -> tuple[str, ...]:
+    """Names of the methods that find plans, sorted: what `solve` takes, beside `pipelines`.
+
+    >>> "mpcc" in ts.methods()
+    True
+    """
+    from formulations.pipelines import method_names
+
+    return method_names()
+
+
+def pipelines() -> tuple[str, ...]:
+    """Names of the pipelines: methods one after the other, with their eps schedules.
+
+    >>> ts.pipelines()[0]
+    'strict'
+    """
+    from formulations.pipelines import pipeline_names
+
+    return pipeline_names()
+
+
+def solve(
+    scene: Scene | str | Path,
+    name: str = "softplus_dc+strict",
+    *,
+    eps: float | None = None,
+    start: Solution | Trajectory | None = None,
+    time_limit: float = 600.0,
+    **options: Any,
+) -> Solution:
+    """Find a plan of a scene.
+
+    Parameters
+    ----------
+    scene : Scene, or its name, or the path of its file
+    name : a pipeline or a method. A pipeline has its own eps and options; where `eps` or options are given, the method of that name is meant.
+    eps : the relaxation of a method that has one.
+    start : a plan on the scene's grid to start from; None for the scene's own first guess.
+    time_limit : of all stages [s].
+    options : of the method, by name (`python -m validate list --json`).
+
+    Returns
+    -------
+    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost, certificate.
+
+    Raises
+    ------
+    SceneError, UnknownNameError, OptionError, MachineError : in one sentence.
+
+    >>> ts.solve("three_cart", "softplus_dc", eps=1e-3).outcome.name
+    'SOLVED'
+    """
+    from formulations.solve import solve_scene
+
+    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    first = getattr(start, "trajectory", start)
+    return solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
+
+
+def read_plan(path: str | Path, scene: Scene | str | Path) -> Trajectory:
+    """A plan of a scene from a CSV of any planner, or a NetCDF file of touchstone. docs/replay.md says what may stand in it.
+
+    Raises
+    ------
+    TrajectoryError : the file, the line and the column.
+    """
+    from validate.judge.judgement import as_trajectory
+
+    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    plan = as_trajectory(path, wanted)
+    assert plan is not None, "a file is a plan"
+    return plan
+
+
+def judge(
+    scene: Scene | str | Path,
+    plan: Solution | Trajectory | Mapping[str, Any] | str | Path | Any,
+    *,
+    map: str | Path | None = None,
+    hold: str | None = None,
+    scheme: str | None = None,
+    feedback: bool = False,
+) -> Judgement:
+    """Replay a plan by an independent simulation and judge it (docs/verdict.md).
+
+    Parameters
+    ----------
+    scene : Scene, or its name, or the path of its file; or the path of somebody's FMU (it ends in .fmu and runs in a child process)
+    plan : Solution, Trajectory, path of a CSV or NetCDF file; of a scene also a DataFrame or arrays by column name: `t` (nodes,) [s] and the scene's names
+    map : of an FMU: the file that says what of the plan is what of the FMU; equal names without it.
+    hold : "zero" or "linear", the inputs within a step; scheme : the time step that made it. Of columns and CSV alone, where they do not say so.
+    feedback : replay with feedback too, whether or not the verdict needs it.
+
+    Returns
+    -------
+    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`.
+
+    Raises
+    ------
+    SceneError, TrajectoryError, MapError, FmuError, MachineError : in one sentence.
+    """
+    from validate.judge.judgement import judge as judge_scene
+    from validate.judge.judgement import judge_fmu
+
+    if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
+        return judge_fmu(Path(scene), plan, map_path=None if map is None else Path(map), hold=hold, feedback=feedback)
+    if map is not None:
+        from models.errors import SceneError
+
+        raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
+    return judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback)
+
+
+def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:
+    """Does an FMU do what it says? Its files, and how its code behaves, in child processes (docs/fmu_check.md).
+
+    only : names of checks; None for all. seconds : for each check [s].
+
+    Raises
+    ------
+    FmuError : no FMU of version 2.0 or 3.0.
+    """
+    from validate.fmu_check import check_fmu
+
+    return check_fmu(Path(fmu), names=None if only is None else tuple(only), seconds=seconds)
+
+
+def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2.0") -> Path:
+    """Write a scene as an FMU, Model Exchange and Co-Simulation in one file, and give its path. version : "2.0" or "3.0".
+
+    Raises
+    ------
+    SceneError : no FMU can carry it; MachineError : no compiler, or the file cannot be written.
+    """
+    import shutil
+
+    from models.errors import MachineError
+    from models.fmu import build_fmu
+
+    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    try:
+        return Path(shutil.copyfile(build_fmu(wanted, version=version), path))
+    except OSError as error:
+        raise MachineError(f"{path}: it cannot be written ({error.strerror or error}).") from error
+
+
+def campaign(
+    out: str | Path,
+    *,
+    scenes: Sequence[str | Path] = (),
+    select: str = "",
+    quick: bool = False,
+    jobs: int | None = None,
+    time_limit: float = 240.0,
+) -> CampaignResult:
+    """Every scene by every pipeline, replayed, scored and reported: `python -m validate all`. What is stored in the folder is not run again.
+
+    Parameters
+    ----------
+    out : the folder for runs, tables and report.html.
+    scenes : names or files; empty for all that come with touchstone.
+    select : words in the names of scenes and pipelines, with `and`, `or`, `not` (as -k).
+    quick : a small choice of pipelines and scenes.
+    jobs : runs at a time; None for the number of cores.
+    time_limit : of a run [s].
+
+    Raises
+    ------
+    TouchstoneError : for what the caller can mend, in one sentence.
+    """
+    from validate.cli.narrator import narrator
+    from validate.execution.campaign import run_campaign
+    from validate.plan.runs import CampaignSettings
+
+    named = tuple(str(name) for name in scenes)
+    settings = CampaignSettings(out=Path(out), scenes=named, expression=select, quick=quick, jobs=jobs, time_limit=time_limit)
+    return run_campaign(settings, narrator())
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'touchstone' has no attribute {name!r}; it has {', '.join(__all__)}.")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
+class _AfterPyomo(importlib.abc.MetaPathFinder):
+    """Registers both solvers when somebody imports pyomo.environ. Pyomo has no entry points for solvers, and importing it here would cost 0.5 s."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> importlib.machinery.ModuleSpec | None:
+        if name != "pyomo.environ":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(name)
+        if spec is not None and spec.loader is not None:
+            inner = spec.loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                inner(module)
+                _register()
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign] - of this one module
+        return spec
+
+
+def _register() -> None:
+    """Both names, so that using one imports its solver: importing them here would meet ours that are being imported, and cost 0.3 s."""
+    from pyomo.opt import SolverFactory
+
+    for solver, (home, name) in _SOLVERS.items():
+        if solver not in SolverFactory:
+            SolverFactory.register(solver)(partial(_made, home, name))
+
+
+def _made(home: str, name: str, **options: Any) -> Any:
+    return getattr(importlib.import_module(home), name)(**options)
+
+
+_clash = name_clash()
+if _clash is not None:
+    raise ImportError(_clash)
+if "pyomo.environ" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _AfterPyomo())
