@@ -167,7 +167,7 @@ def solve(
     from formulations.solve import solve_scene
 
     wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
-    first = getattr(start, "trajectory", start)
+    first: Any = getattr(start, "trajectory", start)
     return solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
 
 

@@ -65,7 +65,7 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
 
 
 def _chunk(name: str, results: str, *seeds: str) -> None:
-    find_modules_in("tests/validate/helpers")
+    find_modules_in("tests/validate/fakes")
     from hostile_inputs import READERS, tried  # pyright: ignore[reportMissingImports]
 
     warnings.simplefilter("ignore")
@@ -106,7 +106,7 @@ def readers(each: int, first: int, only: str | None, file: Path | None) -> int:
     Each reader runs in processes of its own, some hundred files in each, so that one that dies is counted too. Exit code 1 where any file ended
     in a traceback, a hang or a crash, with the seeds that make it again.
     """
-    find_modules_in("tests/validate/helpers")
+    find_modules_in("tests/validate/fakes")
     from hostile_inputs import READERS  # pyright: ignore[reportMissingImports]
 
     if only is not None and only not in READERS:

@@ -40,10 +40,10 @@ from validate.store.disk import write_durably
 def command(kills: int, seed: int, engine: str, word: str, jobs: int, file: Path | None) -> int:
     """Kill a campaign with signal 9 at random moments and resume it; the figures as JSON, exit code 1 where a promise was broken.
 
-    The cells are those of tests/validate/helpers/campaign_fakes.py, which take little time, so that many moments are of the store. With `standing`, the
+    The cells are those of tests/validate/fakes/campaign_fakes.py, which take little time, so that many moments are of the store. With `standing`, the
     workers of a cluster that goes on end what a killed campaign had begun. Ctrl-C must also say how to go on, and count rightly.
     """
-    find_modules_in("tests/validate/helpers")
+    find_modules_in("tests/validate/fakes")
     from killed_campaigns import environment, kill_and_resume  # pyright: ignore[reportMissingImports]
     from standing_cluster import standing_cluster  # pyright: ignore[reportMissingImports]
 

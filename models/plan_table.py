@@ -263,6 +263,9 @@ class ArrayTable:
         values = self._columns[name]
         return len(values) == self.rows and bool(np.isfinite(values[-1]))
 
+    def check_form(self) -> None:
+        """Arrays have the form of a table."""
+
     def check_unit(self, name: str, unit: str) -> None:
         """Arrays say no units."""
 
@@ -293,3 +296,7 @@ class ArrayTable:
         if bad.size:
             raise TrajectoryError(f"plan: column {name!r}, row {int(bad[0])}: {values[bad[0]]} is not a finite number.")
         return values
+
+
+# A plan by columns, from a file or from arrays.
+Table = PlanTable | ArrayTable

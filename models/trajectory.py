@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.errors import MachineError, TrajectoryError
-from models.plan_table import ArrayTable, PlanTable, real_numbers
+from models.plan_table import PlanTable, Table, real_numbers
 from models.schemes import Scheme
 
 if TYPE_CHECKING:
@@ -306,7 +306,7 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
     return trajectory_from(table, scene, hold)
 
 
-def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
+def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
     where, header, names = table.where, table.names, column_names(scene)
     groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
@@ -346,7 +346,7 @@ def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | st
         raise TrajectoryError(f"{error} ({table.source})") from error
 
 
-def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
+def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
     """Which of the groups q, v, lam, friction of columns a table does not have; a group without columns is no one's to give.
 
     Raises TrajectoryError for a group that is there in part, and for velocities without positions.
@@ -366,7 +366,7 @@ def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[
 
 
 def times_and_inputs(
-    table: PlanTable | ArrayTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
+    table: Table, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Times and inputs of a table.
 
@@ -410,12 +410,12 @@ def times_and_inputs(
         return t, u, None  # a held input has no use for it, whatever stands there
 
 
-def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:
+def declared_scheme(table: Table) -> Scheme | None:
     """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
     return as_scheme(table.declared.get("scheme"), table.where)
 
 
-def declared_hold(table: PlanTable | ArrayTable, hold: Hold | str | None, who: str = "--hold") -> Hold:
+def declared_hold(table: Table, hold: Hold | str | None, who: str = "--hold") -> Hold:
     """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
     asked, declared = (None if value is None else as_hold(value, table.where) for value in (hold, table.declared.get("hold")))
     if asked is not None and declared not in (None, asked):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +51,7 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
     return Strip(Markup(svg), f"{_FRAMES} moments of the plan, from {number(float(moments[0]), 3)} s to {number(float(moments[-1]), 3)} s.")
 
 
-def _shape(shape: ShapeRecord, pose: Sequence[float], middle: np.ndarray, scale: float, colour: int) -> str:
+def _shape(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:
     """One shape at a pose x, y [m], angle [rad]; up is up."""
     x, y, angle = (float(value) for value in pose)
     across, up = scale * (x - middle[0]), -scale * (y - middle[1])

@@ -8,7 +8,7 @@ from statistics import median
 
 from reports.judged import judged_metric
 from reports.pages.filmstrip import Strip, strip
-from reports.pages.front import unbeaten
+from reports.pages.front import draw_front
 from reports.pages.pareto import cpu
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
@@ -221,14 +221,10 @@ def _speed(report: Report) -> Plot | None:
         mine = [(x, y) for x, y, row in points if row.run.pipeline == name and row.holds and row.stage is row.run.stages[-1]]
         if len(mine) >= min(_ENOUGH, len(report.scenes)):
             medians.append((median(x for x, _ in mine), median(y for _, y in mine), name))
-    lasting = unbeaten(medians)
-    corners: list[tuple[float, float]] = []
-    for x, y, _ in lasting:
-        corners += [(x, corners[-1][1] if corners else plot.y.high), (x, y)]
-    if corners:
-        corners.append((plot.x.high, corners[-1][1]))
-        plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
-        plot.name_points(lasting)
+    lasting = [point for point in medians if not any(other[0] < point[0] and other[1] < point[1] for other in medians)]
+    lasting.sort()
+    draw_front(plot, [point[:2] for point in lasting])
+    plot.name_points(lasting)
     wrong = sum(row.stage.verdict == "violates" for _, _, row in points)
     plot.words = (
         f"Left is fast, below is near to its replay. {wrong} of {count(len(points), 'plan')} violate (hollow). "

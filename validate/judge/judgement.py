@@ -20,17 +20,17 @@ from typing import Any, Protocol
 from models.catalog import load_scene
 from models.errors import SceneError, TrajectoryError
 from models.fmu import build_fmu
-from models.plan_table import ArrayTable
+from models.plan_table import ArrayTable, PlanTable, Table
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, read_csv, trajectory_from
 from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
-from validate.fmi.description import Package
+from validate.fmi.description import Package, read_package
 from validate.judge.replay import Replay
 from validate.judge.replay.run import Foreign, replay, replay_foreign
 from validate.judge.replay.subject import Subject
-from validate.judge.score import Score, score, wants_feedback
+from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
 
 
@@ -141,12 +141,10 @@ def judge_fmu(
     ------
     FmuError, MapError, TrajectoryError, MachineError : in one sentence.
     """
-    from models.plan_table import ArrayTable, PlanTable
-    from validate.fmi.description import read_package
+    # The names of an FMU's map need pydantic, which a replay on a scene does without: 0.1 s.
     from validate.judge.replay.equal_names import hint
     from validate.judge.replay.map_schema import MapError, read_map
     from validate.judge.replay.mapping import wire
-    from validate.judge.score import metric_names
 
     given = read_map(map_path) if map_path is not None else None
     for name in given.limits if given is not None else ():
@@ -155,7 +153,7 @@ def judge_fmu(
     package = read_package(fmu)
     where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
     if isinstance(plan, (str, Path)):
-        table: PlanTable | ArrayTable = PlanTable(Path(plan))
+        table: Table = PlanTable(Path(plan))
     elif isinstance(plan, Mapping) or hasattr(plan, "columns"):
         table = ArrayTable(plan)
     else:

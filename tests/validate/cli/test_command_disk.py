@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from killed_campaigns import HELPERS, finished, unfinished
+from killed_campaigns import FAKES_FOLDER, finished, unfinished
 
 from models.catalog import load_scene
 from models.codegen.compiler import find_compiler
@@ -62,12 +62,12 @@ def ask(cli_environment, whole, tmp_path_factory):
     folder = tmp_path_factory.mktemp("refusing")
     library, told = folder / "refusing_disk.so", folder / "told.txt"
     subprocess.run(
-        [*find_compiler().command, "-O1", "-shared", "-fPIC", "-o", str(library), str(HELPERS / "refusing_disk.c"), "-ldl"], check=True
+        [*find_compiler().command, "-O1", "-shared", "-fPIC", "-o", str(library), str(FAKES_FOLDER / "refusing_disk.c"), "-ldl"], check=True
     )
     environment = {**cli_environment, "LD_PRELOAD": str(library), "CELLS": str(whole / "runs")}
     command = [sys.executable, "-m", "refused_commands"]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment, cwd=HELPERS.parents[2]
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment, cwd=FAKES_FOLDER.parents[2]
     ) as server:
         assert server.stdin is not None
         assert server.stdout is not None

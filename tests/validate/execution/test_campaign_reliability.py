@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from killed_campaigns import HELPERS, finished, kill_and_resume, processes, start, unfinished, untimed
+from killed_campaigns import FAKES_FOLDER, finished, kill_and_resume, processes, start, unfinished, untimed
 
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
@@ -85,7 +85,7 @@ def test_another_order_gives_the_same_numbers(killed, tmp_path, monkeypatch):
         return entries, left_out
 
     monkeypatch.setattr(campaign, "select", shuffled)
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     run_campaign(
         CampaignSettings(out=tmp_path, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator()
     )

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from killed_campaigns import HELPERS, processes, unfinished, untimed
+from killed_campaigns import FAKES_FOLDER, processes, unfinished, untimed
 from standing_cluster import come
 
 from reports.records.record import RunRecord
@@ -175,7 +175,7 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Store, "commit", interrupted)
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, heard)
@@ -250,7 +250,7 @@ class _Interrupting(PlainNarrator):
 
 @pytest.mark.slow
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, _Interrupting(ctrl_c))

@@ -24,7 +24,7 @@ from validate.store.provenance import gather
 from validate.store.store import Store
 
 pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and fork servers are for Linux")]
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 _FOR_EVER = 2**62
 
 
@@ -33,10 +33,10 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     """run(store, first, last, error) runs the cell, with these requests of its child refused: what came of it, and how many requests there were."""
     folder = tmp_path_factory.mktemp("refusing")
     library, told = folder / "refusing_disk.so", folder / "refused.json"
-    source = HELPERS / "refusing_disk.c"
+    source = FAKES_FOLDER / "refusing_disk.c"
     subprocess.run([*find_compiler().command, "-O1", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"], check=True)
     patch = pytest.MonkeyPatch()
-    patch.setenv("PYTHONPATH", str(HELPERS))
+    patch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     patch.setenv("LD_PRELOAD", str(library))
     patch.setenv("REFUSED", str(told))
     (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", tools="refused_cells:WRITING"))

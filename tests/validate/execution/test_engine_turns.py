@@ -35,7 +35,7 @@ class Campaign:
     """Three cells, of which `crashing` crash, each time they are begun; begun: their keys, in order; silent: how often no answer comes."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "helpers"))
+        monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
         settings = CampaignSettings(
             out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )

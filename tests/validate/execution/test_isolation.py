@@ -20,7 +20,7 @@ from validate.execution.reaper import TOKEN_VARIABLE
 
 pytestmark = pytest.mark.process
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def own_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The functions importable in children, all folders of children in one place, and a mark on every process."""
     place = tmp_path / "place"
     place.mkdir()
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     monkeypatch.setenv("TEST_MARK", str(place))
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     return place
@@ -160,7 +160,7 @@ def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
 def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
-    parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=HELPERS.parents[2])
+    parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=FAKES_FOLDER.parents[2])
     deadline = time.monotonic() + 120
     while not (marker.exists() and marker.read_text() == "inner"):
         assert time.monotonic() < deadline

@@ -14,7 +14,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 
 pytestmark = pytest.mark.process
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 _SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process
 THROWS = """
 #include <new>
@@ -45,7 +45,7 @@ _CALLS = (
 def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     place = tmp_path / "place"
     place.mkdir()
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     return place
 
@@ -63,7 +63,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "-pthread",
         "-o",
         str(library),
-        str(HELPERS / "foreign_calls.c"),
+        str(FAKES_FOLDER / "foreign_calls.c"),
     ]
     subprocess.run(command, check=True, capture_output=True)
     return library

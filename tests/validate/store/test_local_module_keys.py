@@ -11,7 +11,7 @@ from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.plan.runs import select, with_stored
 from validate.store.store import Store
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 SCENE = """
 import sympy as sp
 from dataclasses import replace
@@ -39,7 +39,7 @@ class Soft(sp.Function):
 
 @pytest.mark.slow
 def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     monkeypatch.chdir(tmp_path)
     scene, parts, out = tmp_path / "scenes" / "own.py", tmp_path / "scenes" / "parts_.py", tmp_path / "out"
     scene.parent.mkdir()

@@ -16,7 +16,7 @@ from validate.plan.selection import matches
 from validate.store.provenance import command_line
 from validate.store.store import Store
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
 
@@ -65,7 +65,7 @@ class _Stopped(PlainNarrator):
 @pytest.mark.slow
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
-    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()

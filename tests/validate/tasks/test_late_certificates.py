@@ -24,14 +24,14 @@ from validate.tasks.run import RunTask
 
 pytestmark = pytest.mark.process
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 
 
 @pytest.fixture
 def in_reach(monkeypatch):
     """The fakes can be imported, here and by a child."""
-    monkeypatch.syspath_prepend(str(HELPERS))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(HELPERS), os.environ.get("PYTHONPATH", "")])))
+    monkeypatch.syspath_prepend(str(FAKES_FOLDER))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(FAKES_FOLDER), os.environ.get("PYTHONPATH", "")])))
 
 
 def _task(last: str) -> RunTask:

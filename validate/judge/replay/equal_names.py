@@ -10,7 +10,7 @@ import heapq
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from models.plan_table import ArrayTable, PlanTable
+from models.plan_table import Table
 from models.scene.units import base_exponents
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.map_schema import MapError, MapFile, composed
@@ -87,7 +87,7 @@ class Named:
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
 
 
-def by_equal_names(named: Named, table: PlanTable | ArrayTable) -> MapFile:
+def by_equal_names(named: Named, table: Table) -> MapFile:
     """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; in m/s or rad/s velocities; else positions."""
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import ArrayTable, PlanTable
+from models.plan_table import Table
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
@@ -30,19 +30,16 @@ _STEPS = 500
 _ROUNDING = 1e-9
 
 
-def wire(
-    package: Package, table: PlanTable | ArrayTable, given: MapFile | None, hold: str | None, where: str
-) -> tuple[Foreign, Trajectory]:
+def wire(package: Package, table: Table, given: MapFile | None, hold: str | None, where: str) -> tuple[Foreign, Trajectory]:
     """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
-    if isinstance(table, PlanTable):
-        table.check_form()
+    table.check_form()
     named = Named(package)
     wiring = _Wiring(package, named, table, given or by_equal_names(named, table), where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
 class _Wiring:
-    def __init__(self, package: Package, named: Named, table: PlanTable | ArrayTable, given: MapFile, where: str) -> None:
+    def __init__(self, package: Package, named: Named, table: Table, given: MapFile, where: str) -> None:
         self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
         self._by_name = named.by_name
         self._dimensions = Dimensions(package.description)

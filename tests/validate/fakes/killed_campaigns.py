@@ -17,7 +17,7 @@ from pathlib import Path
 
 from validate.execution.reaper import TOKEN_VARIABLE
 
-HELPERS = Path(__file__).parent
+FAKES_FOLDER = Path(__file__).parent
 # Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.
 CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
 # What is written over whenever the same cell is run again.
@@ -40,7 +40,7 @@ class Kills:
 
 
 def environment(cache: Path) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(HELPERS), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
+    return {**os.environ, "PYTHONPATH": str(FAKES_FOLDER), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
 
 
 def family(out: Path) -> list[str]:

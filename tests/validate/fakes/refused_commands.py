@@ -1,4 +1,4 @@
-"""Command lines whose disk refuses: each in a fork of this process, which has tests/validate/helpers/refusing_disk.c in LD_PRELOAD.
+"""Command lines whose disk refuses: each in a fork of this process, which has tests/validate/fakes/refusing_disk.c in LD_PRELOAD.
 
     {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file, "environment": {..}}
         ->  [exit code, number of requests]
