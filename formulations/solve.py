@@ -43,8 +43,11 @@ def solve_scene(
 def solve_stages(
     scene: Scene, pipeline: Pipeline, *, warm_start: Trajectory | None = None, time_limit: float = 600.0
 ) -> Iterator[Solution]:
-    """The Solutions of the stages of a pipeline in order, each from the plan of the one before it; the session of a method serves all stages that have
-    its options. time_limit: of all stages together [s]; stages that it leaves no time do not run, but for the first. Raises OptionError."""
+    """The Solutions of the stages of a pipeline in order, each from the plan of the one before it.
+
+    The session of a method serves all stages that have its options. time_limit: of all stages together [s]; stages that it leaves no time do not run,
+    but for the first. Raises OptionError.
+    """
     ends = monotonic() + time_limit
     plan, is_first = warm_start, True
     for (method, options), stages in groupby(_read(pipeline), key=lambda stage: stage[:2]):

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.house import measure
+
 ROOT = Path(__file__).parents[1]
 ROOMS = ("models", "formulations", "validate", "reports")
 
@@ -54,6 +56,13 @@ def test_what_is_shipped_reads_nothing_that_is_not():
                 ):
                     made.append(f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}")
     assert not made, made
+
+
+def test_arrays_say_their_shapes_and_units():
+    """Of the public functions with arrays in their signature nine in ten say the shape, `(nodes, nq)`, and the unit, `[m]`."""
+    said = measure()["public functions of arrays whose docstring gives shape, unit, errors"]
+    shape, unit, _ = (int(part.split()[0]) for part in said.split(", "))
+    assert min(shape, unit) >= 90, said
 
 
 def _lines(path: Path) -> int:

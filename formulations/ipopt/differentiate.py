@@ -92,7 +92,7 @@ def gradient(graph: Graph, root: int) -> dict[int, int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Split:
+class LinearParts:
     """root = constant + sum_i linear[i] * variable_i + nonlinear, where constant and linear[i] are data nodes."""
 
     constant: int
@@ -100,7 +100,7 @@ class Split:
     nonlinear: int
 
 
-def split_linear(graph: Graph, root: int) -> Split:
+def split_linear(graph: Graph, root: int) -> LinearParts:
     """Separate what is affine in the variables; products with data are carried through sums, so h*(a*x + y*z) gives h*a for x."""
     weight: dict[int, int] = {root: graph.one}
     constant, nonlinear = graph.zero, graph.zero
@@ -134,7 +134,7 @@ def split_linear(graph: Graph, root: int) -> Split:
             share(args[0], graph.div(w, args[1]))
         else:
             nonlinear = graph.add(nonlinear, graph.mul(w, node))
-    return Split(constant=constant, linear=linear, nonlinear=nonlinear)
+    return LinearParts(constant=constant, linear=linear, nonlinear=nonlinear)
 
 
 _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})

@@ -59,6 +59,7 @@ class Standing:
 
 
 def build(report: Report) -> Section | None:
+    """The first section of report.html; None of a folder without runs."""
     runs = report.stored.runs
     if not runs:
         return None
@@ -134,7 +135,7 @@ def _standings(pipelines: Sequence[str], places: Sequence[Place]) -> list[Standi
 
 
 def _relaxed(report: Report) -> str:
-    """Do relaxed plans hold?"""
+    """Whether relaxed plans hold."""
     plans = [row for row in report.rows if row.stage.kind == "indirect" and row.stage.verdict not in ("no plan", *_NOT_ASKED)]
     if not plans:
         return ""
@@ -145,7 +146,7 @@ def _relaxed(report: Report) -> str:
 
 
 def _exact(runs: Sequence[RunRecord]) -> str:
-    """Do exact ones?"""
+    """Whether exact ones do."""
     ending = [run for run in runs if run.must_hold]
     asked = [run for run in ending if run.verdict not in _NOT_ASKED]
     if not asked:
