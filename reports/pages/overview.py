@@ -69,7 +69,7 @@ def build(report: Report) -> Section | None:
     return Section(
         "overview",
         "Overview",
-        "overview.html",
+        "first_screen.html",
         {
             "findings": [said for said in (_relaxed(report), _exact(runs), _first(standings)) if said],
             "plot": _speed(report),

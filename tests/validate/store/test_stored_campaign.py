@@ -63,7 +63,7 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
     assert named == list(range(min(failures, 3)))
     assert (f"and {failures - 3} more" in said) is (failures > 3)
     assert ("more" in said) is (failures > 3)
-    assert ("drop --lf" in said) is (failures == 0)
+    assert ("drop --last-failed" in said) is (failures == 0)
 
 
 def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_path: Path) -> None:

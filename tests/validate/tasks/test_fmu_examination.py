@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import models.fmu
+import validate.tasks.fmu_examination
 from models.catalog import load_scene, scene_names
 from reports.records.check_record import StoredRecord
 from validate.execution.campaign import CampaignSettings, select
@@ -22,7 +23,7 @@ def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_
     chosen = CampaignSettings(out=Path(), expression="fmu_check")
     entries, _ = select(chosen)
     assert [(entry.task.scene, entry.task.arguments["version"]) for entry in entries] == [
-        (scene, version) for version in VERSIONS for scene in scene_names()
+        (scene, version) for version in VERSIONS for scene in sorted(scene_names(), key=lambda name: name != "three_cart")
     ]
     assert len({entry.task.key for entry in entries}) == len(entries)
     quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
@@ -66,7 +67,7 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
                 target.writestr(name, data)
         return path
 
-    monkeypatch.setattr(models.fmu, "build_fmu", defective)
+    monkeypatch.setattr(validate.tasks.fmu_examination, "build_fmu", defective)
     found = examine({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
     assert not found.passed
     assert "start values are the XML's (CS)" in found.sentence
