@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from formulations.transcription.build import build_block, build_model
     from formulations.transcription.contact import ContactFormulation, ModelError, relax, tighten
     from formulations.transcription.residuals import PlanResiduals
-    from formulations.transcription.workbench import load_plan, read_plan
+    from formulations.transcription.compiled import load_plan, read_plan
 
 _HOME = {
     "ContactFormulation": "contact",

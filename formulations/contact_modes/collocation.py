@@ -16,12 +16,12 @@ from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, SoftplusHomot
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.build import build_model
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, tighten
 from formulations.transcription.feasibility import Nearest, nearest
-from formulations.transcription.workbench import Workbench, load_plan, read_values, write_values
+from formulations.transcription.compiled import CompiledModel, load_plan, read_values, write_values
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
@@ -70,7 +70,7 @@ class StageProblem:
         self._tolerance, self._homotopy_tolerance, self._most_iterations = tolerance, homotopy_tolerance, most_iterations
         self._sharpnesses = schedule(*sharpnesses)
         self._homotopy: SoftplusHomotopy | None = None
-        self._exact: Workbench | None = None
+        self._exact: CompiledModel | None = None
 
     @property
     def homotopy(self) -> SoftplusHomotopy:
@@ -99,7 +99,7 @@ class StageProblem:
         """Find the plan that comes nearest to the goal, with contact no sharper than this."""
         return nearest(self._scene, budget, self._most_iterations, sharpest)
 
-    def exact(self, budget: SolveBudget) -> Workbench:
+    def exact(self, budget: SolveBudget) -> CompiledModel:
         """Give the model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
@@ -107,7 +107,7 @@ class StageProblem:
                 self._scene, ContactFormulation.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost
             )
             budget.build += perf_counter() - begin
-            self._exact = Workbench(model)
+            self._exact = CompiledModel(model)
         return self._exact
 
     def with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
@@ -125,12 +125,12 @@ class StageProblem:
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
         options = {"tol": self._homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
-        relaxed = Workbench(bench.model)  # translated anew: the products are rows again
+        relaxed = CompiledModel(bench.model)  # translated anew: the products are rows again
         result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._most_iterations})
         return self.with_modes(budget, StageModes.of(bench.model)) if result.solved else result
 
 
-def _load(bench: Workbench, guess: StageModes) -> None:
+def _load(bench: CompiledModel, guess: StageModes) -> None:
     for name, values in guess.values.items():
         write_values(bench.model.component(f"variable_{name}"), values)
     settle_forces(bench.model)

@@ -29,9 +29,9 @@ from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation, hold_modes, tighten
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import (
+from formulations.transcription.compiled import (
     SolveBudget,
-    Workbench,
+    CompiledModel,
     load_first_guess,
     load_plan,
     move_ball,
@@ -75,10 +75,10 @@ class SoftplusHomotopy:
         self._stiffness = _own_stiffness(scene)
         self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
         open_goal(model, ball)
-        self._bench = Workbench(model)
+        self._bench = CompiledModel(model)
 
     @property
-    def bench(self) -> Workbench:
+    def bench(self) -> CompiledModel:
         """The model, which holds the plan of the last stage."""
         return self._bench
 
@@ -176,7 +176,7 @@ class NonlinearModes:
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
-        self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
+        self._bench, self._residuals = CompiledModel(model), PlanResiduals(scene)
         self.begin(ball, budget, options)
 
     def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import ModelSize, Outcome, Solution, checked
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.method import TranscriptionOptions, why_not_collocated
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
@@ -30,7 +30,7 @@ from models.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from formulations.contact_modes.collocation import StageModes
-    from formulations.transcription.workbench import Workbench
+    from formulations.transcription.compiled import CompiledModel
 
 # Stages of the homotopy whose modes are tried.
 _TRIED = 3
@@ -116,7 +116,7 @@ class CollocationSession(Session):
                 outcome, message = self._problem.soften(budget, found.plan, guesses.append)
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def _solution(self, budget: SolveBudget, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(self, budget: SolveBudget, bench: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
         plan, cost, residuals = None, None, {}
         if bench is not None and outcome.has_answer:
             try:

@@ -21,7 +21,7 @@ import numpy as np
 from formulations.grids import replayed_goal_error
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.method import BarrierOptions, Work, ended
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive

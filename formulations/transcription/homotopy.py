@@ -20,7 +20,7 @@ from formulations.solution import Outcome, Solution
 from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work, ended
 from formulations.transcription.solving import PlanSolver, beyond
-from formulations.transcription.workbench import SolveBudget
+from formulations.transcription.compiled import SolveBudget
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError
 from models.scene import Scene

@@ -13,9 +13,9 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.solution import Outcome
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.contact import hold_modes, pressed_columns, sides
-from formulations.transcription.workbench import Workbench, load_plan, read_plan
+from formulations.transcription.compiled import CompiledModel, load_plan, read_plan
 
 # Modes that have a plan are solved in 6 to 20 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 100
@@ -32,7 +32,7 @@ class FixedModes:
 
     def __init__(self, model: Any, options: Mapping[str, Any], most_switches: int) -> None:
         self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
-        self._bench = Workbench(model)
+        self._bench = CompiledModel(model)
 
     def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
         """The last solved problem, its plan left in the model.

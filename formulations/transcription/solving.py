@@ -26,7 +26,7 @@ from formulations.transcription.feasibility import GoalMonitor, Nearest, Restora
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import SolveBudget, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
+from formulations.transcription.compiled import SolveBudget, CompiledModel, load_first_guess, load_plan, primal_dual, size_on_paper
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -50,7 +50,7 @@ class PlanSolver:
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
-        self._bench: Workbench | None = None
+        self._bench: CompiledModel | None = None
         self._nearest: dict[float, Nearest] = {}
         self._clock = clock
         clock.stop()
@@ -58,7 +58,7 @@ class PlanSolver:
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
 
     @property
-    def bench(self) -> Workbench:
+    def bench(self) -> CompiledModel:
         """The model, once it was prepared."""
         if self._bench is None:
             raise ValueError("no model has been prepared yet.")
@@ -81,7 +81,7 @@ class PlanSolver:
             for a plan of another grid
         """
         if self._bench is None:
-            self._bench = Workbench(build_model(self._scene, self._contact, eps=eps))
+            self._bench = CompiledModel(build_model(self._scene, self._contact, eps=eps))
         self.load(start)
 
     def load(self, start: Trajectory | None) -> None:

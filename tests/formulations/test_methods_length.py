@@ -19,7 +19,7 @@ from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation, tighten
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import load_plan
+from formulations.transcription.compiled import load_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps

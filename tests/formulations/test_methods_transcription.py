@@ -13,7 +13,7 @@ from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.solving import PlanSolver
-from formulations.transcription.workbench import SolveBudget, size_on_paper
+from formulations.transcription.compiled import SolveBudget, size_on_paper
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, worst_case_violation

@@ -9,7 +9,7 @@ from example_scenes import example_scene
 
 from formulations.contact_modes.session import MpccSession
 from formulations.pipelines import load_method
-from formulations.transcription import workbench
+from formulations.transcription import compiled
 
 ARM = example_scene("two_link_arm")  # nonlinear: its modes are solved by Ipopt
 

@@ -12,7 +12,7 @@ from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation, pairs
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import load_plan, size_on_paper
+from formulations.transcription.compiled import load_plan, size_on_paper
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import SceneError

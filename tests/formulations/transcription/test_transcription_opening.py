@@ -17,7 +17,7 @@ from formulations.transcription.contact import tighten
 from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import SolveBudget, Workbench
+from formulations.transcription.compiled import SolveBudget, CompiledModel
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from tests.formulations.transcription.rollouts import rolled_out
@@ -54,13 +54,13 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
 
 def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):
     """Ipopt's word is local; here it is put into its mouth once, so that the test does not hang on its version. The second start has a plan."""
-    run, runs = Workbench.run, []
+    run, runs = CompiledModel.run, []
 
     def denied_once(self, *arguments, **options):
         runs.append(run(self, *arguments, **options))
         return replace(runs[-1], outcome=Outcome.INFEASIBLE) if len(runs) == 1 else runs[-1]
 
-    monkeypatch.setattr(Workbench, "run", denied_once)
+    monkeypatch.setattr(CompiledModel, "run", denied_once)
     with load_method("softplus_dc").open(load_scene("cart_pole_walls")) as session:
         solution = session.solve(eps=EPS, warm_start=None, time_limit=300.0)
     assert solution.outcome is Outcome.SOLVED

@@ -27,7 +27,7 @@ import pyomo.environ as pyo
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.solution import ModelSize
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import ContactFormulation, settle_separation
 from models.errors import TrajectoryError
@@ -156,7 +156,7 @@ def size_on_paper(scene: Scene, contact: ContactFormulation) -> ModelSize:
 Callback = Callable[[Iteration], "bool | None"]
 
 
-class Workbench:
+class CompiledModel:
     """One Pyomo model and its translation."""
 
     def __init__(self, model: Any) -> None:
