@@ -17,11 +17,11 @@ from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
 from formulations.transcription.budget import SolveBudget
-from formulations.transcription.build import build_model
+from formulations.transcription.build import build_model, load_plan, read_values, write_values
 from formulations.transcription.collocation import settle_forces, stage_penetration
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, tighten
 from formulations.transcription.feasibility import Nearest, nearest
-from formulations.transcription.compiled import CompiledModel, load_plan, read_values, write_values
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory

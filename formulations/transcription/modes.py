@@ -14,8 +14,9 @@ import numpy as np
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.solution import Outcome
 from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import load_plan, read_plan
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import hold_modes, pressed_columns, sides
-from formulations.transcription.compiled import CompiledModel, load_plan, read_plan
 
 # Modes that have a plan are solved in 6 to 20 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 100

@@ -20,13 +20,14 @@ import numpy as np
 from formulations.ipopt import IpoptResult, Start
 from formulations.method import Clock
 from formulations.solution import Outcome, Solution
-from formulations.transcription.build import build_model
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import build_model, load_first_guess, load_plan
+from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
 from formulations.transcription.contact import ContactFormulation, release_modes, tighten
 from formulations.transcription.feasibility import GoalMonitor, Nearest, RestorationMonitor, nearest, plan_with_goal_released
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.compiled import SolveBudget, CompiledModel, load_first_guess, load_plan, primal_dual, size_on_paper
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory

@@ -16,10 +16,9 @@ from formulations.contact_modes.nonlinear import SoftplusHomotopy
 from formulations.pipelines import load_method
 from formulations.shooting.reference import reference_rollout
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model
+from formulations.transcription.build import build_model, load_plan
 from formulations.transcription.contact import ContactFormulation, tighten
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.compiled import load_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
