@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from formulations.transcription.build import build_block, build_model, load_plan, read_plan
-    from formulations.transcription.contact import ContactFormulation, ModelError, relax, tighten
+    from formulations.transcription.contact import ContactFormulation, ModelError, relax, set_relaxation
     from formulations.transcription.residuals import PlanResiduals
 
 _HOME = {
@@ -26,10 +26,20 @@ _HOME = {
     "load_plan": "build",
     "read_plan": "build",
     "relax": "contact",
-    "tighten": "contact",
+    "set_relaxation": "contact",
 }
 
-__all__ = ["ContactFormulation", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]
+__all__ = [
+    "ContactFormulation",
+    "ModelError",
+    "PlanResiduals",
+    "build_block",
+    "build_model",
+    "load_plan",
+    "read_plan",
+    "relax",
+    "set_relaxation",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -85,7 +85,7 @@ class CollocationSession(Session):
         budget.build += perf_counter() - begin
         guesses, outcome, message = self._softened(budget, warm_start)
         if not self._scene.nc:
-            return self._solution(budget, problem.homotopy.bench, outcome, message)
+            return self._solution(budget, problem.homotopy.compiled, outcome, message)
         if not guesses:
             return self._solution(budget, None, outcome, message)
         for guess in guesses:
@@ -116,11 +116,11 @@ class CollocationSession(Session):
                 outcome, message = self._problem.soften(budget, found.plan, guesses.append)
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def _solution(self, budget: SolveBudget, bench: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(self, budget: SolveBudget, compiled: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
         plan, cost, residuals = None, None, {}
-        if bench is not None and outcome.has_answer:
+        if compiled is not None and outcome.has_answer:
             try:
-                plan = bench.read()
+                plan = compiled.read()
             except TrajectoryError:  # a value that is not finite: no plan
                 outcome = Outcome.EVALUATION_ERROR
         if plan is not None:
@@ -139,8 +139,8 @@ class CollocationSession(Session):
             options=asdict(self._options),
             solver=budget.solver,
             history={name: tuple(values) for name, values in budget.history.items()},
-            size=None if bench is None else bench.size,
-            paper_size=None if bench is None else self._paper_size(),
+            size=None if compiled is None else compiled.size,
+            paper_size=None if compiled is None else self._paper_size(),
         )
 
     def _paper_size(self) -> ModelSize:

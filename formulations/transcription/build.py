@@ -19,9 +19,9 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | parameter_scene | parameter | the scene's parameters, mutable |
 | parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
 | parameter_step | | h [s], mutable |
-| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `tighten` |
+| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `set_relaxation` |
 | parameter_length | | L [m], softplus only |
-| mpec_bound | | eps of relaxed complementarity, mutable: `tighten` |
+| mpec_bound | | eps of relaxed complementarity, mutable: `set_relaxation` |
 | constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
@@ -96,11 +96,11 @@ def build_model(
     Examples
     --------
     >>> import pyomo.environ as pyo
-    >>> from formulations import ContactFormulation, build_model, tighten
+    >>> from formulations import ContactFormulation, build_model, set_relaxation
     >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50)
     >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
-    >>> tighten(model, 1e-4)                                                  # the bound moves, the model stays
+    >>> set_relaxation(model, 1e-4)                                                  # the bound moves, the model stays
     >>> pyo.value(model.mpec_bound)
     0.0001
     """

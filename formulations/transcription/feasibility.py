@@ -94,10 +94,10 @@ def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, optio
     model.parameter_weight = pyo.Param(initialize=max(1.0, abs(pyo.value(model.expression_cost))), mutable=True)
     model.objective_cost.deactivate()
     model.objective_near = pyo.Objective(expr=model.expression_cost + model.parameter_weight * missed)
-    bench = CompiledModel(model)
+    compiled = CompiledModel(model)
     for _ in range(_WEIGHTS):
         most = min(options["max_iter"], budget.iterations + _RELEASED_ITERATIONS)
-        result = bench.run(budget, {**options, "max_iter": most})
+        result = compiled.run(budget, {**options, "max_iter": most})
         if result.outcome is not Outcome.SOLVED:
             return None
         if pyo.value(missed) <= _NEAR or budget.is_over:

@@ -33,7 +33,7 @@ class FixedModes:
 
     def __init__(self, model: Any, options: Mapping[str, Any], most_switches: int) -> None:
         self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
-        self._bench = CompiledModel(model)
+        self._compiled = CompiledModel(model)
 
     def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
         """The last solved problem, its plan left in the model.
@@ -48,7 +48,7 @@ class FixedModes:
         for _ in range(self._most_switches):
             if best.outcome is not Outcome.SOLVED or budget.is_over:
                 return best
-            switch = _cheaper_modes(self._bench.problem(budget), best, self._model, closed)
+            switch = _cheaper_modes(self._compiled.problem(budget), best, self._model, closed)
             if not switch.any():
                 return best
             plan, closed = read_plan(self._model), closed ^ switch
@@ -62,7 +62,7 @@ class FixedModes:
 
     def _run(self, budget: SolveBudget) -> IpoptResult:
         most = min(self._options["max_iter"], budget.iterations + _MODE_ITERATIONS)
-        return self._bench.run(budget, {**self._options, "max_iter": most})
+        return self._compiled.run(budget, {**self._options, "max_iter": most})
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:

@@ -37,13 +37,13 @@ def test_ipopt_stops_at_the_work_that_is_left() -> None:
     assert free.iterations > 10
     assert free.work == 3 * free.iterations
     bound.most_work = 3 * 7 + 1
-    bench = CompiledModel(_rosenbrock())
+    compiled = CompiledModel(_rosenbrock())
     assert not bound.is_over
-    result = bench.run(bound, {"max_iter": 100})
+    result = compiled.run(bound, {"max_iter": 100})
     assert bound.iterations == result.iterations == 8
-    assert bound.iterations_left(bench.problem(bound)) == 0
+    assert bound.iterations_left(compiled.problem(bound)) == 0
     assert not bound.is_late
-    assert bench.run(bound, {"max_iter": 100}).iterations == 0
+    assert compiled.run(bound, {"max_iter": 100}).iterations == 0
 
 
 class _Finder:

@@ -15,7 +15,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.budget import SolveBudget
 from formulations.transcription.compiled import CompiledModel
-from formulations.transcription.contact import tighten
+from formulations.transcription.contact import set_relaxation
 from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
@@ -165,7 +165,7 @@ def test_one_eps_is_one_law_everywhere(length: float):
     assert found["regularised_friction"] < 1e-12
     assert found["dynamics_defect"] < 1e-12
     model = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
-    tighten(model, EPS)
+    set_relaxation(model, EPS)
     load_plan(model, plan)
     for family in ("contact_softplus", "friction_regularised", "velocity_step"):
         rows = model.component(f"constraint_{family}").values()
