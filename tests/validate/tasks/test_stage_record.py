@@ -41,6 +41,7 @@ from validate.tasks.run import RunTask
 
 SCENE = load_scene("three_cart")
 METHOD = load_method("softplus_dc")
+UNJUDGED = Judged()
 PLANNED = Planned(index=2, name="softplus_dc", method=METHOD, eps=1e-5, options=METHOD.read_options({}))
 
 
@@ -89,9 +90,18 @@ def replay(**changes: Any) -> Replay:
 
 def error(by: float) -> ReplayError:
     """Each part of it another number; by: added to all."""
-    estimate, tolerance, step, everyday, rollback, lag = (Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 7))
+    estimate, tolerance, step, everyday, rollback, lag = (
+        Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 7)
+    )
     return ReplayError(
-        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, rollback=rollback, lag=lag, step_source="second run", step_ratio=4.0
+        estimate=estimate,
+        tolerance=tolerance,
+        step=step,
+        everyday=everyday,
+        rollback=rollback,
+        lag=lag,
+        step_source="second run",
+        step_ratio=4.0,
     )
 
 
@@ -103,7 +113,7 @@ def solution(**changes: Any) -> Solution:
     return Solution(**(said | changes))
 
 
-def recorded(found: Solution, judged: Judged = Judged(), index: int = 1) -> StageRecord:
+def recorded(found: Solution, judged: Judged = UNJUDGED, index: int = 1) -> StageRecord:
     return stage_record(SCENE, PLANNED, found, index, wall=7.0, cpu=6.5, before=100.0, judged=judged)
 
 
@@ -117,7 +127,7 @@ def test_every_field_of_a_stage_stands_in_its_own():
         bound=Bound(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=ModelSize(unknowns=11, equations=12), paper_size=ModelSize(unknowns=13, equations=14),
         seconds=Seconds(build=0.5, translate=0.25, evaluate=0.125, linear_algebra=2.0, wall=3.0, cpu=4.0), certificate=CERTIFIED,
-        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": (1, 2.5), "endless": math.inf, "mixed": (1, math.nan), "empty": ()},
+        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": (1, 2.5), "endless": math.inf, "mixed": (1, math.nan), "empty": (), "other": Outcome.SOLVED},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)},
         starts=(Attempt(number=4, start="at rest", outcome=Outcome.STALLED, cost=5.5, windows=(("left", 1, 2),), seconds=1.5),),
         front=(FrontPoint(tolerance=0.01, solution=solution(outcome=Outcome.SOLVED, cost=6.5, residuals={"discrete_terminal_error": 0.005})),),
@@ -132,7 +142,7 @@ def test_every_field_of_a_stage_stands_in_its_own():
         residuals={"defect": 1e-9, "none": 0.0},
         bound=BoundRecord(value=1.0, gap=0.5, proved=True, decisions=9, open_decisions=8, nodes=7),
         size=SizeRecord(unknowns=11, equations=12, paper_unknowns=13, paper_equations=14),
-        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": []},
+        options={"count": 3, "tight": True, "step": 0.5, "name": "x", "none": None, "many": [1.0, 2.5], "endless": "inf", "mixed": "(1, nan)", "empty": [], "other": "Outcome.SOLVED"},
         history={"loss": (3.0, 2.0, 1.0), "norm": (30.0, 20.0, 10.0)}, certificate=CERTIFICATE,
         starts=(StartRecord(number=4, start="at rest", outcome="stalled", cost=5.5, windows=(("left", 1, 2),), seconds=1.5),),
         front=(FrontPointRecord(tolerance=0.01, outcome="solved", cost=6.5, terminal_error=0.005),),
@@ -161,7 +171,7 @@ def test_what_a_stage_does_not_have_is_not_there():
     found = recorded(solution(trajectory=None, cost=math.nan))
     assert (found.cost, found.bound, found.size, found.certificate, found.replay) == (None, None, None, None, None)
     assert (found.starts, found.front, found.metrics, found.questions, found.not_asked, found.history) == ((), (), (), (), (), {})
-    assert (found.verdict, found.why, found.has_plan) == ("no plan", "it took long", False)
+    assert (found.verdict, found.why, found.has_plan, found.seconds.replay) == ("no plan", "it took long", False, 0.0)
     assert found.options == {name: found.options[name] for name in vars(PLANNED.options)}, "none were said: those that were asked"
     one = ModelSize(unknowns=1, equations=2)
     assert recorded(solution(size=one)).size is recorded(solution(paper_size=one)).size is None
@@ -239,7 +249,9 @@ def test_windows_are_the_first_and_the_last_step_of_each_force(forces: tuple, wi
 
 
 def test_a_point_of_a_front_without_a_plan_says_how_it_ended():
-    found = recorded(solution(front=(FrontPoint(tolerance=0.5, solution=solution(trajectory=None, outcome=Outcome.INFEASIBLE, cost=None)),)))
+    found = recorded(
+        solution(front=(FrontPoint(tolerance=0.5, solution=solution(trajectory=None, outcome=Outcome.INFEASIBLE, cost=None)),))
+    )
     assert found.front == (FrontPointRecord(tolerance=0.5, outcome="infeasible"),)
 
 
@@ -262,15 +274,24 @@ def test_a_certificate_comes_to_its_stage_alone():
 
 
 def test_what_a_certificate_does_not_know_is_missing():
-    found = recorded(solution(certificate=certificate(primal=math.inf, complementarity=math.nan, dual=math.nan, least=math.nan, unique=False))).certificate
+    found = recorded(
+        solution(certificate=certificate(primal=math.inf, complementarity=math.nan, dual=math.nan, least=math.nan, unique=False))
+    ).certificate
     assert found is not None
     assert (found.primal, found.complementarity, found.dual, found.least, found.unique) == (None, None, None, None, False)
     assert (found.holds, found.feasible) == (False, False)
 
 
+def test_a_plan_that_is_feasible_need_not_hold():
+    found = recorded(solution(certificate=certificate(stationarity=Stationarity.WEAK, descent=-1.0))).certificate
+    assert found is not None
+    assert (found.feasible, found.holds, found.b_stationary) == (True, False, False)
+
+
 def leg(pipeline: str, *totals: float) -> LegRecord:
     stages = tuple(
-        recorded(solution(), index=place).model_copy(update={"seconds": SecondsRecord(stage=1.0, total=total)}) for place, total in enumerate(totals)
+        recorded(solution(), index=place).model_copy(update={"seconds": SecondsRecord(stage=1.0, total=total)})
+        for place, total in enumerate(totals)
     )
     return LegRecord(key="k", pipeline=pipeline, stages=stages, files={})
 
