@@ -76,7 +76,7 @@ _OPPOSITE: dict[type[ast.AST], tuple[str, type[ast.AST]]] = {
 }  # fmt: skip
 _TWINS = {"max": "min", "min": "max", "any": "all", "all": "any", "maximum": "minimum", "minimum": "maximum"}
 # Their arguments may change places.
-_COMMUTE = {*_TWINS, "hypot", "array_equal", "gcd", "suppress"}
+_COMMUTE = {*_TWINS, "Max", "hypot", "array_equal", "gcd", "suppress"}
 
 
 def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:

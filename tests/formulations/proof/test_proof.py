@@ -19,7 +19,6 @@ from formulations.pipelines import load_method
 from formulations.proof import PairBounds, ProofStatus, build_miqp, pair_bounds, prove, relaxed_bound
 from formulations.proof.bounds import energy_bound, physical_bounds
 from formulations.proof.prove import GAP, is_exact
-from formulations.proof.relaxation import _lowered
 from formulations.solution import Outcome
 from formulations.transcription.contact import ModelError
 from models.catalog import load_scene
@@ -71,13 +70,6 @@ def test_seconds_are_those_of_opening_and_of_the_proof():
     for found in (first, second):
         assert found.wall == found.build + found.linear_algebra
         assert found.cpu > 0.0
-
-
-@pytest.mark.parametrize(
-    ("bound", "lowered"), [(2000.0, 1999.998), (-2000.0, -2000.002), (0.5, 0.499999), (-0.5, -0.500001), (-np.inf, -np.inf)]
-)
-def test_a_bound_is_lowered_by_its_size_before_it_is_believed(bound: float, lowered: float):
-    assert _lowered(bound) == pytest.approx(lowered, rel=1e-12)
 
 
 def test_the_pendulum_against_its_wall_is_proved():
