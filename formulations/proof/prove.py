@@ -74,7 +74,7 @@ def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
         )
     model: Any = build_model(scene, ContactFormulation.COMPLEMENTARITY)
     model.objective_cost.deactivate()
-    model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling if bounds.ceiling < float("inf") else None))
+    model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling))
     model.constraint_cost = pyo.Constraint(expr=model.variable_cost >= model.expression_cost)
     model.objective_bound = pyo.Objective(expr=model.variable_cost)
     if scene.nc:

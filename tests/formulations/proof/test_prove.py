@@ -15,11 +15,12 @@ import pytest
 
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem
-from formulations.proof import PairBounds, Proof, ProofStatus, build_miqp, prove, why_no_proof
+from formulations.proof import PairBounds, Proof, ProofStatus, build_miqp, missing_solver, prove, why_no_proof
 from formulations.proof.prove import GAP, scip
 from formulations.solution import Bound, Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
+from tests.formulations.proof.test_bounds import SCENE
 from tests.formulations.proof.test_proof import LITTLE, SHORT
 from tests.formulations.transcription.rollouts import rolled_out
 
@@ -232,15 +233,17 @@ def test_why_there_is_no_proof(name: str, why: str | None):
     assert "a proof needs a linear scene" in str(why_no_proof(load_scene("two_discs")))
 
 
+@pytest.mark.parametrize(("low", "high"), [(-0.75, 0.5), (0.25, 0.5), (-0.75, -0.25)])
 @pytest.mark.parametrize("scene", [SHORT, LITTLE], ids=["one contact", "two contacts"])
-def test_the_pairs_of_the_program_are_those_of_the_contact_law(scene: Any):
+def test_the_pairs_of_the_program_are_those_of_the_contact_law(scene: Any, low: float, high: float):
     """At a motion with a contact that closes: its own mode fits with nothing to spare, the other does not, and each side has its bound."""
     push = np.full((scene.task.steps, scene.nu), 1.0 if scene is SHORT else 12.0)
     plan = rolled_out(scene, push)
     phi, k = load_kernel(scene).penetration(plan.q[:-1]), 100.0 if scene is SHORT else 30.0
     assert (phi[1:] > 0.0).any()
     assert (phi[1:] < 0.0).any()
-    pairs = replace(bounds(-0.75, 0.5, scene), ceiling=1234.5)
+    pairs = replace(bounds(low, high, scene), ceiling=1234.5)
+    deepest, farthest = max(high, 0.0), -min(low, 0.0)
     model: Any = build_miqp(scene, pairs)
     assert model.variable_cost.ub == 1234.5
     assert model.variable_cost.lb is None
@@ -249,17 +252,17 @@ def test_the_pairs_of_the_program_are_those_of_the_contact_law(scene: Any):
             model.variable_q[t, name].set_value(plan.q[place, column], skip_validation=True)
         for contact, name in enumerate(model.set_contacts):
             model.variable_lam[t, name].set_value(plan.lam[place, contact], skip_validation=True)
-            assert model.variable_lam[t, name].ub == pytest.approx(0.5 * k)
+            assert model.variable_lam[t, name].ub == pytest.approx(deepest * k)
     rows = list(model.constraint_pair.values())
     assert len(rows) == 3 * phi.size
     for closed in (0, 1):
         for data in model.variable_closed.values():
-            data.set_value(closed)
+            data.set_value(closed, skip_validation=True)
         for place, depth in enumerate(phi.ravel()):
             pushes, stays, opens = rows[3 * place : 3 * place + 3]
             gap = max(-k * depth, 0.0)
-            assert (pushes.slack(), stays.slack()) == pytest.approx((0.5 * k * closed - k * max(depth, 0.0), gap), abs=1e-9)
-            assert opens.slack() == pytest.approx(0.75 * k * (1 - closed) - gap, abs=1e-9)
+            assert (pushes.slack(), stays.slack()) == pytest.approx((deepest * k * closed - k * max(depth, 0.0), gap), abs=1e-9)
+            assert opens.slack() == pytest.approx(farthest * k * (1 - closed) - gap, abs=1e-9)
 
 
 def test_what_is_decided_is_fixed_and_an_endless_ceiling_is_none():
@@ -286,3 +289,15 @@ def test_a_scene_without_contacts_has_no_pairs():
     scene = load_scene(str(Path(__file__).parents[2] / "scenes" / "oscillator.py")).with_task(steps=5)
     model: Any = build_miqp(scene, PairBounds(lower=np.zeros((5, 0)), upper=np.zeros((5, 0)), ceiling=1.0))
     assert not hasattr(model, "variable_closed")
+
+
+def test_a_scene_without_parameters_has_its_pairs_too():
+    steps = SCENE.task.steps
+    model: Any = build_miqp(SCENE, PairBounds(lower=np.full((steps, 1), -1.0), upper=np.full((steps, 1), 2.0), ceiling=1.0))
+    assert model.variable_lam[1, "pair"].ub == 1.5, "k = 3/4"
+
+
+def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch):
+    assert missing_solver() is None
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert "pip install 'touchstone-contact[global]'" in str(missing_solver())
