@@ -108,7 +108,7 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
     if before.verdict != after.verdict:
         on_ladder = before.verdict in _VERDICTS and after.verdict in _VERDICTS
         better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict) if on_ladder else 0
-        relaxed = expected and {before.verdict, after.verdict} <= {*HOLD, "violates"}
+        relaxed = expected and {before.verdict, after.verdict}.issubset((*HOLD, "violates"))
         kind = ChangeKind.OTHER if relaxed or not better else ChangeKind.IMPROVEMENT if better > 0 else ChangeKind.REGRESSION
         yield Change(kind=kind, where=where, what="verdict", before=before.verdict, after=after.verdict)
     if before.outcome != after.outcome:

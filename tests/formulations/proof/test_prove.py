@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,12 +17,12 @@ import pytest
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.proof import PairBounds, Proof, ProofStatus, build_miqp, missing_solver, prove, why_no_proof
-from formulations.proof.prove import GAP, scip
+from formulations.proof.prove import GAP, is_exact, scip
 from formulations.solution import Bound, Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from tests.formulations.proof.test_bounds import SCENE
-from tests.formulations.proof.test_proof import LITTLE, SHORT
+from tests.formulations.proof.test_proof import ASKED, LITTLE, SHORT
 from tests.formulations.transcription.rollouts import rolled_out
 
 MODULE = sys.modules[prove.__module__]
@@ -72,8 +73,9 @@ def proved(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(MODULE, "scip", solve)
         monkeypatch.setattr(MODULE, "pair_bounds", bounded)
         monkeypatch.setattr(MODULE, "perf_counter", lambda: 100.0)
+        monkeypatch.setattr(MODULE, "process_time", lambda: 50.0)
         found = prove(scene, incumbent=incumbent, time_limit=limit)
-        assert said == [], "SCIP was meant to be asked that often"
+        assert (len(asked), found.seconds, found.cpu) == (len(answers), 0.0, 0.0), "SCIP was meant to be asked that often"
         return SimpleNamespace(proof=found, asked=asked, ceilings=ceilings)
 
     return run
@@ -156,6 +158,38 @@ def test_neither_time_that_is_over_nor_endless_bounds_ask_scip(proved, incumbent
         assert (found.asked, found.proof.bound) == ([], -np.inf)
 
 
+def test_half_a_second_is_time_and_ten_minutes_are_what_is_given_unasked(proved):
+    assert proved(result(-1.0), result(-2.0), limit=0.5).asked == [pytest.approx(0.05), 0.5]
+    assert inspect.signature(prove).parameters["time_limit"].default == 600.0
+
+
+@pytest.mark.parametrize(("part", "status"), [(0.5, ProofStatus.OPTIMAL), (2.0, ProofStatus.BOUND)])
+def test_a_cost_below_nought_has_its_ceiling_above_and_its_gap_below(proved, known: float, part: float, status: ProofStatus):
+    scene = SHORT.with_task(running_cost=SHORT.task.running_cost - 100)
+    cost = known - 900.0
+    found = proved(result(cost - part * GAP * abs(cost)), scene=scene, incumbent=COASTING)
+    assert found.proof.cost == pytest.approx(cost, rel=1e-9)
+    assert found.proof.status is status
+    assert found.ceilings == [pytest.approx(cost + 1e-5 * abs(cost), rel=1e-9)]
+
+
+EXACT_NAMES = ("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign", "complementarity")
+
+
+@pytest.mark.parametrize("name", EXACT_NAMES)
+@pytest.mark.parametrize(("value", "counts"), [(0.0, True), (1e-8, True), (1.01e-8, False), (np.nan, False)])
+def test_a_plan_counts_up_to_a_residual_of_1e_minus_8(name: str, value: float, counts: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(MODULE, "PlanResiduals", lambda scene: SimpleNamespace(of=lambda plan: {name: value, "cost": 9.0}))
+    assert is_exact(SHORT, COASTING) is counts
+
+
+@pytest.mark.parametrize(("miss", "counts"), [(0.99e-8, True), (1.01e-8, False)])
+def test_a_plan_counts_if_it_ends_where_it_must(miss: float, counts: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(MODULE, "PlanResiduals", lambda scene: SimpleNamespace(of=lambda plan: {}))
+    goal = (float(COASTING.q[-1, 0]) + miss, None)
+    assert is_exact(ASKED.with_task(goal=goal), COASTING) is counts
+
+
 def test_a_worse_plan_is_not_taken(proved, known: float):
     """SCIP offers the modes of a wall that pushes from the start, which no cheap plan has."""
     modes = np.ones((9, 1), dtype=bool)
@@ -177,9 +211,9 @@ def test_where_one_choice_of_modes_is_left_its_optimum_is_the_answer(proved):
 
 def test_decisions_are_those_after_the_start(proved):
     pairs = bounds()
-    pairs.upper[:4] = -0.5
+    pairs.upper[2:4] = -0.5
     found = proved(result(0.0), pairs=pairs, incumbent=COASTING).proof
-    assert (found.pairs, found.binaries) == (8, 5)
+    assert (found.pairs, found.binaries) == (8, 6)
 
 
 def proof(**changes: Any) -> Proof:
