@@ -121,5 +121,10 @@ def test_texts_and_bytes_are_written_and_removed(tmp_path: Path):
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
 
 
-def test_what_is_aside_says_whose_it_is():
+def test_what_is_aside_says_whose_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    replaced: list[Path] = []
+    monkeypatch.setattr(os, "replace", lambda unfinished, path: replaced.append(unfinished))
+    write_durably(tmp_path / "file", "x")
+    assert replaced[0].parent == tmp_path
+    assert replaced[0].name.startswith(".partial-file-")
     assert aside_name("what", "token") == f".partial-what-token-{os.getpid()}-{socket.gethostname()}"

@@ -160,7 +160,12 @@ def test_what_tasks_are_called():
         len({identity(task) for task in (RUN, PART, CHECK, {**CHECK, "scene": None}, {**CHECK, "kind": "FMU"}, {**CHECK, "name": "h02"})})
         == 6
     )
-    assert identity({**RUN, "key": "other"}) == identity(RUN) == identity({**RUN, "pipeline": {"name": "strict"}})
+    assert (
+        identity({**RUN, "key": "other"})
+        == identity(RUN)
+        == identity({**RUN, "pipeline": {"name": "strict"}})
+        == identity({**RUN, "pipeline": {"name": "strict", "part": []}})
+    )
     assert len({identity(RUN), identity({**RUN, "scene_name": "x"}), identity({**RUN, "pipeline": {"name": "x"}})}) == 3
     assert identity({"pipeline": "damaged", **CHECK}) == identity(CHECK)
 
