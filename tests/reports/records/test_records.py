@@ -142,7 +142,7 @@ def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
     assert [item.key for item in stored.examinations] == ["stress-h01"]
     assert stored.missing == ("lost",), "what is broken is not missing"
     assert stored.foreign == 2
-    assert stored.campaign is not None
+    assert (stored.folder, stored.campaign) == ("all", factory.campaign(runs, keys=keys))
     assert [group[0].key for group in stored.parts] == [runs[2].key, runs[0].key]
     assert [item.path for item in stored.unreadable] == [f"runs/{runs[1].key}/record.json"]
 
@@ -179,6 +179,8 @@ def test_one_field_that_does_not_fit_is_named_alone(tmp_path: Path):
     said = sentence_of(tmp_path, json.dumps(data | {"wall_seconds": "soon"}))
     assert "at run.wall_seconds: " in said
     assert "more" not in said
+    said = sentence_of(tmp_path, json.dumps(data | {"profile": {"p" * 200: "soon"}}))
+    assert f"at run.profile.{'p' * (120 - len('run.profile.'))}: " in said
     key = "k" * 39 + "xyz"
     said = sentence_of(tmp_path, json.dumps(data | {"key": key}))
     assert repr(key[:40]) in said

@@ -44,6 +44,15 @@ def test_who_is_at_work(dead: int, monkeypatch: pytest.MonkeyPatch):
     assert _owner_lives(f".partial-a-token-{dead}-{HOST}"), "it is another user's"
 
 
+def test_a_machine_may_have_a_name_of_several_parts(dead: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(socket, "gethostname", lambda: "my-own-host")
+    assert [_owner_lives(f".partial-a-token-{dead}-{host}") for host in ("my-own-host", "my-own-host-old", "my-host")] == [
+        False,
+        False,
+        True,
+    ]
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     found = Store(tmp_path / "all")
