@@ -3,7 +3,7 @@
     python -m tests.planted --seed 1 --draws 50 -j 2          # every room; --room judge for one; --list says what would be planted
 
 A seed draws the same defects from the same code: each line that can be wrong once, then a mistake on that line. What does not import is drawn
-again. First come the tests that import the file, then all of the room; what fails must pass without the defect. The tree itself is never
+again. First come the quick tests that import the file, then the quick ones of the room, then the slow ones; what fails must pass without the defect. The tree itself is never
 changed: each worker has a copy of it, which is removed at the end, however that comes.
 """
 
@@ -227,10 +227,11 @@ def tried(defect: Defect, copy: Path) -> Result | None:
     try:
         if _run(copy, ["-c", f"import {module}"])[0] != 0:
             return None
-        for files in tests_of(defect, copy):
+        near, others = tests_of(defect, copy)
+        for files, marks in ((near, "not slow"), (others, "not slow"), ([*near, *others], "slow")):
             if files and not found:
-                code, said = _run(copy, [*_PYTEST, *files])
-                found = [] if code == 0 else who_failed(said, copy)
+                code, said = _run(copy, [*_PYTEST, "-m", f"{marks} and not peer", *files])
+                found = [] if code in (0, _NONE_CHOSEN) else who_failed(said, copy)
     finally:
         place.write_text(sound, encoding="utf-8")
     if found and not found[0].startswith(_HANGS):
@@ -247,6 +248,8 @@ def who_failed(said: str, copy: Path) -> list[str]:
     return failed or ["::".join(place) for place in inside[:1]] or [_last_line(said)]
 
 
+# The exit code of pytest where no test has the marks asked for.
+_NONE_CHOSEN = 5
 _PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
 
 
