@@ -150,14 +150,17 @@ def test_nothing_active_has_no_limits():
 
 
 @pytest.mark.parametrize(
-    ("slopes", "lower", "counted"),
-    [((2.0, 0.0), 0.0, 0), ((2.0, 0.0), -0.01, 1), ((-2.0, 0.0), 0.0, 1), ((2.0, 1.0), 0.0, 1), ((0.0, 2.0), 0.0, 1)],
-)
-def test_a_bound_that_is_a_side_of_a_pair_is_not_counted_twice(slopes: tuple[float, float], lower: float, counted: int):
+    ("slopes", "side", "lower", "counted"),
+    [
+        ((2.0, 0.0), 0.02, 0.0, 0), ((0.5, 0.0), 0.005, 0.0, 0), ((2.0, 0.0), 0.02 + 0.9e-12, 0.0, 0), ((2.0, 0.0), 0.02 + 1.1e-12, 0.0, 1),
+        ((2.0, 0.0), 0.02, -0.01, 1), ((-2.0, 0.0), -0.02, 0.0, 1), ((2.0, 1.0), 0.02, 0.0, 1), ((0.0, 2.0), 0.02, 0.0, 1),
+    ],
+)  # fmt: skip
+def test_a_bound_that_is_a_side_of_a_pair_is_not_counted_twice(slopes: tuple[float, float], side: float, lower: float, counted: int):
     """x = 0.01: of a side 2 x its lower bound 0 is the same once more."""
     x = [row(0.01, lower=lower), row(3.0)]
     for first in (True, False):
-        one = (pair(0.02, 5.0), slopes, (0, 9)) if first else (pair(5.0, 0.02), (0, 9), slopes)
+        one = (pair(side, 5.0), slopes, (0, 9)) if first else (pair(5.0, side), (0, 9), slopes)
         assert len(active_set(local(x, pairs=[one]), 0.1).limits) == counted
     assert (
         len(active_set(local([row(0.01, lower=0.0, upper=0.05), row(3.0)], pairs=[(pair(0.02, 5.0), (2, 0), (0, 9))]), 0.1).limits) == 1
