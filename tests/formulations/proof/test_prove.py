@@ -19,6 +19,7 @@ from formulations.contact_modes.quadratic import ModesProblem
 from formulations.proof import PairBounds, Proof, ProofStatus, build_miqp, missing_solver, prove, why_no_proof
 from formulations.proof.prove import GAP, is_exact, scip
 from formulations.solution import Bound, Outcome
+from formulations.transcription.contact import ModelError
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from tests.formulations.proof.test_bounds import SCENE
@@ -317,6 +318,14 @@ def test_what_is_decided_is_fixed_and_an_endless_ceiling_is_none():
     paid = pyo.value(model.expression_cost)
     model.variable_cost.set_value(paid + 0.25)
     assert (model.constraint_cost.slack(), pyo.value(model.objective_bound)) == (pytest.approx(0.25), pytest.approx(paid + 0.25))
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_without_bounds_there_is_no_program(side: str):
+    pairs = bounds()
+    getattr(pairs, side)[3, 0] = -np.inf if side == "lower" else np.inf
+    with pytest.raises(ModelError, match="no finite bound"):
+        build_miqp(SHORT, pairs)
 
 
 def test_a_scene_without_contacts_has_no_pairs():
