@@ -50,6 +50,7 @@ def test_a_full_disk_is_called_full_and_any_other_by_its_own_words(number: int, 
     assert ("the disk is full" in said) is full
     assert (os.strerror(number).lower() in said) is not full
     assert "is gone" not in said
+    assert disk_error(tmp_path, problem(number)).exit_code == 3
 
 
 def test_words_of_an_error_without_a_number_are_its_text(tmp_path: Path):

@@ -96,6 +96,9 @@ def test_a_record_of_another_key_is_not_the_tasks(store: Store):
     put(store, run.key, run)
     put(store, "other", run)
     assert store.read(run.key) == run
+    record = put(store, "damaged", run.model_copy(update={"key": "damaged"})) / RECORD
+    record.write_text(record.read_text()[:-10])
+    assert store.read("damaged") is None
     assert store.read("other") is store.read("nowhere") is store.read("\0") is None
 
 

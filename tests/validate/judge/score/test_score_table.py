@@ -17,7 +17,6 @@ from validate.judge.replay.wiring import Effort
 from validate.judge.score import _check_belongs, _metric, _not_asked, _worst
 from validate.judge.score import table as module
 from validate.judge.score.measures import Measured
-from validate.judge.score.printing import half_unit
 from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries, limit_name
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured
 
@@ -262,14 +261,3 @@ def test_a_replay_belongs_to_the_nodes_of_its_plan():
     ):
         with pytest.raises(TrajectoryError, match=part):
             _check_belongs(scene, plan, replay(**changes))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("values", "most", "half"),
-    [
-        ([0.0, 0.0], 1e9, 0.0), ([0.12, 3.4], 1e3, 0.005), ([0.12, 3.4], 10.0, 0.005), ([0.12, 3.4], 9.9, 0.0), ([-2.0, 0.0], 1e3, 0.5),
-        ([1.25e-9, 3.0e-8], 1.0, 5e-11), ([10.0 / 21.0], 1e3, 0.0), ([1234567.0], 1e9, 0.5),
-    ],
-)  # fmt: skip
-def test_half_a_unit_of_the_last_digit(values: list[float], most: float, half: float):
-    assert half_unit(np.array(values), most) == pytest.approx(half, rel=1e-9)
