@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from formulations.mpec.certificate.certificate import (
     _violation,
 )
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
+from formulations.mpec.certificate.stationarity import affordable
 
 S, M, C, A, W = list(Stationarity)[:5]
 INF = math.inf
@@ -324,3 +326,16 @@ def test_a_certificate_in_words(changes: dict[str, Any], parts: list[str], missi
 def test_no_signs_are_asked_of_any():
     assert ANY == ("*", "*")
     assert isinstance(active_set(local([row(0.0)]), 0.1), ActiveSet)
+
+
+@pytest.mark.parametrize(
+    ("variables", "choices", "biactive", "nodes"),
+    [
+        (100, 2, 10, 2048), (100, 2, 11, 12), (400, 2, 8, 512), (400, 2, 9, 12), (10**6, 2, 3, 16), (10**6, 2, 4, 12), (0, 3, 0, 2), (100, 3, 6, 1458),
+        (100, 3, 7, 12),
+    ],
+)  # fmt: skip
+def test_a_tree_is_searched_to_its_end_where_that_costs_little(variables: int, choices: int, biactive: int, nodes: int):
+    """1024 leaves at most, fewer where 200 000 are not enough for each to have one of every variable, but always 8; else 12 nodes."""
+    active: Any = SimpleNamespace(gradient=np.zeros(variables), both=np.arange(biactive))
+    assert affordable(active, choices) == nodes
