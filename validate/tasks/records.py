@@ -347,8 +347,6 @@ def _plain(value: object) -> Any:
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
     """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
-    columns = {name: [float(value) for value in values] for name, values in history.items()}
-    length = min((len(values) for values in columns.values()), default=0)
-    rows = [row for row in range(length) if all(math.isfinite(values[row]) for values in columns.values())]
-    keep = [rows[place] for place in thin(len(rows))] if rows else []
-    return {name: tuple(values[row] for row in keep) for name, values in columns.items()}
+    rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
+    kept = [rows[place] for place in thin(len(rows))]
+    return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}
