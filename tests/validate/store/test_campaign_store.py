@@ -8,6 +8,7 @@ import pytest
 
 from reports.records.record import LegRecord, RunRecord
 from validate.execution.campaign import CampaignSettings, select, with_stored
+from validate.judge.score import metric_names
 from validate.plan.runs import reasons
 from validate.store.provenance import gather
 from validate.store.results import COLUMNS, results_text
@@ -89,7 +90,9 @@ def test_results_have_the_columns_of_the_design(entry):
         "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, total_s, replay_s, judged, "
         "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
     )
-    assert tuple(design.split(", ")) == COLUMNS
+    first = tuple(design.split(", "))
+    assert (*first, *(name for name in metric_names() if name not in first)) == COLUMNS
+    assert len(set(COLUMNS)) == len(COLUMNS)
     header, row = results_text([_record(entry, "infeasible")]).splitlines()
     assert header == ",".join(COLUMNS)
     told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}

@@ -22,6 +22,7 @@ from reports.records.record import (
     ViolationPoint,
 )
 from tests.reports import record_factory as factory
+from validate.judge.score import metric_names
 from validate.store.results import (
     COLUMNS,
     EXAMINATIONS,
@@ -37,11 +38,12 @@ from validate.store.results import (
     write_violation,
 )
 
-METRICS = (
+_FIRST = (
     "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error", "replay_terminal_position_error",
     "replay_terminal_velocity_error", "replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual",
     "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share",
 )  # fmt: skip
+METRICS = (*_FIRST, *(name for name in metric_names() if name not in (*_FIRST, "cost")))
 
 
 def metric(name: str, value: float | None) -> MetricRecord:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
 from validate.judge.score.cause import ScoredPlan, explain
-from validate.judge.score.table import TABLE, feedback_entries
+from validate.judge.score.table import FEEDBACK, TABLE, feedback_entries
 from validate.judge.score.verdict import (
     EFFORT,
     SHARE,
@@ -313,3 +314,12 @@ def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took
 
 def test_what_is_waived_stands_in_every_sentence():
     assert told(STRAY, waived=("defect: its time step is another's",)).endswith(" Waived: defect.")
+
+
+def test_a_metric_is_quoted_by_its_own_row():
+    """One that judges has a sentence; without one its name will do."""
+    judging = [entry for entry in (*TABLE, *FEEDBACK) if entry.question is not Question.SHOWN]
+    assert [entry.name for entry in judging if entry.quoted.count("{}") != 1] == []
+    first = judging[0]
+    assert first.quote("0.3 m") == first.quoted.replace("{}", "0.3 m")
+    assert replace(first, quoted="").quote("0.3 m") == "start_error is 0.3 m"
