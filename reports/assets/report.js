@@ -93,7 +93,7 @@
 
   const tell = (event) => {
     const point = event.target instanceof Element ? event.target.closest("a, [data-tip]") : null;
-    const tip = point && (point.dataset.tip || (point.querySelector("[data-tip]") || { dataset: {} }).dataset.tip);
+    const tip = point && (point.dataset.tip || point.querySelector("title")?.textContent);
     if (tip && point.closest("figure")) point.closest("figure").querySelector("output").textContent = tip;
   };
   document.addEventListener("pointerover", (event) => { if (event.target.closest(".fig.wide .draw")) tell(event); });

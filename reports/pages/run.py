@@ -1,18 +1,20 @@
-"""The page of one run: verdict, motion, stages with questions and metrics, plan against replay, iterations, certificate, options, seconds, log."""
+"""The page of one run: the verdict with what decided it, then motion, stages with questions and metrics, plots, where it comes from and how to repeat it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from reports.again import again
+from reports.causes import cause_of, deciding
+from reports.findings import integral_cost, last_cost
 from reports.judged import QuestionView, end_of, is_tracked, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.starts import Spread, spread
-from reports.records.record import RunRecord, SceneRecord, StageRecord
+from reports.records.record import HOLD, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord
 from reports.traces import Motion
-from reports.wording import small, tail
+from reports.wording import capital, small, tail
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,27 @@ class StageView:
 
 
 @dataclass(frozen=True)
+class Decision:
+    """Why a run has its verdict. question, metric: that decided it, or came nearest to its limit; cause, advice: empty where there is nothing to mend.
+
+    cost, integral: of the last plan, as a sum over its steps and times the time step; ends: where its replay ends, in words.
+    """
+
+    question: QuestionRecord | None
+    metric: MetricRecord | None
+    cause: str
+    advice: str
+    cost: float | None
+    integral: float | None
+    ends: str
+
+
+@dataclass(frozen=True)
 class RunView:
     """A run and its stages; the film shows the last stage that has something to show."""
 
     run: RunRecord
+    decision: Decision
     stages: list[StageView]
     film: Film | None
     log: str
@@ -59,7 +78,25 @@ def view_of(report: Report, run: RunRecord) -> RunView:
     stages = [
         _stage(run.scene, stage, motion, last=place == last) for place, (stage, motion) in enumerate(zip(run.stages, motions, strict=True))
     ]
-    return RunView(run, stages, film(run, motions), tail(run.log_tail), again(run))
+    return RunView(run, decision_of(run), stages, film(run, motions), tail(run.log_tail), again(run))
+
+
+def decision_of(run: RunRecord) -> Decision:
+    """What decided the verdict of a run, from its record alone."""
+    last, cause = run.stages[-1] if run.stages else None, cause_of(run)
+    metric = deciding(last) if last is not None else None
+    number = metric.question if metric is not None else None
+    question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
+    why = (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
+    return Decision(
+        question,
+        metric,
+        " ".join(dict.fromkeys(part for part in ("" if cause is None else f"{cause.sentence}.", capital(why)) if part)),
+        "" if cause is None else cause.advice,
+        last_cost(run),
+        integral_cost(run.scene, last_cost(run)),
+        end_of(last, run.scene) if last is not None else "",
+    )
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:

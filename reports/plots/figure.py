@@ -114,8 +114,10 @@ class Plot:
             "diamond": f'<path d="M{left:.1f},{top - 6:.1f}l6,6l-6,6l-6,-6z"/>',
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
         }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="{radius:g}"/>')
-        inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
-        self._over.append(f'<a href="{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
+        # A link's title is its tip, its name for assistive technology and what the script reads: there are hundreds, so each sentence stands once.
+        told = f"<title>{escape(tip)}</title>{shape}</g>"
+        drawn = f'<g class="pt {escape(style)}">{told}' if href else f'<g class="pt {escape(style)}" data-tip="{escape(tip)}">{told}'
+        self._over.append(f'<a href="{escape(href)}">{drawn}</a>' if href else drawn)
         if keeps_free:
             self._taken.append((left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1))
 
