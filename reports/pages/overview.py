@@ -13,11 +13,13 @@ from reports.pages.failures import notices
 from reports.pages.filmstrip import Strip, strip
 from reports.pages.front import draw_front
 from reports.pages.pareto import cpu
+from reports.pages.runs import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import HOLD, CampaignRecord, RunRecord
+from reports.rows import Row
 from reports.wording import VERDICTS, capital, cost, count, error, number, seconds, unit
 
 # Families of the methods that end a run: the paper's three, and ours. Style of their marks, and words.
@@ -80,10 +82,14 @@ def _words(run: RunRecord, ratio: float | None) -> str:
     if ratio is not None:
         return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
     if cause is None:
-        reason = run.message.partition(": ")[2] or run.message if run.verdict == "not applicable" else ""
+        reason = not_applicable(run)
         return f"{said}. {capital(reason.partition('; ')[0])}" if reason else said
     metric = deciding(run.stages[-1]) if run.stages else None
-    measured = f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})" if metric is not None and metric.value is not None else ""
+    measured = (
+        f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
+        if metric is not None and metric.value is not None
+        else ""
+    )
     return f"{said}. {cause.sentence}{measured}"
 
 
@@ -107,12 +113,18 @@ def _keys() -> list[Key]:
     return [*families, Key("c2 full", "filled: holds", "circle"), Key("front", "front")]
 
 
+def _ends_leg(row: Row) -> bool:
+    """Whether it is the last stage of its method in the run: what the method came to, at its tightest eps."""
+    later = row.run.stages[row.stage.index + 1 :]
+    return not later or later[0].method != row.stage.method
+
+
 def _speed(report: Report) -> Plot | None:
-    """CPU seconds against replay error: a mark for each plan, and the names of the pipelines whose medians over their scenes no other beats."""
+    """CPU seconds against replay error: a mark for what each method came to, and the names of the pipelines whose medians over their scenes no other beats."""
     points = []
     for row in report.rows:
         metric = judged_metric(row.stage, "replay_error")
-        if metric is not None and metric.value is not None:
+        if _ends_leg(row) and metric is not None and metric.value is not None:
             own = (row.stage.replay.error_estimate if row.stage.replay else None) or 0.0
             points.append((max(cpu(row), _TICK), max(metric.value, own, _SMALLEST), row))
     if not points:
@@ -126,7 +138,7 @@ def _speed(report: Report) -> Plot | None:
     )
     for x, y, row in points:
         style = _FAMILIES[_OF_PAPER.get(row.stage.method, "ours")][0] + (" full" if row.holds else "")
-        tip = f"{row.label} on {row.run.scene.name}: {row.stage.verdict}; {seconds(x)} CPU s, replay error {error(y)}"
+        tip = f"{row.label} on {row.run.scene.name}: {row.stage.verdict}; {seconds(x)} CPU s, error {error(y)}"
         plot.point(x, y, style, "circle", tip, row.link, radius=3.5, keeps_free=False)
     medians = []
     for name in dict.fromkeys(row.run.pipeline for _, _, row in points):
@@ -139,7 +151,7 @@ def _speed(report: Report) -> Plot | None:
     plot.name_points(lasting)
     wrong = sum(row.stage.verdict == "violates" for _, _, row in points)
     plot.words = (
-        f"Left is fast, below is near to its replay. {wrong} of {count(len(points), 'plan')} violate (hollow). "
+        f"Left is fast, below is near to its replay; relaxations at their tightest ε. {wrong} of {count(len(points), 'plan')} violate (hollow). "
         "The line joins the medians of pipelines, where they hold, that no other beats in both."
     )
     return plot

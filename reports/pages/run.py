@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.again import again
 from reports.causes import cause_of, deciding
 from reports.findings import integral_cost, last_cost
-from reports.judged import QuestionView, end_of, is_tracked, questions_of
+from reports.judged import FEEDBACK, TRACKED, QuestionView, end_of, is_tracked, judged_metric, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
@@ -21,7 +22,7 @@ from reports.wording import capital, small, tail
 class StageView:
     """A stage and what is drawn of it.
 
-    questions: what was asked and measured; ends: (which replay, where it ends); tracked: whether the verdict is of the replay with feedback; both:
+    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); tracked: whether the verdict is of the replay with feedback; both:
     whether there is one; empty: it left no plan; idle: it did not even run.
     """
 
@@ -54,12 +55,21 @@ class Decision:
 
 
 @dataclass(frozen=True)
+class MetricRow:
+    """A judged metric over the stages of a run; found: of each stage that of the replay which is judged, None where it was not measured."""
+
+    metric: MetricRecord
+    found: list[MetricRecord | None]
+
+
+@dataclass(frozen=True)
 class RunView:
     """A run and its stages; the film shows the last stage that has something to show."""
 
     run: RunRecord
     decision: Decision
     stages: list[StageView]
+    beside: list[MetricRow]
     film: Film | None
     log: str
     again: str
@@ -78,7 +88,7 @@ def view_of(report: Report, run: RunRecord) -> RunView:
     stages = [
         _stage(run.scene, stage, motion, last=place == last) for place, (stage, motion) in enumerate(zip(run.stages, motions, strict=True))
     ]
-    return RunView(run, decision_of(run), stages, film(run, motions), tail(run.log_tail), again(run))
+    return RunView(run, decision_of(run), stages, _beside(run.stages), film(run, motions), tail(run.log_tail), again(run))
 
 
 def decision_of(run: RunRecord) -> Decision:
@@ -102,16 +112,26 @@ def decision_of(run: RunRecord) -> Decision:
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
     return StageView(
         stage,
-        stage_plots(scene, stage, motion),
+        stage_plots(scene, stage, motion, whole=last),
         spread(stage),
         last,
-        questions_of(stage),
+        questions_of(stage) if last else [],
         _ends(scene, stage),
         is_tracked(stage),
         _is_followed(stage),
         is_empty(stage),
         is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,
     )
+
+
+def _beside(stages: Sequence[StageRecord]) -> list[MetricRow]:
+    """The judged metrics of all stages, by questions; empty where there is one stage alone."""
+    rows: dict[str, list[MetricRecord | None]] = {}
+    for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
+        if metric.limit is not None and not metric.name.startswith((TRACKED, FEEDBACK)) and metric.name not in rows:
+            rows[metric.name] = [judged_metric(stage, metric.name) for stage in stages]
+    found = [MetricRow(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
+    return sorted(found, key=lambda row: row.metric.question or 7)
 
 
 def _stage_words(stage: StageRecord) -> str:

@@ -43,14 +43,41 @@ def build(report: Report) -> Section | None:
     said = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
     # In a single file the contents lead to the first run of each scene: hundreds of lines would be none.
     first = {run.scene.name: report.anchor(run) for run in reversed(runs)} if report.single else {}
-    return Section("runs", "All runs", "runs.html", {"listed": listed}, tuple((first[scene.name], scene.name) for scene in report.scenes if first), said)
+    return Section(
+        "runs",
+        "All runs",
+        "runs.html",
+        {"listed": listed},
+        tuple((first[scene.name], scene.name) for scene in report.scenes if first),
+        said,
+    )
+
+
+def not_applicable(run: RunRecord) -> str:
+    """Why a run does not apply, without the names of method and scene; empty where it does."""
+    if run.verdict != "not applicable":
+        return ""
+    head, colon, reason = run.message.partition(": ")
+    return (reason if colon and " " not in head else run.message).removeprefix(f"scene {run.scene.name} ")
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:
     last, price, cause = run.stages[-1] if run.stages else None, last_cost(run), cause_of(run)
-    metrics = [judged_metric(last, f"replay_{name}") if last else None for name in ("terminal_position_error", "terminal_velocity_error", "error")]
-    why = cause.sentence if cause is not None else run.message if run.verdict == "not applicable" else ""
+    metrics = [
+        judged_metric(last, f"replay_{name}") if last else None for name in ("terminal_position_error", "terminal_velocity_error", "error")
+    ]
+    why = cause.sentence if cause is not None else not_applicable(run)
     view = view_of(report, run) if report.single else None
     return Listed(
-        run, report.link(run), price, integral_cost(run.scene, price), metrics[0], metrics[1], metrics[2], solving_cpu(run), why, report.anchor(run), view
+        run,
+        report.link(run),
+        price,
+        integral_cost(run.scene, price),
+        metrics[0],
+        metrics[1],
+        metrics[2],
+        solving_cpu(run),
+        why,
+        report.anchor(run),
+        view,
     )

@@ -30,7 +30,11 @@ def time_step(report: Report, scene: str) -> str:
 
 def build(report: Report, scene: SceneRecord) -> Section:
     """What the scene is, in a few words and a film strip, and what leads to its runs."""
-    values = {"scene": scene, "strip": best_strip(report, scene.name), "table1": report.report_link("table1") if scene.name == PAPER_SCENE else ""}
+    values = {
+        "scene": scene,
+        "strip": best_strip(report, scene.name),
+        "table1": report.report_link("table1") if scene.name == PAPER_SCENE else "",
+    }
     return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html", values)
 
 
