@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from reports.judged import end_of
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
@@ -83,7 +82,7 @@ def _plot(
     for missed, price, row in points:
         style = row.stage.kind
         marker = "square" if style == "direct" else "circle"
-        tip = f"{row.label}: cost {cost(price)}, {end_of(row.stage, scene)}, {row.stage.verdict}"
+        tip = f"{row.label}: cost {cost(price)}, {row.ends}, {row.stage.verdict}"
         plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.link)
     plot.name_points([(max(missed, _SMALLEST), price, row.name) for missed, price, row in front])
     steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from reports.judged import TRACKED, end_of, is_tracked, judged_metric
+from reports.judged import TRACKED, is_tracked, judged_metric
 from reports.pages.front import draw_front, unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
@@ -206,8 +206,7 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
     for x, y, row in points:
         holds = row.holds
         quantity = y_axis.quantity
-        ends = end_of(row.stage, row.run.scene)
-        ends = f", ends off the goal by {ends}" if ends else ""
+        ends = f", ends off the goal by {row.ends}" if row.ends else ""
         tip = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
         plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.link)
     plot.name_points([(x, y, row.name) for x, y, row in front])

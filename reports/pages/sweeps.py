@@ -16,18 +16,21 @@ from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import HOLD, RunRecord, SceneRecord
-from reports.wording import count, listing, number, spaced
+from reports.wording import capital, count, listing, number, spaced
 
 SEED = "seed"
 # Metrics that are drawn at once; the others are folded.
 _FIRST = ("replay_error", "replay_terminal_position_error", "replay_terminal_velocity_error")
 _MARKERS = ("circle", "square", "diamond", "triangle")
+# CSS class and marker of a curve.
+Style = tuple[str, str]
 # More curves than colours and markers tell apart are drawn in the order of the campaign.
 _COLOURS = 6
 # Values that span more than this are drawn on a logarithmic axis.
 _WIDE = 20.0
 # Runs that differ in more numbers than this are other runs, not a sweep.
 _MOST = 3
+_PAIR = 2
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,18 @@ class Quantity:
 
     name: str
     unit: str = ""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A value y at x of a curve; tip: in words; holds: whether its plan does."""
+
+    curve: str
+    x: float
+    y: float
+    tip: str
+    link: str
+    holds: bool
 
 
 @dataclass(frozen=True)
@@ -130,7 +145,13 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         for quantity in drawn
         if quantity != axis and len({(numbers[axis], numbers[quantity]) for numbers in values}) > len({numbers[axis] for numbers in values})
     ]
-    several = len({_pipeline(run) for run in runs}) > 1
+    # An option of many values is swept by pipelines that are named after it; of two, they are two pipelines.
+    option = (
+        len(drawn) == 1
+        and axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
+        and len({item[axis] for item in values}) > _PAIR
+    )
+    several = len({_pipeline(run) for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
         curve = ", ".join(
@@ -142,18 +163,19 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         seed = next((value for quantity, value in numbers.items() if quantity.name == SEED), None)
         swept.append(SweptRun(run, report.link(run), curve or _pipeline(run), numbers[axis], seed if axis.name != SEED else None))
     swept.sort(key=lambda item: (item.curve, item.x))
-    curves = list(dict.fromkeys(item.curve for item in swept))
-    styles = {curve: (f"c{place % _COLOURS}", _MARKERS[place % len(_MARKERS)]) for place, curve in enumerate(curves)}
+    if not any(len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1 for curve in {item.curve for item in swept}):
+        return None  # other pipelines, not one with other numbers
+    styles = styles_of(item.curve for item in swept)
     first = [_plot(axis, swept, styles, *asked) for asked in _asked(swept)]
     names = dict.fromkeys(metric.name for run in runs for metric in run.stages[-1].metrics if metric.name not in (*_FIRST, "cost"))
     others = [_plot(axis, swept, styles, spaced(name), _unit(runs, name), _of(name)) for name in names]
     several_grids = len({(run.scene.step, run.scene.steps) for run in runs}) > 1
     return Sweep(
-        f"{axis.name} on {_name([run.scene.name for run in runs])}",
+        f"{axis.name} on {_name([run.scene.name for run in runs], axis)}",
         anchor,
         axis,
         swept,
-        [Key(style, curve, marker) for curve, (style, marker) in styles.items()] if len(styles) > 1 else [],
+        keys_of(styles),
         [plot for plot in first if plot is not None],
         [plot for plot in others if plot is not None],
         _conclusion(axis, swept) + (" Grids differ: compare integral costs, not sums over steps." if several_grids else ""),
@@ -166,11 +188,12 @@ def _pipeline(run: RunRecord) -> str:
     return head if word and tail.isdigit() else run.pipeline
 
 
-def _name(names: Sequence[str]) -> str:
+def _name(names: Sequence[str], axis: Quantity) -> str:
     """What the names of swept scenes begin with: three_cart of three_cart_k_30 and three_cart_k_60."""
     first, last = min(names), max(names)
     shared = next((place for place, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first))
-    return first if first == last else first[:shared].rpartition("_")[0] or first
+    begin = first if first == last else first[:shared].rpartition("_")[0]
+    return begin.removesuffix("_" + axis.name.replace(" ", "_")) or first
 
 
 def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecord], float | None]]]:
@@ -196,42 +219,62 @@ def _unit(runs: Sequence[RunRecord], name: str) -> str:
 
 
 def _plot(
-    axis: Quantity,
-    swept: Sequence[SweptRun],
-    styles: Mapping[str, tuple[str, str]],
-    name: str,
-    unit: str,
-    value: Callable[[RunRecord], float | None],
+    axis: Quantity, swept: Sequence[SweptRun], styles: Mapping[str, Style], name: str, unit: str, value: Callable[[RunRecord], float | None]
 ) -> Plot | None:
-    """One metric against the swept number; None where it is the same everywhere, or not measured."""
-    told = [(item, found) for item in swept if (found := value(item.run)) is not None]
-    if len({found for _, found in told}) < 2:
+    """One metric of the runs of a sweep."""
+    marks = []
+    for item in swept:
+        found = value(item.run)
+        if found is not None:
+            seed = "" if item.seed is None else f", seed {item.seed:g}"
+            where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {number(item.x)} {axis.unit}{seed}"
+            tip = f"{where}, {name} {number(found, 4)} {unit}, {item.run.verdict}"
+            marks.append(Mark(item.curve, item.x, found, tip, item.link, item.run.verdict in HOLD))
+    return draw_against(axis, name, unit, marks, styles)
+
+
+def styles_of(curves: Iterable[str]) -> dict[str, Style]:
+    """Colour and marker of each curve."""
+    return {curve: (f"c{place % _COLOURS}", _MARKERS[place % len(_MARKERS)]) for place, curve in enumerate(dict.fromkeys(curves))}
+
+
+def keys_of(styles: Mapping[str, Style]) -> list[Key]:
+    """A legend; empty of one curve alone, which the sentences name."""
+    return [Key(style, curve, marker) for curve, (style, marker) in styles.items()] if len(styles) > 1 else []
+
+
+def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], styles: Mapping[str, Style]) -> Plot | None:
+    """A metric against a swept number: a line through the medians of each curve, a bar over its marks at one place.
+
+    Returns
+    -------
+    plot : Plot, or None where the metric is the same everywhere, or there are no two places but for seeds
+    """
+    if len({mark.y for mark in marks}) < 2 or len({mark.x for mark in marks}) < 2:
         return None
-    xs, ys = [item.x for item, _ in told], [found for _, found in told]
+    xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
     plot = Plot(
-        name,
+        f"{capital(name)} against {axis.name}",
         Axis.fitted(axis.name, axis.unit, xs, log=_is_wide(xs) and axis.name != SEED, margin=0.06),
         Axis.fitted(name, unit, ys, log=_is_wide(ys), margin=0.08),
     )
     said = []
     for curve, (style, _) in styles.items():
         mine: dict[float, list[float]] = {}
-        for item, found in told:
-            if item.curve == curve:
-                mine.setdefault(item.x, []).append(found)
+        for mark in marks:
+            if mark.curve == curve:
+                mine.setdefault(mark.x, []).append(mark.y)
         for x, values in mine.items():
             if len(values) > 1:
                 plot.line(f"{curve}, spread", f"{style} soft", [x, x], [min(values), max(values)])
         if axis.name != SEED and mine:
-            plot.line(curve, style, list(mine), [median(values) for values in mine.values()])
+            plot.line(curve, style, sorted(mine), [median(mine[x]) for x in sorted(mine)])
         if mine:
             ends = [median(mine[x]) for x in (min(mine), max(mine))]
             said.append(f"{curve}: {number(ends[0], 3)} to {number(ends[1], 3)} {unit}".strip())
-    for item, found in told:
-        seed = "" if item.seed is None else f", seed {item.seed:g}"
-        tip = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {number(item.x)} {axis.unit}{seed}, {name} {number(found, 4)} {unit}, {item.run.verdict}"
-        style, marker = styles[item.curve]
-        plot.point(item.x, found, f"{style} full" if item.run.verdict in HOLD else style, marker, tip, item.link)
+    for mark in marks:
+        style, marker = styles[mark.curve]
+        plot.point(mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link)
     plot.words = f"{'; '.join(said)}. Filled: the plan holds."
     return plot
 

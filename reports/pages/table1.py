@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.judged import distance_of, end_of, judged_metric
+from reports.judged import distance_of, judged_metric
 from reports.pages.section import Report, Section
 from reports.paper import SCENE, TABLE_1
 from reports.records.record import SceneRecord
@@ -157,7 +157,7 @@ def _relaxed(rows: list[Row]) -> list[str]:
 
 def _replayed(row: Row) -> str:
     """How far from the goal its replay ends, by its positions."""
-    return _first_of(end_of(row.stage, row.run.scene))
+    return _first_of(row.ends)
 
 
 def _first_of(distance: str) -> str:
