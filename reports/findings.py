@@ -1,6 +1,6 @@
 """The three findings of a campaign, in sentences made from its records; the report's first screen and the terminal tell the same.
 
-three_findings(runs)  ->  ("None of 54 relaxed plans holds; ..", "29 of 43 runs that end with exact contact hold.", "Try first softplus_dc+strict, ..")
+three_findings(runs)  ->  ("0 of 54 relaxed plans hold; ..", "29 of 43 runs that end with exact contact hold.", "Try first softplus_dc+strict, ..")
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _relaxed(runs: Sequence[RunRecord]) -> str:
     if not plans:
         return ""
     holding, violating = sum(stage.verdict in HOLD for stage in plans), [stage for stage in plans if stage.verdict == "violates"]
-    said = f"{holding or 'None'} of {count(len(plans), 'relaxed plan')} {'holds' if holding < 2 else 'hold'}"
+    said = f"{holding} of {count(len(plans), 'relaxed plan')} {'holds' if holding == 1 else 'hold'}"
     missed = [words for part in ("position", "velocity") if (words := _missed(violating, part))]
     return f"{said}; those that violate end {listing(missed)} from the goal (medians after the replay)." if missed else f"{said}."
 

@@ -294,8 +294,11 @@ def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
         for item in swept:
             if item.curve == curve:
                 at.setdefault(item.x, []).append(item.run.verdict in HOLD)
-        told = [f"{number(x)}{'' if len(held) == 1 else f' ({sum(held)} of {len(held)} seeds)'}" for x, held in at.items() if any(held)]
-        said.append(
-            f"{curve} holds at {axis.name} = {listing(told)} {axis.unit}".rstrip() if told else f"{curve} holds at no value of {axis.name}"
-        )
+        told = [_at(x, axis.unit, held) for x, held in at.items() if any(held)]
+        said.append(f"{curve} holds at {axis.name} = {listing(told)}" if told else f"{curve} holds at no value of {axis.name}")
     return f"{'; '.join(said)}."
+
+
+def _at(x: float, unit: str, held: Sequence[bool]) -> str:
+    """`0.1 rad (2 of 3 seeds)`."""
+    return f"{number(x)} {unit}".strip() + ("" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)")

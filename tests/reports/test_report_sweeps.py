@@ -116,7 +116,7 @@ def test_the_least_known_cost_lies_between_neighbours(factory) -> None:
 @pytest.mark.slow
 def test_rows_stand_beside_the_front(factory, tmp_path) -> None:
     report = Report(load(factory.store(tmp_path / "all", [*factory.runs(), front_run(factory)])))
-    section = tolerance.build(report)
+    section = tolerance.build(report, report.scenes[0])
     assert section is not None
     (view,) = section.values["views"]
     assert len(view.beside) == len([row for row in report.rows if row.stage.cost is not None]) - 1
@@ -131,7 +131,8 @@ def test_rows_stand_beside_the_front(factory, tmp_path) -> None:
         if item.above.startswith("below"):
             assert loose is not None
             assert item.price < loose
-    assert tolerance.build(Report(load(factory.store(tmp_path / "none", factory.runs())))) is None
+    without = Report(load(factory.store(tmp_path / "none", factory.runs())))
+    assert tolerance.build(without, without.scenes[0]) is None
 
 
 def test_windows_are_read_contact_by_contact() -> None:
