@@ -161,7 +161,15 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
             ]
         )
         seed = next((value for quantity, value in numbers.items() if quantity.name == SEED), None)
-        swept.append(SweptRun(run, report.link(run), curve or _pipeline(run), numbers[axis], seed if axis.name != SEED else None))
+        swept.append(
+            SweptRun(
+                run,
+                report.link(run),
+                curve or (run.stages[-1].method if option else _pipeline(run)),
+                numbers[axis],
+                seed if axis.name != SEED else None,
+            )
+        )
     swept.sort(key=lambda item: (item.curve, item.x))
     if not any(len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1 for curve in {item.curve for item in swept}):
         return None  # other pipelines, not one with other numbers
