@@ -27,7 +27,12 @@ def folder(factory, tmp_path_factory):
             drawn, options = scene == 0 and place < 4, {"variant": place // len(factory.PIPELINES)}
             stages = [stage.model_copy(update={"has_plan": drawn, "options": options}) for stage in run.stages]
             stages[-1] = stages[-1].model_copy(update={"verdict": verdict, "why": why})
-            changed = {"key": sha256(f"{scene} {place}".encode()).hexdigest(), "pipeline": f"{run.pipeline}_{place}", "scene": where, "verdict": verdict}
+            changed = {
+                "key": sha256(f"{scene} {place}".encode()).hexdigest(),
+                "pipeline": f"{run.pipeline}_{place}",
+                "scene": where,
+                "verdict": verdict,
+            }
             if verdict == "not applicable":
                 stages = []
             message = "strict_lcp: scene has no inputs, so there is nothing to plan."

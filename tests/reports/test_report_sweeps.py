@@ -93,7 +93,7 @@ def test_the_spread_says_how_many_and_how_far(factory) -> None:
     told = spread(stage)
     assert told is not None
     assert told.plot is not None
-    assert told.plot.markup().count("data-tip") == 3
+    assert told.plot.markup().count("<title>") == 3
     for words in ("3 of 4 starts were solved (75", "490.55 at least", "490.55 in the median", "495.60 at most", "2 distinct optima"):
         assert words in told.words
     assert [len(optimum.starts) for optimum in told.optima] == [2, 1]

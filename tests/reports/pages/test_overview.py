@@ -80,7 +80,7 @@ def test_marks_are_coloured_by_family_and_filled_where_the_plan_holds(factory):
             run = ended(factory, "bank", "a", verdict)
             run = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"method": method}),)})
             plot = section(run).values["plot"]
-            (mark,) = re.findall(r'<g class="pt ([^"]*)"><title>([^<]*)', str(plot.markup(hidden=False)))
+            (mark,) = re.findall(r'class="pt ([^"]*)"[^>]*><title>([^<]*)', str(plot.markup(hidden=False)))
             assert mark[0] == (f"{style} full" if verdict in HOLD else style)
             assert mark[1] == f"{method} on bank: {verdict}; 0.71 CPU s, error 0.0090"
 
