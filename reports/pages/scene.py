@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.mathml import safe_mathml
+from reports.pages.mathml import safe_mathml
 from reports.pages.overview import best_strip
 from reports.pages.section import Report, Section
 from reports.pages.sizes import method_sizes

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from reports.collected import collected, optima
 from reports.pages import tolerance
 from reports.pages.section import Report
 from reports.pages.starts import spread
+from reports.records.collected import collected, optima
 from reports.records.load import load
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
 from reports.render import write_single

@@ -15,7 +15,7 @@ from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import write_netcdf
-from reports.mathml import safe_mathml
+from reports.pages.mathml import safe_mathml
 from reports.records.record import thin
 from validate.execution.process import ROOT
 from validate.store import provenance
