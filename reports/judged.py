@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.records.record import MetricRecord, SceneRecord, StageRecord
-from reports.wording import error, unit
+from reports.wording import measured
 
 # As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.
 TRACKED, FEEDBACK = "tracked_", "feedback_"
@@ -107,13 +107,8 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
     for part in ("position", "velocity"):
         metric = stage.metric(f"{prefix}terminal_{part}_error")
         if metric is not None and metric.value is not None:
-            parts.append(f"{part} {_with_unit(metric)}")
+            parts.append(f"{part} {measured(metric.value, metric.unit)}")
     whole = stage.metric(f"{prefix}terminal_error")
     if not parts and whole is not None and whole.value is not None:
-        parts.append(f"error {_with_unit(whole)}")
+        parts.append(f"error {measured(whole.value, whole.unit)}")
     return ", ".join(parts)
-
-
-def _with_unit(metric: MetricRecord) -> str:
-    of = "" if "," in metric.unit else unit(metric.unit)
-    return f"{error(metric.value)} {of}".strip()

@@ -10,7 +10,7 @@ from reports.records.load import Unreadable
 from reports.records.record import RunRecord
 from reports.rule import failed_keys, failures
 from reports.rule_text import RESULTS, RULE
-from reports.wording import capital, count, error, unit
+from reports.wording import capital, count, measured
 
 # So many sentences or files are told one below the other; more are folded.
 _FEW = 12
@@ -18,21 +18,22 @@ _FEW = 12
 
 @dataclass(frozen=True)
 class FailedRun:
-    """A run that fails by a cause. by: the value of the metric that decided it and its limit, or nothing; must: the campaign fails by it."""
+    """A run that fails by a cause. by, limit: the value of the metric that decided it, and its limit, or nothing; must: the campaign fails by it."""
 
     run: RunRecord
     link: str
     by: str
+    limit: str
     must: bool
 
 
 @dataclass(frozen=True)
 class CauseView:
-    """A cause and its runs, by scene."""
+    """A cause and its runs, by scene: (name, link, the limit that they share, or nothing, runs)."""
 
     cause: Cause
     amount: int
-    scenes: list[tuple[str, str, list[FailedRun]]]
+    scenes: list[tuple[str, str, str, list[FailedRun]]]
 
 
 def build(report: Report) -> Section:
@@ -66,17 +67,22 @@ def _view(report: Report, cause: Cause, runs: list[RunRecord], must: frozenset[s
     scenes: dict[str, list[FailedRun]] = {}
     links = {scene.name: report.scene_link(scene) for scene in report.scenes}
     for run in runs:
-        scenes.setdefault(run.scene.name, []).append(FailedRun(run, report.link(run), _by(run), run.key in must))
-    return CauseView(cause, len(runs), [(name, links[name], mine) for name, mine in scenes.items()])
+        scenes.setdefault(run.scene.name, []).append(FailedRun(run, report.link(run), *_by(run), run.key in must))
+    return CauseView(cause, len(runs), [(name, links[name], _shared(mine), mine) for name, mine in scenes.items()])
 
 
-def _by(run: RunRecord) -> str:
-    """`0.43 m, limit 0.050 m`."""
+def _shared(runs: list[FailedRun]) -> str:
+    """The limit of all of them; empty where they have several."""
+    limits = {item.limit for item in runs}
+    return limits.pop() if len(limits) == 1 else ""
+
+
+def _by(run: RunRecord) -> tuple[str, str]:
+    """`0.43 m` and `0.050 m`: what decided, and its limit."""
     metric = deciding(run.stages[-1]) if run.stages and run.verdict in ("violates", "undecided") else None
     if metric is None or metric.value is None or metric.limit is None:
-        return ""
-    of = unit(metric.unit)
-    return f"{error(metric.value)} {of}".rstrip() + f", limit {error(metric.limit)} {of}".rstrip()
+        return "", ""
+    return measured(metric.value, metric.unit), measured(metric.limit, metric.unit)
 
 
 def _by_sentence(unreadable: tuple[Unreadable, ...]) -> list[tuple[str, list[str]]]:

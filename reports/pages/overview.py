@@ -83,7 +83,7 @@ def _words(run: RunRecord, ratio: float | None) -> str:
         return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
     if cause is None:
         reason = not_applicable(run)
-        return f"{said}. {capital(reason.partition('; ')[0])}" if reason else said
+        return f"{said}. {capital(reason)}" if reason else said
     metric = deciding(run.stages[-1]) if run.stages else None
     measured = (
         f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"

@@ -58,7 +58,7 @@ def not_applicable(run: RunRecord) -> str:
     if run.verdict != "not applicable":
         return ""
     head, colon, reason = run.message.partition(": ")
-    return (reason if colon and " " not in head else run.message).removeprefix(f"scene {run.scene.name} ")
+    return (reason if colon and " " not in head else run.message).partition("; ")[0].removeprefix(f"scene {run.scene.name} ")
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:

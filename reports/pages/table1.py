@@ -162,7 +162,7 @@ def _replayed(row: Row) -> str:
 
 def _first_of(distance: str) -> str:
     """Of `position 0.11 m, velocity 0.10 m/s` the first: sentences are read one after the other, the table has both."""
-    return distance.partition(", ")[0].removeprefix("position ").removeprefix("error ") or "an unknown distance"
+    return distance.partition(", velocity ")[0].removeprefix("position ").removeprefix("error ") or "an unknown distance"
 
 
 def _against(warm: float, cold: float) -> str:

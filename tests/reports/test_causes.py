@@ -70,9 +70,11 @@ def test_what_could_not_be_decided_is_named(factory):
         ((metric("replay_error", 2.0, 1.0, 4),), "The inputs do not give the planned motion"),
         ((metric("replay_error", 2.0, 1.0, 4), metric("defect", 2.0, 1.0, 6)), "The plan does not solve its own"),
         ((metric("ghost_impulse", 2.0, 1.0, 5),), "Force at a distance"),
+        ((metric("cost", 2.0, 1.0, 2),), "The plan costs more than the scene allows (solved)"),
+        ((metric("replay_cost", 2.0, 1.0, 4),), "The plan costs more than the scene allows (solved)"),
         ((metric("a_new_metric", 2.0, 1.0, 5),), "A limit is exceeded: a new metric"),
     ],
-    ids=range(10),
+    ids=range(12),
 )
 def test_causes_are_told_apart_by_metrics(factory, metrics, begins):
     found = cause_of(ended(factory, "violates", *metrics))

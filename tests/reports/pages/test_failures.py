@@ -38,9 +38,12 @@ def test_a_cause_stands_once_with_its_runs_by_scene(factory):
     runs += [ended(factory, "bank", "b", "violates"), ended(factory, "bank", "c", "holds")]
     motion, none = section(*runs).values["groups"]
     assert (motion.amount, none.amount) == (3, 1)
-    assert [(name, [item.run.pipeline for item in mine]) for name, _, mine in motion.scenes] == [("bank", ["a", "b"]), ("hill", ["a"])]
-    assert motion.scenes[0][2][0].by == "0.43 m, limit 0.050 m"
-    assert none.scenes[0][2][0].by == ""
+    assert [(name, limit, [item.run.pipeline for item in mine]) for name, _, limit, mine in motion.scenes] == [
+        ("bank", "0.050 m", ["a", "b"]),
+        ("hill", "0.050 m", ["a"]),
+    ]
+    assert motion.scenes[0][3][0].by == "0.43 m"
+    assert none.scenes[0][3][0].by == ""
     assert section(*runs).values["total"] == 4
 
 
@@ -51,10 +54,10 @@ def test_runs_that_fail_the_campaign_are_marked_and_others_are_not(factory, tmp_
         ended(factory, "bank", "good", "holds"),
     ]
     (group,) = section(*runs).values["groups"]
-    assert [(item.run.pipeline, item.must) for _, _, mine in group.scenes for item in mine] == [("broke", True), ("stopped", False)]
+    assert [(item.run.pipeline, item.must) for _, _, _, mine in group.scenes for item in mine] == [("broke", True), ("stopped", False)]
     text = words(render(factory.store(tmp_path / "all", runs)))
     assert "The campaign fails: bank x broke: violates" in text
-    assert "✗ fails the campaign: broke (0.43 m, limit 0.050 m), stopped (0.43 m" in text
+    assert "bank (limit 0.050 m): ✗ fails the campaign: broke 0.43 m, stopped 0.43 m" in text
     sound = words(render(factory.store(tmp_path / "sound", runs[1:])))
     assert "✓ All required checks passed. What fails below is a result of its method, not a failure of the campaign." in sound
 

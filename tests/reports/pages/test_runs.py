@@ -108,3 +108,15 @@ def test_long_keys_are_cut_in_links_and_others_are_not(factory):
     run = factory.run("strict", None, "strict_lcp")
     assert run_page(run) == "strict-0123456789abcdef.html"
     assert run_page(run.model_copy(update={"key": "0123456789abcdef" * 4})) == "0123456789abcdef.html"
+
+
+def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp", verdict="undecided")
+    (stage,) = run.stages
+    lost = stage.metrics[-2].model_copy(update={"value": None, "ok": None, "reason": "the replay left every bound"})
+    run = run.model_copy(update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)})
+    folder = factory.store(tmp_path / "all", [run])
+    write_report(folder)
+    assert "Decided by replay_error : the replay left every bound, limit 0.02 m." in words(
+        (folder / PAGES / run_page(run)).read_text(encoding="utf-8")
+    )
