@@ -133,3 +133,16 @@ def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
         )
         assert found[1] == []
         assert found[0] > 15, "axe looked"
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
+    """Every page that is no run's, of whatever it tells, with all it folds open."""
+    kinds = [path for path in (pages[0], *sorted(pages[1].glob("*.html"))) if not path.name.endswith(("-0123456789abcdef.html", "-0.html"))]
+    assert {path.stem for path in kinds} == {"report", "runs", "errata", "provenance", "scene-three_cart"}
+    for path in kinds:
+        page = chromium.open(path, width=width)
+        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        assert (page.messages, page.requests) == ([], [path.resolve().as_uri()])
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
+        page.call("Page.close")
