@@ -63,6 +63,11 @@ class SweptRun:
     x: float
     seed: float | None
 
+    @property
+    def integral(self) -> float | None:
+        """Its cost times the time step, which may stand beside that of another grid."""
+        return integral_cost(self.run.scene, last_cost(self.run))
+
 
 @dataclass(frozen=True)
 class Sweep:
