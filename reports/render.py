@@ -278,4 +278,4 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "is_current", "page", "render", "write_page", "write_report", "write_single"]
+__all__ = ["PAGES", "REPORT", "is_current", "page", "render", "write_page", "write_report", "write_single"]
