@@ -92,8 +92,8 @@
   document.addEventListener("focusin", wake);
 
   const tell = (event) => {
-    const point = event.target instanceof Element ? event.target.closest("a, [data-tip]") : null;
-    const tip = point && (point.dataset.tip || (point.querySelector("[data-tip]") || { dataset: {} }).dataset.tip);
+    const point = event.target instanceof Element ? event.target.closest("a, .pt") : null;
+    const tip = point && point.querySelector("title")?.textContent;
     if (tip && point.closest("figure")) point.closest("figure").querySelector("output").textContent = tip;
   };
   document.addEventListener("pointerover", (event) => { if (event.target.closest(".fig.wide .draw")) tell(event); });

@@ -107,15 +107,15 @@ class Plot:
     def point(
         self, x: float, y: float, style: str, marker: str, tip: str, href: str = "", radius: float = 5.0, keeps_free: bool = True
     ) -> None:
-        """A marker that can be focused: `tip` is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
+        """A marker that can be focused: `tip` is its name and is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
         left, top = self.px(x), self.py(y)
         shape = {
             "square": f'<rect x="{left - 4.5:.1f}" y="{top - 4.5:.1f}" width="9" height="9"/>',
             "diamond": f'<path d="M{left:.1f},{top - 6:.1f}l6,6l-6,6l-6,-6z"/>',
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
         }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="{radius:g}"/>')
-        inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
-        self._over.append(f'<a href="{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
+        element, leads = ("a", f' href="{escape(href)}"') if href else ("g", "")
+        self._over.append(f'<{element} class="pt {escape(style)}"{leads}><title>{escape(tip)}</title>{shape}</{element}>')
         if keeps_free:
             self._taken.append((left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1))
 

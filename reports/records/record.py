@@ -143,6 +143,10 @@ class EquationRecord(_Model):
     mathml: str
 
 
+# Caption of the equation that a scene has whose cost is not of its steps alone.
+FINAL_COST = "cost of the last state, added to that sum"
+
+
 class SceneRecord(_Model):
     """A scene as it was planned for: its quantities, task, equations and shapes."""
 

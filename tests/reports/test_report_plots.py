@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports.mathml import safe_mathml
+from reports.pages.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot

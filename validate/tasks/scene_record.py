@@ -13,7 +13,7 @@ from models.codegen.operations import step_operations
 from models.dynamics import Dynamics, derive
 from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
-from reports.records.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
+from reports.records.record import FINAL_COST, ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
 # The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a strict parser refuses.
@@ -110,7 +110,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     cost = sp.Symbol("J")
     found.append(("cost, summed over the steps", _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1)))))
     if dynamics.final_cost != 0:
-        found.append(("cost of the last state, added to that sum", _equation(sp.Symbol("J_T"), dynamics.final_cost)))
+        found.append((FINAL_COST, _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
 
 
