@@ -65,7 +65,7 @@ _OTHERS = {
     "time-spent": (time_spent.build,),
     "provenance": (provenance.build,),
 }
-_SCRIPTS = ("report.js", "tables.js", "player.js")
+_SCRIPTS = ("common.js", "report.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
@@ -133,7 +133,7 @@ def page(
     return templates.render(
         "page.html",
         sections=[(item, Markup(templates.render(item.template, section=item, **item.values))) for item in sections],
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src blob:; base-uri 'none'; form-action 'none'",
         style=Markup(style),
         script=Markup(script),
         title=title,

@@ -129,11 +129,15 @@ class ContactRecord(QuantityRecord):
 
 
 class ShapeRecord(_Model):
-    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes."""
+    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes.
+
+    goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None where it leaves the place open, or the body never moves.
+    """
 
     name: str
     kind: str
     size: tuple[Finite, ...]
+    goal: tuple[Finite, Finite, Finite | None] | None = None
 
 
 class EquationRecord(_Model):

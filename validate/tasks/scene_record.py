@@ -11,6 +11,7 @@ from sympy.printing.mathml import mathml
 
 from models.codegen.operations import step_operations
 from models.dynamics import Dynamics, derive
+from models.kinematics import goal_poses
 from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
 from reports.records.record import FINAL_COST, ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
@@ -65,9 +66,12 @@ def scene_record(scene: Scene) -> SceneRecord:
         ),
         shapes=tuple(
             ShapeRecord(
-                name=shape.name, kind=shape.kind, size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size)
+                name=shape.name,
+                kind=shape.kind,
+                size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size),
+                goal=goal,
             )
-            for shape in scene.shapes
+            for shape, goal in zip(scene.shapes, goal_poses(scene), strict=True)
         ),
         waived=tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None),
         unstable=scene.unstable,

@@ -73,7 +73,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
         "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.",
         "Advice Look at the error over time",
         "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663",
-        "Space plays and stops",
+        "Keys: space plays and pauses",
         "Positions: plan dotted",
         "Made by touchstone 0.1.0, commit aaaaaaaaaaaa",
         "Run it again python -m validate all -k",

@@ -12,8 +12,8 @@ from models.catalog import load_scene
 from models.codegen.operations import step_operations
 from models.dynamics import derive
 from models.scene import Limit
-from reports.mathml import safe_mathml
-from reports.records.record import ContactRecord, QuantityRecord, ShapeRecord
+from reports.pages.mathml import safe_mathml
+from reports.records.record import ContactRecord, QuantityRecord
 from validate.tasks import scene_record as module
 from validate.tasks.scene_record import equations, presentation, scene_record
 
@@ -122,10 +122,9 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
     assert record.answers == tuple(
         QuantityRecord(name=item.quantity, unit="", description=item.source, value=item.value) for item in scene.answers
     )
-    assert record.shapes == tuple(
-        ShapeRecord(name=item.name, kind=item.kind, size=tuple(float(sp.sympify(size).subs(values)) for size in item.size))
-        for item in scene.shapes
-    )
+    assert [(item.name, item.kind, item.size) for item in record.shapes] == [
+        (item.name, item.kind, tuple(float(sp.sympify(size).subs(values)) for size in item.size)) for item in scene.shapes
+    ]
     assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
     assert record.operations == vars(step_operations(scene))
     assert record.absent == derive(scene).absent
@@ -156,3 +155,9 @@ def test_limits_that_are_waived_stand_with_their_reasons():
     kept = Limit(metric="missed_impulse", value=0.5, reason="the second reason")
     asked = replace(scene, limits=(waived, kept))
     assert scene_record(asked).waived == ("ghost_impulse: the first reason",)
+
+
+def test_a_body_whose_place_the_goal_leaves_open_or_that_never_moves_has_no_goal():
+    goals = {shape.name: shape.goal for shape in scene_record(load_scene("hopper_planar")).shapes}
+    assert goals == {"body": (2.0, 1.0, 0.0), "leg": None, "foot": None, "floor": None}
+    assert [shape.goal for shape in scene_record(load_scene("three_cart")).shapes] == [(x, 0.25, 0.0) for x in (2.5, 3.5, 4.5)]
