@@ -45,7 +45,7 @@ from reports.pages import (
     violation,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
-from reports.records.load import ReportError, load, record_files
+from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 from reports.templating import Templates
 
@@ -116,6 +116,13 @@ def render(folder: Path) -> str:
     """The text of report.html. Raises ReportError if there is no such folder."""
     report = Report(load(folder), folder)
     return _campaign_page(Templates(), report, _across(report, _others(report)))
+
+
+def render_run(record: RunRecord, folder: Path) -> str:
+    """The text of the page of a run that belongs to no campaign. folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on."""
+    report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
+    title = f"{record.pipeline} on {record.scene.name}"
+    return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
 
 
 def page(
@@ -278,4 +285,4 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "REPORT", "is_current", "page", "render", "write_page", "write_report", "write_single"]
+__all__ = ["PAGES", "REPORT", "is_current", "page", "render", "render_run", "write_page", "write_report", "write_single"]

@@ -280,7 +280,7 @@ def _metrics() -> str:
 
 def _touchstone() -> str:
     elsewhere = {name for names in _MODELS.values() for name in names}
-    types = [f"{touchstone._HOME[name]}.{name}" for name in touchstone.__all__ if name in touchstone._HOME and name not in elsewhere]
+    types = [".".join(touchstone._HOME[name]) for name in touchstone.__all__ if name in touchstone._HOME and name not in elsewhere]
     functions = [f"touchstone.{name}" for name in touchstone.__all__ if name not in touchstone._HOME]
     return (
         _reference("touchstone", functions)

@@ -23,7 +23,7 @@ class StageView:
     """A stage and what is drawn of it.
 
     questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); tracked: whether the verdict is of the replay with feedback; both:
-    whether there is one; empty: it left no plan; idle: it did not even run.
+    whether there is one; empty: it left no plan; idle: no method of ours ran.
     """
 
     stage: StageRecord
@@ -120,7 +120,7 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
         is_tracked(stage),
         _is_followed(stage),
         is_empty(stage),
-        is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,
+        stage.kind == "given" or (is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0),
     )
 
 

@@ -60,7 +60,7 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
     if replay is None and not is_empty(stage):
         said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
         absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
-    if not stage.history and not is_empty(stage):
+    if not stage.history and not is_empty(stage) and stage.kind != "given":
         absent.append("The method kept no history of its iterations.")
     plots: list[Plot | None] = []
     times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]

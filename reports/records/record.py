@@ -309,7 +309,7 @@ class StageRecord(_Model):
     index: int
     method: str
     method_title: str
-    kind: Literal["indirect", "direct"]
+    kind: Literal["indirect", "direct", "given"]  # given: somebody's plan, which no method of ours found
     eps: Finite | None
     outcome: str  # name of the Outcome, lower case
     advice: str  # its sentence

@@ -205,6 +205,29 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
     )
 
 
+def given_stage(name: str, judged: Judged, message: str = "") -> StageRecord:
+    """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called."""
+    return StageRecord(
+        index=0,
+        method=name,
+        method_title="A plan from elsewhere",
+        kind="given",
+        eps=None,
+        outcome="given",
+        advice="",
+        message=message,
+        cost=judged.score.value("cost"),
+        seconds=SecondsRecord(replay=judged.seconds),
+        metrics=tuple(_metric(metric) for metric in judged.score.metrics),
+        verdict=judged.score.verdict.value,
+        why=judged.score.why,
+        questions=_questions(judged.score),
+        not_asked=judged.score.not_asked,
+        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
+        has_plan=judged.replay is not None,
+    )
+
+
 def run_record(
     task: RunTask,
     scene: SceneRecord,
