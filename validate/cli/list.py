@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import tokenize
 from pathlib import Path
 
 import click
@@ -68,9 +69,12 @@ def _stages(legs: list[dict]) -> str:
 
 
 def _title(path: Path) -> str:
-    """The first sentence of a file's docstring."""
+    """The first sentence of a file's docstring; only its first words are read, because parsing all files takes 20 ms."""
     try:
-        words = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    except (OSError, SyntaxError, UnicodeDecodeError) as error:
+        with path.open(encoding="utf-8") as file:
+            tokens = tokenize.generate_tokens(file.readline)
+            first = next(token for token in tokens if token.type not in (tokenize.COMMENT, tokenize.NL))
+        words = ast.literal_eval(first.string) if first.type == tokenize.STRING else ""
+    except (OSError, SyntaxError, UnicodeDecodeError, tokenize.TokenError) as error:
         return f"(cannot be read: {type(error).__name__})"
     return one_line(words.split("\n\n")[0])
