@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from validate.cli.table import one_line, table
+from validate.cli.table import one_line, table, wide_option
 
 
 @click.command(
@@ -23,6 +23,7 @@ Exit codes: 0 listed; 2 usage.
 """
 )
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@wide_option
 def command(as_json: bool) -> int:
     """Scenes, pipelines, methods and hard cases, with what each is."""
     from formulations.pipelines import PIPELINES, QUICK, method_names
@@ -51,7 +52,7 @@ def command(as_json: bool) -> int:
     click.echo(table(["scene", "what it is"], [[item["name"], item["title"]] for item in data["scenes"]]))
     click.echo()
     rows = [[item["name"], "quick" if item["quick"] else "", _stages(item["stages"]), item["title"]] for item in data["pipelines"]]
-    click.echo(table(["pipeline", "", "stages (method: eps)", "what it is"], rows))
+    click.echo(table(["pipeline", "", "stages (method: eps)", "what it is"], rows, drop=("stages (method: eps)",)))
     click.echo()
     click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
     click.echo()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.campaign_options import campaign_options
-from validate.cli.table import one_line, table
+from validate.cli.table import one_line, say, table, wide_option
 from validate.cli.warnings import print_warnings
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
     print_warnings(scenes.values(), steps=True)
     if sentence := earlier_schema(settings.out):
-        click.echo(one_line(f"warning: {sentence}"), err=True)
+        say(f"warning: {sentence}", err=True)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
@@ -80,9 +80,9 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
         click.echo(f"left out by --quick: {', '.join(left_out)}")
     for name, limits in waived.items():
         for limit in limits:
-            click.echo(one_line(f"waived by {name}: {limit}"))
+            say(f"waived by {name}: {limit}")
     for name, reason in unstable.items():
-        click.echo(one_line(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}"))
+        say(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}")
     for why, count in Counter(why for _, why in told if why).items():
         click.echo(f"{count} to run: {why}")
     click.echo(f"{stored} stored, {len(entries) - stored} to run")
