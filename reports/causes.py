@@ -1,0 +1,133 @@
+"""Why a plan has its verdict: the metric that decided it, the cause in words, and what to do; and runs that fail, grouped by that cause.
+
+deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or `collocation`."
+by_cause(runs)                               ->  each cause once, with its runs, the most frequent first
+
+Causes are told apart by metrics and outcomes, never by what a method is called; a record's own sentence (`StageRecord.why`) has the numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from reports.judged import FEEDBACK, TRACKED, is_tracked
+from reports.records.record import HOLD, MetricRecord, RunRecord, StageRecord
+from reports.wording import capital, spaced
+
+# From this growth of an error on, a motion counts as unstable in the open loop, as in the judge's own sentences.
+_UNSTABLE = 100.0
+_EXACT = "Tighten eps, or go on from this plan with exact contact (`strict`, `mpcc`)."
+_AWAY = "The plan itself does not reach the goal"
+# Metric -> (cause, advice); what is not here is named by its metric.
+_CAUSES = {
+    "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
+    "duration_error": ("The plan does not last as long as the task", "Plan over the whole task."),
+    "bound_violation": ("The inputs leave their bounds", "Give the bounds to the method."),
+    "velocity_bound_violation": ("The planned velocities leave their bounds", "Give the bounds to the method."),
+    "physics_scaled": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
+    "contact_law_error": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
+    "law_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "discrete_terminal_position_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "discrete_terminal_velocity_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "force_sign_violation": ("A planned contact force pulls", "Bound the contact forces from below by zero."),
+    "friction_violation": ("Planned friction exceeds its cone", _EXACT),
+    "friction_dissipation_error": ("Planned friction does not oppose the slip", _EXACT),
+    "unexplained_force": ("The plan moves by forces that neither its inputs nor contact give", "Plan with the scene's own equations."),
+    "max_penetration": ("Bodies penetrate deeper than the contact's model reaches", "Push more slowly, or give the scene a contact model that reaches deeper."),
+    "ghost_impulse": ("Force at a distance: the plan is pushed where the replay touches nothing", _EXACT),
+    "missed_impulse": ("The replay touches where the plan does not", "Plan with exact contact on a finer grid."),
+    "defect": ("The plan does not solve its own discrete equations", "Tighten the solver's tolerance."),
+}  # fmt: skip
+_LAW = ("Relaxed contact: the inputs do not give the planned motion", _EXACT)
+_GRID = ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or `collocation`.")
+_OPEN_LOOP = (
+    "Unstable in the open loop: small errors grow until the plan is lost",
+    "Plan with a method made for unstable scenes (`multiple_shooting`, `lbfgs`), or on a finer grid.",
+)
+_MOTION = ("The inputs do not give the planned motion", "Look at the error over time on the page of the run.")
+_AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What went wrong, and what to do; each a sentence."""
+
+    sentence: str
+    advice: str
+
+
+def deciding(stage: StageRecord) -> MetricRecord | None:
+    """The metric that decided a verdict: the first one, by questions, that is beyond its limit or open; of a plan that holds the one nearest to its limit.
+
+    None where nothing was judged.
+    """
+    judged = sorted((metric for metric in stage.metrics if metric.limit is not None), key=lambda metric: metric.question or 7)
+    alone = [metric for metric in judged if not metric.name.startswith((TRACKED, FEEDBACK))]
+    if stage.verdict == "violates":
+        return next((metric for metric in (*(item for item in alone if item.question), *judged) if metric.ok is False), None)
+    if stage.verdict == "undecided":
+        unsure = [metric for metric in alone if metric.ok is not True]
+        return next((metric for metric in unsure if metric.question is None), None) or next(iter(unsure), None)
+    if stage.verdict in HOLD:
+        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if is_tracked(stage) else alone
+        return max((metric for metric in counted if metric.value is not None and metric.question), key=_share, default=None)
+    return None
+
+
+def _share(metric: MetricRecord) -> float:
+    """Of its limit."""
+    return abs(metric.value or 0.0) / metric.limit if metric.limit else 0.0
+
+
+def cause_of(run: RunRecord) -> Cause | None:
+    """Why a run does not hold; None where it does, or where nothing was asked of it."""
+    stage = run.stages[-1] if run.stages else None
+    if run.verdict in (*HOLD, "not applicable", "consistent"):
+        return None
+    if stage is None or run.verdict == "no plan":
+        advice = stage.advice if stage is not None and stage.outcome == run.outcome else _AGAIN
+        return Cause(f"No plan: {spaced(run.outcome)}", advice)
+    metric = deciding(stage)
+    if metric is None:
+        return Cause(f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}", stage.advice)
+    if run.verdict == "undecided":
+        return Cause(f"Undecided: the replay's own error leaves {spaced(metric.name)} open", "Replay with tighter tolerances.")
+    return _violated(stage, metric)
+
+
+def _violated(stage: StageRecord, metric: MetricRecord) -> Cause:
+    if metric.question == 2 and "terminal" in metric.name:
+        return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
+    if metric.question == 4 and metric.name != "unexplained_force":
+        return Cause(*_of_motion(stage))
+    name = metric.name.removeprefix(TRACKED)
+    return Cause(*_CAUSES.get(name, (f"A limit is exceeded: {spaced(name)}", stage.advice)))
+
+
+def _of_motion(stage: StageRecord) -> tuple[str, str]:
+    """Why the inputs do not give the motion, by what the metrics show."""
+    law, grid, growth = (_value(stage, name) for name in ("law_error", "grid_error", "amplification"))
+    defect = stage.metric("defect")
+    if defect is not None and defect.ok is False:
+        return _CAUSES["defect"]
+    if grid is not None and law is not None and law > grid:
+        return _LAW
+    if growth is not None and growth >= _UNSTABLE:
+        return _OPEN_LOOP
+    return _MOTION if grid is None else _GRID
+
+
+def _value(stage: StageRecord, name: str) -> float | None:
+    metric = stage.metric(name)
+    return None if metric is None else metric.value
+
+
+def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
+    """Each cause once, with the runs that fail by it in their order; the most frequent first."""
+    found: dict[Cause, list[RunRecord]] = {}
+    for run in runs:
+        cause = cause_of(run)
+        if cause is not None:
+            found.setdefault(cause, []).append(run)
+    return sorted(found.items(), key=lambda item: -len(item[1]))
