@@ -46,13 +46,17 @@ def terminal_width(stream: IO[str] | None = None) -> int | None:
     return shutil.get_terminal_size().columns if os.environ.get("COLUMNS") or stream.isatty() else None
 
 
-def say(text: str, *, err: bool = False, indent: str = "") -> None:
-    """Print a sentence, broken between words where the terminal ends. indent: of its second and further lines."""
-    click.echo(wrapped(one_line(text), terminal_width(sys.stderr if err else None), indent), err=err, color=use_colour())
+def say(text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None) -> None:
+    """Print a sentence, broken between words where the terminal ends.
+
+    err: to stderr; begin, indent: before the first line, and before each further one; colour: of `begin`.
+    """
+    lines = wrapped(begin + one_line(text), terminal_width(sys.stderr if err else None), indent)
+    click.echo(click.style(begin, fg=colour) + lines[len(begin) :] if colour else lines, err=err, color=use_colour())
 
 
 def wrapped(text: str, width: int | None, indent: str = "") -> str:
-    """Text in lines of at most `width` characters; a longer word stays whole."""
+    """Text in lines of at most `width` characters; a longer word stays whole. indent: of all lines but the first."""
     if width is None or len(text) <= width:
         return text
     return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
