@@ -38,14 +38,14 @@ class PlainNarrator:
         """stored: runs and checks whose records are used; anew: others, of which a record is stored too."""
         self.total, self.stored, self.anew = total, stored, anew
         again = f", {anew} of them again" if anew else ""
-        self._line(f"{stored} of {total} runs and checks are stored, {total - stored} to run{again}")
+        self._line(f"{stored} stored, {total - stored} to run{again}")
 
     def so_far(self, out: Path) -> str:
         """How many runs there is a result of, in words."""
         if not out.is_dir():
             return f"{out} is gone, and what was stored in it with it"
-        count = f"{self.stored + self.done} of {self.total} runs and checks"
-        return f"{count} are done, and {out} keeps what it holds of the others" if self.anew else f"{count} are stored in {out}"
+        count = f"{self.stored + self.done} of {self.total} runs"
+        return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
 
     def notes(self, sentence: str) -> None:
         """What is worth knowing."""

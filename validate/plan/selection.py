@@ -45,7 +45,7 @@ def near(word: str, names: Iterable[str]) -> list[str]:
         return max(difflib.SequenceMatcher(None, wanted, part.lower()).ratio() for part in parts if part)
 
     names = list(names)
-    ranked = sorted([name for name in names if " " not in name] or names, key=likeness, reverse=True)
+    ranked = sorted([name for name in names if " " not in name] or names, key=lambda name: (-likeness(name), len(name)))
     return [name for name in ranked[:_NEAR] if likeness(name) >= 0.6] or ranked[:1]
 
 

@@ -157,7 +157,7 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     _, told = process.communicate()
     assert process.returncode == 130
     assert "interrupted: 1 of 2 runs are stored" in told
-    assert f"resume with: python -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
+    assert f"resume with: {sys.executable} -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
     assert processes(tmp_path) == []
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [_records(tmp_path)["only_good"].key]
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 2

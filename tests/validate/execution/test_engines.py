@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tm
     assert process.returncode == 130, told
     assert "interrupted: 1 of 2 runs are stored" in told
     assert (
-        f"resume with: python -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
+        f"resume with: {sys.executable} -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
         in told
     )
     assert "Traceback" not in told

@@ -170,7 +170,7 @@ def _log(out: Path) -> str:
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
-_SAID = re.compile(r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: python -m validate all ", re.MULTILINE)
+_SAID = re.compile(r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: \S+ -m validate all ", re.MULTILINE)
 
 
 def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:
