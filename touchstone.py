@@ -4,8 +4,8 @@
 >>> scene = ts.scene("three_cart")           # a name, or the path of a scene file
 >>> plan = ts.solve(scene, "softplus_dc+strict")      # a pipeline or a method: a Solution
 >>> verdict = ts.judge(scene, plan)          # or a CSV, a DataFrame, arrays by name; or an FMU instead of the scene
->>> verdict.holds
-True
+>>> verdict
+Judgement(three_cart, softplus_dc+strict: holds, cost 490.8, replay error 0.006839 m)
 
 Importing it costs as much as NumPy. Pyomo solvers: `SolverFactory("touchstone_ipopt")` and `SolverFactory("mpec_ipopt")` are registered as soon as
 Pyomo is imported, before or after this module.
@@ -25,24 +25,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-    from formulations.solution import Outcome, Solution
+    from formulations.solution import Outcome
     from models.scene import Scene
     from models.trajectory import Trajectory
     from validate.execution.campaign import CampaignResult
     from validate.fmu_check import CheckReport
-    from validate.judge.judgement import Judgement
     from validate.judge.score import Verdict
+    from validate.judge.shown import JudgedPlan as Judgement
+    from validate.judge.shown import SolvedPlan as Solution
 
 # The types that the functions below give and take, and where each is at home: imported when one is asked for.
 _HOME = {
-    "CampaignResult": "validate.execution.campaign",
-    "CheckReport": "validate.fmu_check",
-    "Judgement": "validate.judge.judgement",
-    "Outcome": "formulations.solution",
-    "Scene": "models.scene",
-    "Solution": "formulations.solution",
-    "Trajectory": "models.trajectory",
-    "Verdict": "validate.judge.score",
+    "CampaignResult": ("validate.execution.campaign", "CampaignResult"),
+    "CheckReport": ("validate.fmu_check", "CheckReport"),
+    "Judgement": ("validate.judge.shown", "JudgedPlan"),
+    "Outcome": ("formulations.solution", "Outcome"),
+    "Scene": ("models.scene", "Scene"),
+    "Solution": ("validate.judge.shown", "SolvedPlan"),
+    "Trajectory": ("models.trajectory", "Trajectory"),
+    "Verdict": ("validate.judge.score", "Verdict"),
 }
 __all__ = [
     "CampaignResult",
@@ -155,20 +156,22 @@ def solve(
 
     Returns
     -------
-    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost, certificate.
+    Solution of the last stage that ran: outcome (its value is advice), trajectory or None, cost, certificate; `plot()`, `to_dataframe()`.
 
     Raises
     ------
     SceneError, UnknownNameError, OptionError, MachineError : in one sentence.
 
-    >>> ts.solve("three_cart", "softplus_dc", eps=1e-3).outcome.name
-    'SOLVED'
+    >>> ts.solve("three_cart", "softplus_dc", eps=1e-3)
+    Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
     from formulations.solve import solve_scene
+    from validate.judge.shown import SolvedPlan
 
     wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
     first: Any = getattr(start, "trajectory", start)
-    return solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
+    found = solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
+    return SolvedPlan.of(found, wanted, name, eps)
 
 
 def read_plan(path: str | Path, scene: Scene | str | Path) -> Trajectory:
@@ -207,7 +210,8 @@ def judge(
 
     Returns
     -------
-    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`.
+    Judgement : print it for the sentence; `holds`, `verdict`, `score.value(metric)`, `replay`; `plot()`, `to_dataframe()`. In a notebook: the page
+        with player, plots and metrics.
 
     Raises
     ------
@@ -215,14 +219,16 @@ def judge(
     """
     from validate.judge.judgement import judge as judge_scene
     from validate.judge.judgement import judge_fmu
+    from validate.judge.shown import JudgedPlan
 
     if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
-        return judge_fmu(Path(scene), plan, map_path=None if map is None else Path(map), hold=hold, feedback=feedback)
+        map_path = None if map is None else Path(map)
+        return JudgedPlan.of(judge_fmu(Path(scene), plan, map_path=map_path, hold=hold, feedback=feedback), plan)
     if map is not None:
         from models.errors import SceneError
 
         raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
-    return judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback)
+    return JudgedPlan.of(judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan)
 
 
 def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:
@@ -293,7 +299,8 @@ def campaign(
 
 def __getattr__(name: str) -> Any:
     if name in _HOME:
-        return getattr(importlib.import_module(_HOME[name]), name)
+        home, known_as = _HOME[name]
+        return getattr(importlib.import_module(home), known_as)
     raise AttributeError(f"module 'touchstone' has no attribute {name!r}; it has {', '.join(__all__)}.")
 
 

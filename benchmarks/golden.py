@@ -2,6 +2,7 @@
 
     python -m validate all --out runs/golden; python -m benchmarks golden compare runs/golden --exit-code $?
     python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
+    python -m benchmarks golden table                                # of it, the table of docs/results.md
 
 A row is a stage of a run, or an examination (hard case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
 the main figures to nine digits, and `bits`, a hash of every number of the record at full precision. Two rows of equal bits are equal; of the
@@ -20,10 +21,13 @@ from pathlib import Path
 import click
 
 from benchmarks.options import campaign_argument
+from formulations.pipelines import PIPELINES
+from reports.paper import SCENE
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import load
 from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rule import failures
+from validate.tasks.paper import table_rows
 
 GOLDEN = Path(__file__).with_suffix(".csv")
 KEY = ("scene", "pipeline", "part", "stage")
@@ -184,3 +188,42 @@ def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
         click.echo(f"failure {sentence}")
     click.echo(", ".join(f"{count} {word}" for word, count in told.most_common()))
     return 1 if told["worse"] or told["gone"] or (strict and set(told) != {"equal"}) else 0
+
+
+@command.command()
+def table() -> None:
+    """Print what is frozen of the paper's scene as the table of docs/results.md."""
+    click.echo(results_table(), nl=False)
+
+
+def results_table() -> str:
+    """The stages of Table I, and how each of our pipelines ends, as a Markdown table; a stage that pipelines share once."""
+    lines = [
+        "| pipeline | stage | eps | cost | paper | error: plan | own grid | replay | verdict |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    kept = [row for row in frozen()[0] if (row["scene"], row["part"]) == (SCENE, "1") and row["cost"]]
+    seen: set[tuple[str, ...]] = set()
+    for pipeline in PIPELINES:
+        stages = [row for row in kept if row["pipeline"] == pipeline.name]
+        paper = [f"{row.numbers['cost']:.2f}" for row in table_rows(pipeline.name)]
+        for place, row in enumerate(stages):
+            stage = tuple(row[name] for name in ("method", "eps", "cost"))
+            if stage in seen or (not paper and row is not stages[-1]):
+                continue
+            seen.add(stage)
+            errors = (
+                f"{float(row[name]):.2g}" if float(row[name]) > FLOOR else "0"
+                for name in ("terminal_error", "discrete_terminal_error", "replay_terminal_error")
+            )
+            cells = (
+                pipeline.name,
+                row["method"],
+                row["eps"],
+                f"{float(row['cost']):.2f}",
+                paper[place] if paper else "",
+                *errors,
+                row["verdict"],
+            )
+            lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
+    return "\n".join(lines) + "\n"

@@ -1,6 +1,6 @@
 """What a report weighs and how soon it can be used: CPU seconds to write it, bytes, and seconds until a headless Chromium answers.
 
-Interactive: from the start of the navigation until the load event is over and the page has answered clicks on the matrix's head with a picture;
+Interactive: from the start of the navigation until the load event is over and the page has drawn itself again after it was scrolled to its index;
 the median of five. Beside it stands what the page's main thread did meanwhile, in CPU seconds, and its tasks of more than 50 ms: where a busy
 machine makes the clock useless, the CPU seconds still tell. With `--axe` also the violations of WCAG 2 A and AA that axe-core finds, light and
 dark, at desk and phone width. Exit code 1 where a target is missed.
@@ -23,13 +23,13 @@ from reports.render import PAGES, render, write_report
 
 _TRIES = 5
 # Targets: seconds until it is interactive, and size of the file [MB].
-_PATIENCE, _SIZE = 2.0, 6.0
+_PATIENCE, _SIZE = 0.5, 0.6
 _READY = """(async () => {
   const tasks = [];
   new PerformanceObserver((list) => tasks.push(...list.getEntries())).observe({ type: "longtask", buffered: true });
   await new Promise((done) => document.readyState === "complete" ? done() : addEventListener("load", done));
-  const head = document.querySelector("#matrix-table thead button");
-  if (head) { head.click(); head.click(); head.click(); }
+  const index = document.querySelector("#index");
+  if (index) index.scrollIntoView();
   await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
   const end = performance.now();
   await new Promise((done) => setTimeout(done, 100));

@@ -13,10 +13,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from formulations.transcription.build import build_block, build_model
-    from formulations.transcription.contact import ContactFormulation, ModelError, relax, tighten
+    from formulations.transcription.build import build_block, build_model, load_plan, read_plan
+    from formulations.transcription.contact import ContactFormulation, ModelError, relax, set_relaxation
     from formulations.transcription.residuals import PlanResiduals
-    from formulations.transcription.workbench import load_plan, read_plan
 
 _HOME = {
     "ContactFormulation": "contact",
@@ -24,13 +23,23 @@ _HOME = {
     "PlanResiduals": "residuals",
     "build_block": "build",
     "build_model": "build",
-    "load_plan": "workbench",
-    "read_plan": "workbench",
+    "load_plan": "build",
+    "read_plan": "build",
     "relax": "contact",
-    "tighten": "contact",
+    "set_relaxation": "contact",
 }
 
-__all__ = ["ContactFormulation", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]
+__all__ = [
+    "ContactFormulation",
+    "ModelError",
+    "PlanResiduals",
+    "build_block",
+    "build_model",
+    "load_plan",
+    "read_plan",
+    "relax",
+    "set_relaxation",
+]
 
 
 def __getattr__(name: str) -> Any:

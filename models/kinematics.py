@@ -1,6 +1,7 @@
 """Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
 
 pose_columns(scene, q, "node")      # x, y and angle of every shape;    gap_columns(scene, q, "node")      # the gap of every contact
+goal_poses(scene)                   # where the goal puts every shape
 """
 
 from __future__ import annotations
@@ -62,6 +63,26 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     """
     named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
     return _columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
+
+
+def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
+    """Where the task's goal puts each shape.
+
+    Returns
+    -------
+    list[tuple[float, float, float | None] | None]
+        x, y [m] and angle [rad] of each shape, the angle None where the goal leaves it open; None for a shape whose place it leaves open, or that
+        never moves.
+    """
+    moving = {coordinate.symbol for coordinate in scene.coordinates}
+    ends = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
+    found = []
+    for shape in scene.shapes:
+        parts = [sp.sympify(part).subs(scene.parameter_values).subs(ends) for part in (shape.x, shape.y, shape.angle)]
+        x, y, angle = (None if part.free_symbols else float(part) for part in parts)
+        moves = any(sp.sympify(part).free_symbols & moving for part in (shape.x, shape.y, shape.angle))
+        found.append((x, y, angle) if moves and x is not None and y is not None else None)
+    return found
 
 
 def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -44,6 +44,9 @@ class Hold(Enum):
 
 # What a hold is called in a CSV, on the command line and in maps.
 HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
+# What the panels of a plot are called, by what they show.
+_TITLES = {"q": "position", "v": "velocity", "lam": "force", "u": "input"}
+_INSTALL = "pip install 'touchstone-contact[notebook]'"
 # What a plan's author may leave out.
 GROUPS = ("q", "v", "lam", "friction")
 
@@ -76,6 +79,35 @@ def _as_groups(value: Any) -> frozenset[str]:
     if unknown or isinstance(value, str):
         raise TrajectoryError(f"plan: missing is {value!r}, but must be a set of {', '.join(map(repr, GROUPS))}, or empty.")
     return frozenset(names)
+
+
+class HasMotion(Protocol):
+    """A motion to be drawn beside a plan, as a replay has it."""
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times (n,) [s]."""
+        ...
+
+    @property
+    def q(self) -> np.ndarray:
+        """Positions (n, nq) [m, rad]."""
+        ...
+
+    @property
+    def v(self) -> np.ndarray:
+        """Velocities (n, nq) [m/s, rad/s]."""
+        ...
+
+    @property
+    def lam(self) -> np.ndarray:
+        """Contact forces (n, contacts) [N]."""
+        ...
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Friction forces (n, frictions) [N]."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,14 +240,66 @@ class Trajectory:
         TrajectoryError : it is a plan of another scene.
         """
         self.check_fits(scene)
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise MachineError("a DataFrame needs pandas, which is not installed: pip install pandas") from error
         names, last = column_names(scene), np.full((1, self.u.shape[1] + self.lam.shape[1]), np.nan)
-        steps = np.vstack([np.hstack([self.u, self.lam]), last])
-        values = np.hstack([self.t[:, None], self.q, self.v, steps])
-        return pd.DataFrame(values, columns=["t", *names["q"], *names["v"], *names["u"], *names["lam"]])
+        values = np.hstack([self.t[:, None], self.q, self.v, np.vstack([np.hstack([self.u, self.lam]), last])])
+        return data_frame(dict(zip(["t", *names["q"], *names["v"], *names["u"], *names["lam"]], values.T, strict=True)))
+
+    def plot(self, scene: Scene, motion: HasMotion | None = None) -> np.ndarray:
+        """Draw positions, velocities, forces and inputs over time, a panel for each that the plan says; with matplotlib.
+
+        Parameters
+        ----------
+        motion
+            What the plan is drawn beside, as its replay; the plan is dotted then.
+
+        Returns
+        -------
+        np.ndarray
+            (panels,) matplotlib Axes [s, and the unit of each quantity]; `axes[0].figure.savefig(..)` writes them.
+
+        Raises
+        ------
+        MachineError : matplotlib is not installed.
+        TrajectoryError : it is a plan of another scene, or says nothing that can be drawn.
+        """
+        self.check_fits(scene)
+        names, units = column_names(scene), _units(scene)
+        plan = {part: getattr(self, part) for part in _TITLES if part not in self.missing}
+        beside = {} if motion is None else {"q": motion.q, "v": motion.v, "lam": np.hstack([motion.lam, motion.friction])}
+        parts = [part for part in _TITLES if names[part] and (part in plan or part in beside)]
+        if not parts:
+            raise TrajectoryError(f"plan: it says nothing but times of scene {scene.name}, so that there is nothing to draw.")
+        try:
+            import matplotlib.pyplot as plt
+        except ImportError as error:
+            raise MachineError(f"a plot needs matplotlib, which is not installed; {_INSTALL}.") from error
+        figure, axes = plt.subplots(len(parts), sharex=True, squeeze=False, figsize=(8.0, 2.2 * len(parts)), layout="constrained")
+        for axis, part in zip(axes[:, 0], parts, strict=True):
+            for index, name in enumerate(names[part]):
+                color, replayed = f"C{index}", motion is not None and part in beside
+                if part in plan:
+                    values = plan[part][:, index]
+                    if len(values) < len(self.t):  # one a step: held, or a line to what the last step heads for
+                        values = np.append(values, values[-1] if part == "lam" or self.u_end is None else self.u_end[index])
+                    held = part == "lam" or (part == "u" and self.hold is Hold.ZERO_ORDER)
+                    style, label = (":", f"{name}, plan") if replayed else ("-", name)
+                    axis.plot(self.t, values, style, color=color, label=label, drawstyle="steps-post" if held else "default")
+                if motion is not None and replayed:
+                    axis.plot(motion.t, beside[part][:, index], color=color, label=f"{name}, replay")
+            axis.set_ylabel(f"{_TITLES[part]} [{', '.join(dict.fromkeys(units[name] for name in names[part]))}]")
+            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        axes[-1, 0].set_xlabel("time [s]")
+        figure.suptitle(scene.name)
+        return axes[:, 0]
+
+
+def data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """A pandas DataFrame of columns by name. Raises MachineError where pandas is not installed."""
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise MachineError(f"a DataFrame needs pandas, which is not installed; {_INSTALL}.") from error
+    return pd.DataFrame(columns)
 
 
 def uniform_grid(step: float, steps: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Why a plan has its verdict: the metric that decided it, the cause in words, and what to do; and runs that fail, grouped by that cause.
 
-deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or `collocation`."
+deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or collocation."
 by_cause(runs)                               ->  each cause once, with its runs, the most frequent first
 
 Causes are told apart by metrics and outcomes, never by what a method is called; a record's own sentence (`StageRecord.why`) has the numbers.
@@ -17,8 +17,8 @@ from reports.wording import capital, spaced
 
 # From this growth of an error on, a motion counts as unstable in the open loop, as in the judge's own sentences.
 _UNSTABLE = 100.0
-_EXACT = "Tighten eps, or go on from this plan with exact contact (`strict`, `mpcc`)."
-_AWAY = "The plan itself does not reach the goal"
+_EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
+_AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
 # Metric -> (cause, advice); what is not here is named by its metric.
 _CAUSES = {
     "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
@@ -40,10 +40,10 @@ _CAUSES = {
     "defect": ("The plan does not solve its own discrete equations", "Tighten the solver's tolerance."),
 }  # fmt: skip
 _LAW = ("Relaxed contact: the inputs do not give the planned motion", _EXACT)
-_GRID = ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or `collocation`.")
+_GRID = ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation.")
 _OPEN_LOOP = (
     "Unstable in the open loop: small errors grow until the plan is lost",
-    "Plan with a method made for unstable scenes (`multiple_shooting`, `lbfgs`), or on a finer grid.",
+    "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
 )
 _MOTION = ("The inputs do not give the planned motion", "Look at the error over time on the page of the run.")
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
@@ -97,11 +97,13 @@ def cause_of(run: RunRecord) -> Cause | None:
 
 
 def _violated(stage: StageRecord, metric: MetricRecord) -> Cause:
+    name = metric.name.removeprefix(TRACKED)
+    if name in ("cost", "replay_cost"):
+        return Cause(f"{_DEAR} ({spaced(stage.outcome)})", stage.advice)
     if metric.question == 2 and "terminal" in metric.name:
         return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
     if metric.question == 4 and metric.name != "unexplained_force":
         return Cause(*_of_motion(stage))
-    name = metric.name.removeprefix(TRACKED)
     return Cause(*_CAUSES.get(name, (f"A limit is exceeded: {spaced(name)}", stage.advice)))
 
 

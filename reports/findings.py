@@ -1,6 +1,6 @@
 """The three findings of a campaign, in sentences made from its records; the report's first screen and the terminal tell the same.
 
-three_findings(runs)  ->  ("None of 54 relaxed plans holds; ..", "29 of 43 runs that end with exact contact hold.", "Try first softplus_dc+strict, ..")
+three_findings(runs)  ->  ("0 of 54 relaxed plans hold; ..", "29 of 43 runs that end with exact contact hold.", "Try first softplus_dc+strict, ..")
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from reports.judged import judged_metric
-from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
+from reports.records.record import FINAL_COST, HOLD, RunRecord, SceneRecord, StageRecord
 from reports.rows import rows_of
 from reports.wording import count, error, listing, number, seconds, unit
 
@@ -53,8 +53,8 @@ def last_cost(run: RunRecord) -> float | None:
 
 
 def integral_cost(scene: SceneRecord, cost: float | None) -> float | None:
-    """A cost times the time step, which does not depend on the grid as a sum over steps does; None where the end is free: there the last state is in the cost."""
-    return None if cost is None or all(goal is None for goal in scene.goal) else cost * scene.step
+    """A cost times the time step, which does not depend on the grid as a sum over steps does; None where the last state is in the cost."""
+    return None if cost is None or any(equation.caption == FINAL_COST for equation in scene.equations) else cost * scene.step
 
 
 def least_costs(runs: Iterable[RunRecord]) -> dict[str, float]:
@@ -93,17 +93,17 @@ def _relaxed(runs: Sequence[RunRecord]) -> str:
     if not plans:
         return ""
     holding, violating = sum(stage.verdict in HOLD for stage in plans), [stage for stage in plans if stage.verdict == "violates"]
-    said = f"{holding or 'None'} of {count(len(plans), 'relaxed plan')} {'holds' if holding < 2 else 'hold'}"
+    said = f"{holding} of {count(len(plans), 'relaxed plan')} {'holds' if holding == 1 else 'hold'}"
     missed = [words for part in ("position", "velocity") if (words := _missed(violating, part))]
-    return f"{said}; replayed, those that violate miss the goal by {listing(missed)} (medians)." if missed else f"{said}."
+    return f"{said}; those that violate end {listing(missed)} from the goal (medians after the replay)." if missed else f"{said}."
 
 
 def _missed(stages: Sequence[StageRecord], part: str) -> str:
-    """`0.42 m or rad in position`: the median over the judged replays; empty where none was measured."""
+    """`0.42 m or rad`: the median over the judged replays; empty where none was measured."""
     found = [metric for stage in stages if (metric := judged_metric(stage, f"replay_terminal_{part}_error")) is not None]
     values = [metric.value for metric in found if metric.value is not None]
     units = " or ".join(sorted({unit(metric.unit) for metric in found if metric.value is not None and "," not in metric.unit} - {""}))
-    return f"{error(median(values))} {units} in {part}".replace("  ", " ") if values else ""
+    return f"{error(median(values))} {units}".strip() + (f" ({part})" if not units else "") if values else ""
 
 
 def _exact(runs: Sequence[RunRecord]) -> str:
@@ -130,12 +130,11 @@ def _first(ranked: Sequence[Standing]) -> str:
     enough = [standing for standing in good if standing.holds >= min(ENOUGH, best.holds)]
     fast = min(enough, key=lambda standing: standing.rank[2])
     equal = [standing.pipeline for standing in good if standing.rank == best.rank]
-    said = f"Try first {' or '.join(equal)}, which {_standing(best)}."
-    return said if fast.pipeline in equal else f"{said} The fastest is {fast.pipeline}, which {_standing(fast)}."
+    said = f"Try first {' or '.join(equal)}: {_standing(best)}."
+    return said if fast.pipeline in equal else f"{said} Fastest: {fast.pipeline}, {_standing(fast)}."
 
 
 def _standing(standing: Standing) -> str:
-    price = f"{number(standing.ratio, 3)} times the best cost" if standing.ratio is not None else ""
-    time = f"{seconds(standing.cpu)} CPU s" if standing.cpu is not None else ""
-    medians = ", ".join(part for part in (price, time) if part)
-    return f"holds on {standing.holds} of its {count(standing.able, 'scene')}" + (f" ({medians}, medians)" if medians else "")
+    said = f"holds on {standing.holds} of {count(standing.able, 'scene')}"
+    said += f", {number(standing.ratio, 3)} times the best cost" if standing.ratio is not None else ""
+    return said + (f", {seconds(standing.cpu)} CPU s" if standing.cpu is not None else "")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.records.record import MetricRecord, SceneRecord, StageRecord
-from reports.wording import error, unit
+from reports.wording import measured
 
 # As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.
 TRACKED, FEEDBACK = "tracked_", "feedback_"
@@ -92,19 +92,23 @@ def _views(stage: StageRecord) -> list[MetricView]:
 def end_of(stage: StageRecord, scene: SceneRecord, *, tracked: bool | None = None) -> str:
     """Where a replay ends: `position 0.11 m, velocity 0.10 m/s`, `free end`, or empty where it was not replayed. tracked: None takes the judged one."""
     prefix = TRACKED if (is_tracked(stage) if tracked is None else tracked) else ""
-    parts = []
-    for part in ("position", "velocity"):
-        metric = stage.metric(f"{prefix}replay_terminal_{part}_error")
-        if metric is not None and metric.value is not None:
-            parts.append(f"{part} {_with_unit(metric)}")
-    whole = stage.metric(f"{prefix}replay_terminal_error")
-    if not parts and whole is not None and whole.value is not None:
-        parts.append(f"error {_with_unit(whole)}")
-    if parts or stage.replay is None:
-        return ", ".join(parts)
+    found = distance_of(stage, f"{prefix}replay_")
+    if found or stage.replay is None:
+        return found
     return "free end" if all(goal is None for goal in scene.goal) else ""
 
 
-def _with_unit(metric: MetricRecord) -> str:
-    of = "" if "," in metric.unit else unit(metric.unit)
-    return f"{error(metric.value)} {of}".strip()
+def distance_of(stage: StageRecord, prefix: str) -> str:
+    """How far from the goal a motion ends, positions and velocities apart: `position 0.11 m, velocity 0.10 m/s`; empty where it was not measured.
+
+    prefix: of the metrics; nothing for the plan itself, `discrete_` for exact contact on its own grid, `replay_`, `tracked_replay_`.
+    """
+    parts = []
+    for part in ("position", "velocity"):
+        metric = stage.metric(f"{prefix}terminal_{part}_error")
+        if metric is not None and metric.value is not None:
+            parts.append(f"{part} {measured(metric.value, metric.unit)}")
+    whole = stage.metric(f"{prefix}terminal_error")
+    if not parts and whole is not None and whole.value is not None:
+        parts.append(f"error {measured(whole.value, whole.unit)}")
+    return ", ".join(parts)

@@ -1,6 +1,6 @@
 """Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
 
-    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each scene and each run
+    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each scene, each run and each thing that is worth one
     write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
 
 Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict Content-Security-Policy allows exactly the style and
@@ -19,74 +19,75 @@ import signal
 import socket
 import threading
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from markupsafe import Markup
 
 from reports.pages import (
     errata,
+    failures,
     fmus,
     front,
-    matrix,
+    index,
     overview,
     pareto,
     provenance,
     run,
     runs,
     scene,
-    scenes,
     stability,
-    summary,
+    sweeps,
     table1,
     tightening,
     time_spent,
     tolerance,
     violation,
 )
-from reports.pages.section import PAGES, Report, Section, run_page, scene_page
-from reports.records.load import ReportError, load, record_files
+from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
+from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 from reports.templating import Templates
 
-REPORT, SINGLE = "report.html", "single.html"
+SINGLE = "single.html"
 _HERE = Path(__file__).parent
-_ACROSS = (
-    overview,
-    summary,
-    matrix,
-    stability,
-    table1,
-    violation,
-    front,
-    pareto,
-    tolerance,
-    runs,
-    scenes,
-    fmus,
-    errata,
-    time_spent,
-    provenance,
-)
-_SCRIPTS = ("report.js", "matrix.js", "tables.js", "player.js")
+# What report.html shows before its index of the other pages.
+_TOP = (overview.build, table1.build, failures.build)
+# What the page of a scene shows.
+_OF_SCENE = (scene.build, table1.of_scene, pareto.build, front.build, tolerance.build, tightening.build, scene.model)
+# The other pages by the names of their files, which the first section of each has for its anchor.
+_OTHERS = {
+    "runs": (runs.build,),
+    "sweeps": (sweeps.build,),
+    "stress-cases": (stability.build,),
+    "fmus": (fmus.build,),
+    "errata": (errata.build, violation.build),
+    "time-spent": (time_spent.build,),
+    "provenance": (provenance.build,),
+}
+_SCRIPTS = ("common.js", "report.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
-_SCENE_LEAD = "What the scene is: its equations, quantities and known answers, and how plans on it change while ε is tightened."
+_AGAIN = "python -m reports DIR"
+_BACK = [(f"../{REPORT}", "The whole report")]
 # Fewer pages than this a process are written sooner without it.
 _WORTH = 8
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
-    """Write the page of each scene, those of the runs that are out of date, and report.html; on so many processes (all cores). Raises ReportError."""
+    """Write report.html and all other pages, those of runs only if they are out of date; on so many processes (all cores). Raises ReportError."""
     templates = Templates()
     report = Report(load(folder), folder)
-    if report.scenes:
-        _make(folder / PAGES)
+    _make(folder / PAGES)
     beside = Report(report.stored, folder, at="")
+    others = _others(beside)
+    for name, sections in others.items():
+        text = page(templates, sections, title=sections[0].title, lead=_title(report), again=_AGAIN, back=_BACK)
+        write_page(folder / PAGES / f"{name}.html", text, folder)
     for one in report.scenes:
         write_page(folder / PAGES / scene_page(one), _of_scene(templates, beside, one), folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
     # Last: a report that is younger than the folder of its pages has all of them.
-    write_page(folder / REPORT, _across(templates, report), folder)
+    write_page(folder / REPORT, _campaign_page(templates, report, _across(report, others)), folder)
     return folder / REPORT
 
 
@@ -103,18 +104,25 @@ def is_current(folder: Path) -> bool:
 
 def write_single(folder: Path) -> Path:
     """Write all that `write_report` writes into one file. Raises ReportError."""
-    templates = Templates()
     report = Report(load(folder), folder, single=True)
-    sections = _sections(report)
-    for one in report.scenes:
-        sections += _scene_sections(report, one)
-    write_page(folder / SINGLE, _campaign_page(templates, report, sections), folder)
+    others = _others(report)
+    sections = [*_across(report, others), *(section for one in report.scenes for section in _scene_sections(report, one))]
+    sections += [section for found in others.values() for section in found]
+    write_page(folder / SINGLE, _campaign_page(Templates(), report, sections), folder)
     return folder / SINGLE
 
 
 def render(folder: Path) -> str:
     """The text of report.html. Raises ReportError if there is no such folder."""
-    return _across(Templates(), Report(load(folder), folder))
+    report = Report(load(folder), folder)
+    return _campaign_page(Templates(), report, _across(report, _others(report)))
+
+
+def render_run(record: RunRecord, folder: Path) -> str:
+    """The text of the page of a run that belongs to no campaign. folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on."""
+    report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
+    title = f"{record.pipeline} on {record.scene.name}"
+    return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
 
 
 def page(
@@ -132,7 +140,7 @@ def page(
     return templates.render(
         "page.html",
         sections=[(item, Markup(templates.render(item.template, section=item, **item.values))) for item in sections],
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src blob:; base-uri 'none'; form-action 'none'",
         style=Markup(style),
         script=Markup(script),
         title=title,
@@ -169,39 +177,45 @@ def _make(folder: Path) -> None:
         ) from problem
 
 
-def _sections(report: Report) -> list[Section]:
-    return [section for part in _ACROSS if (section := part.build(report)) is not None]
+def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> list[Section]:
+    return [section for make in makers if (section := make(*words)) is not None]
 
 
-def _across(templates: Templates, report: Report) -> str:
-    """The text of report.html."""
-    return _campaign_page(templates, report, _sections(report))
+def _others(report: Report) -> dict[str, list[Section]]:
+    """The sections of the other pages, by the names of their files; without those that have none."""
+    return {name: sections for name, makers in _OTHERS.items() if (sections := _built(makers, report))}
+
+
+def _across(report: Report, others: Mapping[str, Sequence[Section]]) -> list[Section]:
+    """The sections of report.html."""
+    listed = [(name, sections[0]) for name, sections in others.items()]
+    return [*_built(_TOP, report), *_built((index.build,), report, listed)]
+
+
+def _title(report: Report) -> str:
+    campaign = report.stored.campaign
+    return campaign.title if campaign else "Campaign without its record"
 
 
 def _campaign_page(templates: Templates, report: Report, sections: Sequence[Section]) -> str:
     campaign = report.stored.campaign
-    title = campaign.title if campaign else "Campaign without its record"
-    again = "python -m reports --single-file DIR" if report.single else "python -m reports DIR"
-    return page(templates, sections, title=title, lead=_LEAD, again=again, quick=bool(campaign and campaign.quick))
+    again = f"{_AGAIN} --single-file" if report.single else _AGAIN
+    return page(templates, sections, title=_title(report), lead=_LEAD, again=again, quick=bool(campaign and campaign.quick))
 
 
 def _of_scene(templates: Templates, report: Report, one: SceneRecord) -> str:
-    back = [(f"../{REPORT}", "The whole report"), (f"../{REPORT}#scenes", "All scenes")]
-    return page(templates, _scene_sections(report, one), title=one.name, lead=_SCENE_LEAD, again="python -m reports DIR", back=back)
+    back = [*_BACK, (f"../{REPORT}#index", "All pages")]
+    return page(templates, _scene_sections(report, one), title=one.name, lead=one.title, again=_AGAIN, back=back)
 
 
 def _scene_sections(report: Report, one: SceneRecord) -> list[Section]:
-    return [section for section in (scene.build(report, one), tightening.build(report, one)) if section is not None]
+    return _built(_OF_SCENE, report, one)
 
 
 def _of_run(templates: Templates, report: Report, one: RunRecord) -> str:
-    back = [
-        (f"../{REPORT}", "The whole report"),
-        (f"../{REPORT}#matrix", "Scenes and pipelines"),
-        (report.scene_link(one.scene), f"The scene {one.scene.name}"),
-    ]
+    back = [*_BACK, (report.scene_link(one.scene), f"The scene {one.scene.name}"), (report.page_link("runs"), "All runs")]
     title = f"{one.pipeline} on {one.scene.name}"
-    return page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again="python -m reports DIR", back=back)
+    return page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again=_AGAIN, back=back)
 
 
 def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
@@ -271,4 +285,4 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "is_current", "page", "render", "write_page", "write_report", "write_single"]
+__all__ = ["PAGES", "REPORT", "is_current", "page", "render", "render_run", "write_page", "write_report", "write_single"]

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from reports.judged import judged_metric
+from reports.judged import end_of, judged_metric
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
 from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
@@ -55,6 +55,11 @@ class Row:
         """Its value; of a replay, that of the replay that is judged."""
         metric = judged_metric(self.stage, name)
         return metric.value if metric is not None else None
+
+    @property
+    def ends(self) -> str:
+        """How far from the goal its judged replay ends, in words; empty where it was not replayed."""
+        return end_of(self.stage, self.run.scene)
 
     @property
     def holds(self) -> bool:

@@ -150,6 +150,12 @@ def unit(text: str) -> str:
     return "" if text in ("", "1") else re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), clean(text))
 
 
+def measured(value: float | None, of: str) -> str:
+    """A value with its unit; of a norm over several units they stand in brackets: 0.11 m, 0.037 (m, rad)."""
+    told = unit(of)
+    return f"{error(value)} ({told})" if "," in told else f"{error(value)} {told}".strip()
+
+
 def capital(text: str) -> str:
     """A sentence that begins with a capital letter."""
     return text[:1].upper() + text[1:]

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.golden import results_table
 from models.catalog import load_scene
 from models.trajectory import column_names
 from validate.cli.group import run
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
@@ -34,4 +36,18 @@ def test_a_command_exists(command: str, capsys):
 
 def test_links_lead_somewhere():
     for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (Path(__file__).parents[1] / target).exists(), target
+        assert (ROOT / target).exists(), target
+
+
+def test_results_are_those_of_the_committed_campaign():
+    """In docs/results.md all of them, here some."""
+    table = results_table()
+    head, *rows = [line for line in README.splitlines() if line.startswith("|") and line.count("|") == table.splitlines()[0].count("|")]
+    assert head == table.splitlines()[0]
+    assert len(rows) > 5
+    assert set(rows) < set(table.splitlines())
+    assert table in (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+def test_the_picture_is_small():
+    assert (ROOT / "docs" / "report.png").stat().st_size <= 200_000

@@ -14,6 +14,7 @@ import pytest
 import touchstone as ts
 from formulations.method import OptionError
 from models.errors import SceneError, TouchstoneError, UnknownNameError
+from validate.judge import shown
 
 ROOT = Path(__file__).parents[1]
 
@@ -59,6 +60,8 @@ def test_every_name_is_there_and_says_what_it_is():
 @pytest.mark.slow
 def test_its_examples_run():
     assert doctest.testmod(ts, extraglobs={"ts": ts}).failed == 0
+    plan = ts.solve("three_cart", "softplus_dc", eps=1e-3)
+    assert doctest.testmod(shown, extraglobs={"ts": ts, "plan": plan}).failed == 0
 
 
 @pytest.fixture(scope="module")

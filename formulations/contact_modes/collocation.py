@@ -16,12 +16,12 @@ from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, SoftplusHomot
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
-from formulations.transcription.account import SolveBudget
-from formulations.transcription.build import build_model
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import build_model, load_plan, read_values, write_values
 from formulations.transcription.collocation import settle_forces, stage_penetration
-from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, tighten
+from formulations.transcription.compiled import CompiledModel
+from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
 from formulations.transcription.feasibility import Nearest, nearest
-from formulations.transcription.workbench import Workbench, load_plan, read_values, write_values
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
@@ -70,7 +70,7 @@ class StageProblem:
         self._tolerance, self._homotopy_tolerance, self._most_iterations = tolerance, homotopy_tolerance, most_iterations
         self._sharpnesses = schedule(*sharpnesses)
         self._homotopy: SoftplusHomotopy | None = None
-        self._exact: Workbench | None = None
+        self._exact: CompiledModel | None = None
 
     @property
     def homotopy(self) -> SoftplusHomotopy:
@@ -81,16 +81,16 @@ class StageProblem:
 
     def prepare(self, start: Trajectory | None) -> None:
         """Build the softplus model at its first use, and load the start. Raises TrajectoryError for a plan of another grid."""
-        bench = self.homotopy.bench
+        compiled = self.homotopy.compiled
         if start is not None:
-            load_plan(bench.model, start)
+            load_plan(compiled.model, start)
 
     def soften(self, budget: SolveBudget, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
         """Run the homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
 
         def solved(_: Trajectory) -> None:
             if self._scene.nc:
-                keep(StageModes.of(self.homotopy.bench.model))
+                keep(StageModes.of(self.homotopy.compiled.model))
 
         options = {"tol": self._homotopy_tolerance, "max_iter": self._most_iterations, **band_options()}
         return self.homotopy.run(budget, options, start, solved, STAGE_ITERATIONS)
@@ -99,7 +99,7 @@ class StageProblem:
         """Find the plan that comes nearest to the goal, with contact no sharper than this."""
         return nearest(self._scene, budget, self._most_iterations, sharpest)
 
-    def exact(self, budget: SolveBudget) -> Workbench:
+    def exact(self, budget: SolveBudget) -> CompiledModel:
         """Give the model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
@@ -107,30 +107,30 @@ class StageProblem:
                 self._scene, ContactFormulation.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost
             )
             budget.build += perf_counter() - begin
-            self._exact = Workbench(model)
+            self._exact = CompiledModel(model)
         return self._exact
 
     def with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Solve what is left once the stages of a guess are open or closed as it says."""
-        bench = self.exact(budget)
-        _load(bench, guess)
-        hold_modes(bench.model, guess.closed)
+        compiled = self.exact(budget)
+        _load(compiled, guess)
+        hold_modes(compiled.model, guess.closed)
         options = {"tol": self._tolerance, **band_options(), **_NEAR}
-        return bench.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
+        return compiled.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
 
     def from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Do the same with the modes of a relaxed complementarity that starts at the guess."""
-        bench = self.exact(budget)
-        _load(bench, guess)
-        release_modes(bench.model)
-        tighten(bench.model, _RELAXED)
+        compiled = self.exact(budget)
+        _load(compiled, guess)
+        release_modes(compiled.model)
+        set_relaxation(compiled.model, _RELAXED)
         options = {"tol": self._homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
-        relaxed = Workbench(bench.model)  # translated anew: the products are rows again
+        relaxed = CompiledModel(compiled.model)  # translated anew: the products are rows again
         result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._most_iterations})
-        return self.with_modes(budget, StageModes.of(bench.model)) if result.solved else result
+        return self.with_modes(budget, StageModes.of(compiled.model)) if result.solved else result
 
 
-def _load(bench: Workbench, guess: StageModes) -> None:
+def _load(compiled: CompiledModel, guess: StageModes) -> None:
     for name, values in guess.values.items():
-        write_values(bench.model.component(f"variable_{name}"), values)
-    settle_forces(bench.model)
+        write_values(compiled.model.component(f"variable_{name}"), values)
+    settle_forces(compiled.model)

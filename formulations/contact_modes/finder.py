@@ -17,7 +17,7 @@ from formulations.contact_modes.search import SearchResult, flip_wrong_signs, se
 from formulations.contact_modes.starts import random_plan
 from formulations.grids import coarse_scene, on_grid, plan_of
 from formulations.solution import Outcome
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.feasibility import nearest
 from models.codegen.kernel import Kernel
 from models.scene import Scene

@@ -26,19 +26,11 @@ from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactFormulation, hold_modes, tighten
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import build_model, load_first_guess, load_plan, move_ball, open_goal, read_plan
+from formulations.transcription.compiled import CompiledModel, primal_dual
+from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import (
-    SolveBudget,
-    Workbench,
-    load_first_guess,
-    load_plan,
-    move_ball,
-    open_goal,
-    primal_dual,
-    read_plan,
-)
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.schemes import Scheme
@@ -75,16 +67,16 @@ class SoftplusHomotopy:
         self._stiffness = _own_stiffness(scene)
         self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
         open_goal(model, ball)
-        self._bench = Workbench(model)
+        self._compiled = CompiledModel(model)
 
     @property
-    def bench(self) -> Workbench:
+    def compiled(self) -> CompiledModel:
         """The model, which holds the plan of the last stage."""
-        return self._bench
+        return self._compiled
 
     def move_ball(self, ball: float) -> None:
         """Change the radius of the goal: positive if it was built with one, else 0."""
-        move_ball(self._bench.model, ball)
+        move_ball(self._compiled.model, ball)
 
     def run(
         self,
@@ -98,7 +90,7 @@ class SoftplusHomotopy:
 
         keep: called with the plan of every stage that was solved; most_iterations: of a stage once there is a plan.
         """
-        model = self._bench.model
+        model = self._compiled.model
         if start is None:
             load_first_guess(model)
         else:
@@ -108,15 +100,15 @@ class SoftplusHomotopy:
         options = {**options, "max_iter": budget.iterations + options["max_iter"]}  # those of other runs do not count
         for sharpness, share in self._stages:
             if len(self._stages) > 1:
-                tighten(model, _eps(sharpness))
+                set_relaxation(model, _eps(sharpness))
             for name, value in self._stiffness.items():
                 model.parameter_scene[name] = share * value
             warm = primal_dual(before) if before is not None and sharpness >= _DUALS_FROM else None
             allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], budget.iterations + most_iterations)}
-            result = self._bench.run(budget, allowed, warm)
+            result = self._compiled.run(budget, allowed, warm)
             if not result.solved and warm is not None and plan is not None and not budget.is_over:
                 load_plan(model, plan)
-                result = self._bench.run(budget, allowed)
+                result = self._compiled.run(budget, allowed)
             outcome, message = result.outcome, result.message
             if not result.solved:
                 break
@@ -176,12 +168,12 @@ class NonlinearModes:
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
-        self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
+        self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
         self.begin(ball, budget, options)
 
     def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:
         """Begin as if built anew; ball: positive if it was built with one, else 0."""
-        move_ball(self._bench.model, ball)
+        move_ball(self._compiled.model, ball)
         self._budget, self._options = budget, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
@@ -199,7 +191,7 @@ class NonlinearModes:
         -------
         The optimum, or None where none was found that costs less than `below`.
         """
-        model, scene = self._bench.model, self._scene
+        model, scene = self._compiled.model, self._scene
         guess = self.guess if near is None else near.plan
         closed = np.array(closed, dtype=bool)
         if scene.nc:
@@ -212,7 +204,7 @@ class NonlinearModes:
             hold_modes(model, closed)
         self.solves += 1
         most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _NEIGHBOUR_ITERATIONS)
-        result = self._bench.run(self._budget, {**self._options, "max_iter": self._budget.iterations + most})
+        result = self._compiled.run(self._budget, {**self._options, "max_iter": self._budget.iterations + most})
         if not result.solved:
             self.unsolved += 1
             return None
@@ -238,7 +230,7 @@ class NonlinearModes:
 
     def _multipliers(self, result: IpoptResult) -> np.ndarray:
         """(2, steps, nc) derivative of the Lagrangian without its bounds, by lam and by v = lam - k phi: the multipliers of their bounds."""
-        model, problem = self._bench.model, self._bench.problem(self._budget)
+        model, problem = self._compiled.model, self._compiled.problem(self._budget)
         if not self._scene.nc:
             return np.zeros((2, self._scene.task.steps, 0))
         place = {id(variable): column for column, variable in enumerate(problem.variables)}

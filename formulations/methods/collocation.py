@@ -18,7 +18,7 @@ import numpy as np
 
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import ModelSize, Outcome, Solution, checked
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.method import TranscriptionOptions, why_not_collocated
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
@@ -30,7 +30,7 @@ from models.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from formulations.contact_modes.collocation import StageModes
-    from formulations.transcription.workbench import Workbench
+    from formulations.transcription.compiled import CompiledModel
 
 # Stages of the homotopy whose modes are tried.
 _TRIED = 3
@@ -85,7 +85,7 @@ class CollocationSession(Session):
         budget.build += perf_counter() - begin
         guesses, outcome, message = self._softened(budget, warm_start)
         if not self._scene.nc:
-            return self._solution(budget, problem.homotopy.bench, outcome, message)
+            return self._solution(budget, problem.homotopy.compiled, outcome, message)
         if not guesses:
             return self._solution(budget, None, outcome, message)
         for guess in guesses:
@@ -116,11 +116,11 @@ class CollocationSession(Session):
                 outcome, message = self._problem.soften(budget, found.plan, guesses.append)
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def _solution(self, budget: SolveBudget, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(self, budget: SolveBudget, compiled: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
         plan, cost, residuals = None, None, {}
-        if bench is not None and outcome.has_answer:
+        if compiled is not None and outcome.has_answer:
             try:
-                plan = bench.read()
+                plan = compiled.read()
             except TrajectoryError:  # a value that is not finite: no plan
                 outcome = Outcome.EVALUATION_ERROR
         if plan is not None:
@@ -139,8 +139,8 @@ class CollocationSession(Session):
             options=asdict(self._options),
             solver=budget.solver,
             history={name: tuple(values) for name, values in budget.history.items()},
-            size=None if bench is None else bench.size,
-            paper_size=None if bench is None else self._paper_size(),
+            size=None if compiled is None else compiled.size,
+            paper_size=None if compiled is None else self._paper_size(),
         )
 
     def _paper_size(self) -> ModelSize:

@@ -21,7 +21,7 @@ import numpy as np
 from formulations.grids import replayed_goal_error
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
 from formulations.transcription.method import BarrierOptions, Work, ended
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
@@ -120,7 +120,7 @@ class StrictLCPSession(Session):
             bound *= _TIGHTENING
             if result.outcome is not Outcome.SOLVED or bound < _LAST_BOUND or budget.is_over:
                 break
-            self._solver.tighten(bound)
+            self._solver.set_relaxation(bound)
             self._solver.release_modes()
             result = self._solver.run(budget, self._options.ipopt(), after=result)
             if result.outcome is Outcome.INFEASIBLE:  # a little looser there was a plan: that is no proof that there is none
@@ -148,7 +148,7 @@ class StrictLCPSession(Session):
         while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
             bounds.insert(0, bounds[0] / _NARROWING)
         for looser in bounds:
-            self._solver.tighten(looser)
+            self._solver.set_relaxation(looser)
             result = self._attempted(budget, start, is_first=looser == bounds[0] and len(bounds) > 1)
             if result.outcome is not Outcome.SOLVED or looser == bounds[-1]:
                 break

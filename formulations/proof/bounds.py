@@ -70,7 +70,7 @@ def energy_bound(scene: Scene, ceiling: float) -> EnergyBound | None:
     M, C, B = (np.array(matrix, dtype=float) for matrix in (d.mass_matrix.subs(values), drag, inputs))
     J, k = np.array(d.gap_jacobian.subs(values), dtype=float).reshape(scene.nc, nq), np.array(d.stiffness.subs(values), dtype=float).ravel()
     D = C - 0.5 * task.step * (C @ np.linalg.inv(M) @ C + J.T @ np.diag(k) @ J)
-    if np.linalg.eigvalsh(0.5 * (D + D.T))[0] <= 0.0:
+    if np.linalg.eigvalsh(D)[0] <= 0.0:
         return None
     root = np.linalg.inv(np.linalg.cholesky(weight))
     gain = float(np.linalg.eigvalsh(0.25 * root @ B.T @ np.linalg.inv(D) @ B @ root.T)[-1])
@@ -119,7 +119,7 @@ def physical_bounds(scene: Scene, linear: LinearScene, ceiling: float) -> PairBo
         time = linear.step * np.arange(T)[:, None]
         lower, upper = start - found.approach * time, np.minimum(found.penetration, start + found.approach * time)
         if linear.aimed[: scene.nq].all():
-            end = linear.penetration(linear.goal[None])[0, :nc]
+            end = linear.penetration(np.nan_to_num(linear.goal)[None])[0, :nc]  # of places alone: velocities may be free
             left = linear.step * (T - np.arange(T))[:, None]
             lower, upper = np.maximum(lower, end - found.approach * left), np.minimum(upper, end + found.approach * left)
     lower[0] = upper[0] = start
@@ -161,6 +161,5 @@ def _swept(relaxation: Relaxation, bounds: PairBounds, is_over: Callable[[], boo
                     found = relaxation.least_penetration(t, contact, sign, lower, upper, np.inf)
                 if found.status == "infeasible":
                     return PairBounds(lower=lower, upper=upper, ceiling=bounds.ceiling, is_empty=True)
-                if found.status == "solved":
-                    side[t, contact] = sign * max(sign * side[t, contact], found.bound)
+                side[t, contact] = sign * max(sign * side[t, contact], found.bound)  # unfinished: -inf, which is no better
     return PairBounds(lower=lower, upper=upper, ceiling=bounds.ceiling)

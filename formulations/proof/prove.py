@@ -74,7 +74,7 @@ def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
         )
     model: Any = build_model(scene, ContactFormulation.COMPLEMENTARITY)
     model.objective_cost.deactivate()
-    model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling if bounds.ceiling < float("inf") else None))
+    model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling))
     model.constraint_cost = pyo.Constraint(expr=model.variable_cost >= model.expression_cost)
     model.objective_bound = pyo.Objective(expr=model.variable_cost)
     if scene.nc:
@@ -238,16 +238,12 @@ class _Prover:
     def _ceiling(self) -> float:
         return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
 
-    def adopt(self, closed: np.ndarray) -> bool:
+    def adopt(self, closed: np.ndarray) -> None:
         """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known."""
         answer = self._modes.solve(closed)
-        if answer is None:
-            return False
-        plan = _exact_plan(self._scene, answer.u)
-        if plan is None or not self._residuals.cost(plan) < self._cost:
-            return False
-        self._plan, self._cost = plan, self._residuals.cost(plan)
-        return True
+        plan = None if answer is None else _exact_plan(self._scene, answer.u)
+        if plan is not None and self._residuals.cost(plan) < self._cost:
+            self._plan, self._cost = plan, self._residuals.cost(plan)
 
     def _branch(self, bounds: PairBounds, seconds: float) -> float:
         """SCIP on what the bounds leave open; the bound."""

@@ -114,7 +114,7 @@ class Relaxation:
         keep = np.isfinite(upper) & np.isfinite(lower)
         low, high = np.minimum(lower[keep], 0.0), np.maximum(upper[keep], 0.0)
         width = high - low
-        chord = k[keep] * np.where(width > 0.0, high / np.where(width > 0.0, width, 1.0), 1.0)
+        chord = k[keep] * np.divide(high, width, out=np.ones_like(width), where=width > 0.0)
         found.append((force[keep] - sp.diags(chord) @ phi[keep], chord * (offset[keep] - low)))
         return found
 

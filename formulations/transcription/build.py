@@ -1,8 +1,10 @@
-"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model.
+"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model. And how a plan gets into it and out.
 
     model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
     model.parameter_scene["k"] = 300.0                               # no rebuilding
     model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
+    load_plan(model, plan)                                           # a Trajectory as first guess
+    plan = read_plan(model)                                          # the model's values as a Trajectory
 
 What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 
@@ -17,9 +19,9 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | parameter_scene | parameter | the scene's parameters, mutable |
 | parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
 | parameter_step | | h [s], mutable |
-| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `tighten` |
+| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `set_relaxation` |
 | parameter_length | | L [m], softplus only |
-| mpec_bound | | eps of relaxed complementarity, mutable: `tighten` |
+| mpec_bound | | eps of relaxed complementarity, mutable: `set_relaxation` |
 | constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
@@ -35,12 +37,13 @@ from __future__ import annotations
 
 from typing import Any, cast
 
+import numpy as np
 import pyomo.environ as pyo
 from pyomo.common.gc_manager import PauseGC
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.collocation import add_collocation
+from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import (
     ContactFormulation,
     ModelError,
@@ -50,12 +53,15 @@ from formulations.transcription.contact import (
     damped_softplus,
     relax,
     rows_by_time,
+    settle_separation,
 )
 from models.catalog import load_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
+from models.errors import TrajectoryError
 from models.scene import Scene
 from models.schemes import Scheme
+from models.trajectory import Trajectory, uniform_grid
 
 
 def build_model(
@@ -90,11 +96,11 @@ def build_model(
     Examples
     --------
     >>> import pyomo.environ as pyo
-    >>> from formulations import ContactFormulation, build_model, tighten
+    >>> from formulations import ContactFormulation, build_model, set_relaxation
     >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50)
     >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
-    >>> tighten(model, 1e-4)                                                  # the bound moves, the model stays
+    >>> set_relaxation(model, 1e-4)                                                  # the bound moves, the model stays
     >>> pyo.value(model.mpec_bound)
     0.0001
     """
@@ -272,3 +278,108 @@ def _add_contact(
 
         block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
     return lam
+
+
+def open_goal(model: Any, ball: float) -> None:
+    """Let the plan end within `ball` of the goal, in the norm of (q, v); 0 leaves the goal as it is, and a free end stays free."""
+    if ball == 0.0:
+        return
+    given = release_goal(model)
+    if given:
+        # in units of the ball: its multiplier then has the size of the cost, however small the ball is
+        model.parameter_goal_ball = radius = pyo.Param(initialize=ball, mutable=True)
+        model.constraint_goal_ball = pyo.Constraint(expr=sum(((state - goal) / radius) ** 2 for state, goal, _ in given) <= 1.0)
+
+
+def move_ball(model: Any, ball: float) -> None:
+    """Another radius for the ball that `open_goal` has put around the goal; nothing where there is none."""
+    if model.component("parameter_goal_ball") is not None:
+        model.parameter_goal_ball.value = ball
+
+
+def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
+    """Take the goal's constraints out; returns (last state, goal, coordinate) of every component that was given."""
+    last = max(model.set_nodes)
+    given = []
+    for part, variable in (("position", model.variable_q), ("velocity", model.variable_v)):
+        constraint, goal = model.component(f"constraint_goal_{part}"), model.component(f"parameter_goal_{part}")
+        if constraint is not None:
+            constraint.deactivate()
+            given += [(variable[last, name], goal[name], name) for name in goal]
+    return given
+
+
+def load_plan(block: Any, plan: Trajectory) -> None:
+    """Write a plan into the variables of a block, as first guess. Its ends need not be those of the task.
+
+    Raises
+    ------
+    TrajectoryError
+        unless the plan has the block's grid and numbers of columns
+    """
+    steps, h = len(block.set_steps), pyo.value(block.parameter_step)
+    grid = uniform_grid(h, steps)
+    if plan.steps != steps or not np.allclose(plan.t - plan.t[0], grid, rtol=1e-9, atol=1e-9 * h):
+        raise TrajectoryError(
+            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but model {block.name} has {steps} steps of {h:g} s; "
+            "resample it to that grid."
+        )
+    friction = block.component("variable_friction")
+    nf = 0 if friction is None else len(friction) // steps
+    nc = plan.lam.shape[1] - nf
+    arrays = {"q": plan.q, "v": plan.v, "u": plan.u, "lam": plan.lam[:, : max(nc, 0)], "friction": plan.lam[:, max(nc, 0) :]}
+    for name, values in arrays.items():
+        variable = block.component(f"variable_{name}")
+        columns = 0 if variable is None else len(variable) // len(values)
+        if name == "lam" and is_collocated(block):
+            columns //= len(block.set_stages)
+        if values.shape[1] != columns:
+            raise TrajectoryError(f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}.")
+        if variable is not None and not (name == "lam" and is_collocated(block)):
+            write_values(variable, values)
+    if is_collocated(block):
+        settle_stages(block)
+    settle_separation(block)
+
+
+def load_first_guess(block: Any) -> None:
+    """The paper's first guess: the start held, no inputs (or the nearest allowed), no contact forces."""
+    for name, end in (("variable_q", "position"), ("variable_v", "velocity")):
+        start = [pyo.value(value) for value in block.component(f"parameter_start_{end}").values()]
+        write_values(block.component(name), np.tile(start, (len(block.set_nodes), 1)))
+    if block.component("variable_u") is not None:
+        for data in block.variable_u.values():
+            data.set_value(
+                min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True
+            )
+    for name in ("variable_lam", "variable_friction"):
+        if block.component(name) is not None:
+            write_values(block.component(name), np.zeros((len(block.component(name)), 1)))
+    if is_collocated(block):
+        settle_stages(block)
+    settle_separation(block)
+
+
+def read_plan(block: Any) -> Trajectory:
+    """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value."""
+    steps = len(block.set_steps)
+    arrays = {}
+    for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
+        variable = block.component(f"variable_{name}")
+        if name == "lam" and is_collocated(block):
+            arrays[name] = forces_at_nodes(block)
+            continue
+        arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+    arrays["lam"] = np.hstack([arrays["lam"], arrays.pop("friction")])
+    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme_of(block), **arrays)
+
+
+def read_values(variable: Any) -> np.ndarray:
+    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
+    return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
+
+
+def write_values(variable: Any, values: np.ndarray) -> None:
+    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other."""
+    for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
+        data.set_value(value, skip_validation=True)

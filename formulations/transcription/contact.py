@@ -123,7 +123,7 @@ def relax(block: Any, eps: float) -> None:
             f"{_name(block)} has no complementarity to relax; build it with contact=ContactFormulation.COMPLEMENTARITY and eps=None."
         )
     if hasattr(block, "mpec_bound"):
-        raise ModelError(f"{_name(block)} is relaxed already; move its bound with tighten(model, eps).")
+        raise ModelError(f"{_name(block)} is relaxed already; move its bound with set_relaxation(model, eps).")
     bound = _checked_bound(block, eps)
     pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
     for _, pair in pairs(block):
@@ -146,7 +146,7 @@ def settle_separation(block: Any) -> None:
         pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
 
 
-def tighten(block: Any, eps: float) -> None:
+def set_relaxation(block: Any, eps: float) -> None:
     """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed).
 
     Raises

@@ -32,9 +32,10 @@ import pyomo.environ as pyo
 
 from formulations.ipopt import Iteration, compile_model, load, solve
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import build_model, read_plan, release_goal
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation
-from formulations.transcription.workbench import SolveBudget, Workbench, read_plan, release_goal
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
@@ -93,10 +94,10 @@ def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, optio
     model.parameter_weight = pyo.Param(initialize=max(1.0, abs(pyo.value(model.expression_cost))), mutable=True)
     model.objective_cost.deactivate()
     model.objective_near = pyo.Objective(expr=model.expression_cost + model.parameter_weight * missed)
-    bench = Workbench(model)
+    compiled = CompiledModel(model)
     for _ in range(_WEIGHTS):
         most = min(options["max_iter"], budget.iterations + _RELEASED_ITERATIONS)
-        result = bench.run(budget, {**options, "max_iter": most})
+        result = compiled.run(budget, {**options, "max_iter": most})
         if result.outcome is not Outcome.SOLVED:
             return None
         if pyo.value(missed) <= _NEAR or budget.is_over:

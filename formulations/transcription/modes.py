@@ -13,9 +13,10 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.solution import Outcome
-from formulations.transcription.account import SolveBudget
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import load_plan, read_plan
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import hold_modes, pressed_columns, sides
-from formulations.transcription.workbench import Workbench, load_plan, read_plan
 
 # Modes that have a plan are solved in 6 to 20 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 100
@@ -32,7 +33,7 @@ class FixedModes:
 
     def __init__(self, model: Any, options: Mapping[str, Any], most_switches: int) -> None:
         self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
-        self._bench = Workbench(model)
+        self._compiled = CompiledModel(model)
 
     def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
         """The last solved problem, its plan left in the model.
@@ -47,7 +48,7 @@ class FixedModes:
         for _ in range(self._most_switches):
             if best.outcome is not Outcome.SOLVED or budget.is_over:
                 return best
-            switch = _cheaper_modes(self._bench.problem(budget), best, self._model, closed)
+            switch = _cheaper_modes(self._compiled.problem(budget), best, self._model, closed)
             if not switch.any():
                 return best
             plan, closed = read_plan(self._model), closed ^ switch
@@ -61,7 +62,7 @@ class FixedModes:
 
     def _run(self, budget: SolveBudget) -> IpoptResult:
         most = min(self._options["max_iter"], budget.iterations + _MODE_ITERATIONS)
-        return self._bench.run(budget, {**self._options, "max_iter": most})
+        return self._compiled.run(budget, {**self._options, "max_iter": most})
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:

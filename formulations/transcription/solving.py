@@ -20,13 +20,14 @@ import numpy as np
 from formulations.ipopt import IpoptResult, Start
 from formulations.method import Clock
 from formulations.solution import Outcome, Solution
-from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactFormulation, release_modes, tighten
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.build import build_model, load_first_guess, load_plan
+from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
+from formulations.transcription.contact import ContactFormulation, release_modes, set_relaxation
 from formulations.transcription.feasibility import GoalMonitor, Nearest, RestorationMonitor, nearest, plan_with_goal_released
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import SolveBudget, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -50,7 +51,7 @@ class PlanSolver:
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
-        self._bench: Workbench | None = None
+        self._compiled: CompiledModel | None = None
         self._nearest: dict[float, Nearest] = {}
         self._clock = clock
         clock.stop()
@@ -58,11 +59,11 @@ class PlanSolver:
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
 
     @property
-    def bench(self) -> Workbench:
+    def compiled(self) -> CompiledModel:
         """The model, once it was prepared."""
-        if self._bench is None:
+        if self._compiled is None:
             raise ValueError("no model has been prepared yet.")
-        return self._bench
+        return self._compiled
 
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its budget, and the model with its start."""
@@ -80,36 +81,36 @@ class PlanSolver:
         TrajectoryError
             for a plan of another grid
         """
-        if self._bench is None:
-            self._bench = Workbench(build_model(self._scene, self._contact, eps=eps))
+        if self._compiled is None:
+            self._compiled = CompiledModel(build_model(self._scene, self._contact, eps=eps))
         self.load(start)
 
     def load(self, start: Trajectory | None) -> None:
         """The model holds this plan, or the paper's first guess. Raises TrajectoryError for a plan of another grid."""
         if start is None:
-            load_first_guess(self.bench.model)
+            load_first_guess(self.compiled.model)
         else:
-            load_plan(self.bench.model, start)
+            load_plan(self.compiled.model, start)
 
     def read(self) -> Trajectory:
         """The plan that the model holds. Raises TrajectoryError for values that are not finite."""
-        return self.bench.read()
+        return self.compiled.read()
 
-    def tighten(self, eps: float) -> None:
+    def set_relaxation(self, eps: float) -> None:
         """Move the relaxation: the sharpness of softplus contact, the bound of complementarity."""
-        tighten(self.bench.model, eps)
+        set_relaxation(self.compiled.model, eps)
 
     def release_modes(self) -> None:
         """Complementarity is a choice again."""
-        release_modes(self.bench.model)
+        release_modes(self.compiled.model)
 
     def with_fixed_modes(self, most_switches: int) -> FixedModes:
         """The model without complementarity, of a translation of its own."""
-        return FixedModes(self.bench.model, self._options.ipopt(), most_switches)
+        return FixedModes(self.compiled.model, self._options.ipopt(), most_switches)
 
     def nonzeros(self, budget: SolveBudget) -> int:
         """Of the translated model."""
-        return self.bench.problem(budget).nonzeros
+        return self.compiled.problem(budget).nonzeros
 
     @property
     def unknowns(self) -> int:
@@ -126,7 +127,7 @@ class PlanSolver:
         options, from_plan: Ipopt's for this start, and for a plan.
         """
         if self._scene.nl:
-            self.tighten(eps)
+            self.set_relaxation(eps)
         known = self.solved_before(start) if start is not None and rules.takes_duals else None
         duals = None if known is None else primal_dual(known.result)
         release_at = eps if start is None and rules.may_release_goal else None
@@ -147,7 +148,7 @@ class PlanSolver:
 
     def run(self, budget: SolveBudget, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
         """Ipopt once, from what the model holds, or with all that it knew after another solve."""
-        return self.bench.run(budget, options, None if after is None else primal_dual(after))
+        return self.compiled.run(budget, options, None if after is None else primal_dual(after))
 
     def attempt(
         self,
@@ -166,14 +167,14 @@ class PlanSolver:
         release_at: eps of softplus contact at which the goal may be let go, None where it may not.
         """
         monitor = RestorationMonitor() if release_at is None else GoalMonitor()
-        result = self.bench.run(budget, options, start, share=share, callback=monitor)
+        result = self.compiled.run(budget, options, start, share=share, callback=monitor)
         is_lost = isinstance(monitor, GoalMonitor) and (monitor.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
         if release_at is not None and is_lost and not budget.is_over:
             plan = plan_with_goal_released(self._scene, release_at, budget, options)
             if plan is not None:
                 self.load(plan)
                 monitor = RestorationMonitor()
-                result = self.bench.run(budget, options, share=share, callback=monitor)
+                result = self.compiled.run(budget, options, share=share, callback=monitor)
                 is_lost = False
         if budget.is_over or not (is_lost or monitor.is_out or result.outcome is Outcome.INFEASIBLE):
             return result
@@ -189,7 +190,7 @@ class PlanSolver:
         elif not monitor.is_out:
             shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
             return replace(result, message=f"{self._no_plan()}: {shortfall}.")
-        again = self.bench.run(budget, options, share=share)
+        again = self.compiled.run(budget, options, share=share)
         if again.outcome is Outcome.INFEASIBLE and found.is_solved:
             message = (
                 f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
@@ -251,7 +252,7 @@ class PlanSolver:
             options=asdict(self._options),
             solver=budget.solver,
             history={name: tuple(values) for name, values in budget.history.items()},
-            size=self.bench.size,
+            size=self.compiled.size,
             paper_size=size_on_paper(self._scene, self._contact),
         )
 

@@ -1,4 +1,4 @@
-// The scene player: plan as dashed outline, replay filled, contact forces as arrows and bars; the data stand in a JSON element beside it.
+// The scene player: plan as dashed outline, replay filled, goal dotted, contact forces as arrows and bars; the data stand in a JSON element beside it.
 (() => {
   // Longest arrow, in pixels, and the shortest that is drawn.
   const [ARROW, SEEN] = [64, 1.5];
@@ -12,7 +12,7 @@
     const poses = (track) => track && track.map((axes) => {
       if (!axes) return null;
       const [x, y, angle] = axes.map((steps, axis) => sums(steps, data.grain[axis], frames));
-      return x.map((value, frame) => [value, y[frame], angle[frame]]);
+      return Object.assign(x.map((value, frame) => [value, y[frame], angle[frame]]), { axes: [x, y, angle] });
     });
     const forces = (lists) => lists && lists.map((steps) => steps && sums(steps, data.push, frames));
     return {
@@ -31,16 +31,24 @@
     const slider = player.querySelector("input");
     const button = player.querySelector("button");
     const output = player.querySelector("output");
+    const choice = Object.fromEntries([...player.querySelectorAll("[name]")].map((input) => [input.name, input]));
+    const shows = (name) => choice[name].checked;
     const pen = canvas.getContext("2d");
     const last = data.t.length - 1;
-    const tracks = [data.plan, data.replay].filter(Boolean);
+    const goals = data.shapes.map((shape) => shape.goal && [shape.goal]);
+    const tracks = [data.plan, data.replay, goals].filter(Boolean);
+    // What there is nothing of to show is not asked.
+    for (const [name, there] of [["plan", data.plan], ["replay", data.replay], ["goal", goals.some(Boolean)], ["forces", data.contacts.length]]) {
+      choice[name].parentElement.hidden = !there;
+    }
     let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
     for (const track of tracks) {
       track.forEach((poses, which) => {
         const far = reach(data.shapes[which]);
-        for (const [x, y] of poses || []) {
-          left = Math.min(left, x - far); right = Math.max(right, x + far);
-          low = Math.min(low, y - far); high = Math.max(high, y + far);
+        for (const [x, y, angle] of poses || []) {
+          const [wide, tall] = isLine(data.shapes[which]) ? [far * Math.abs(Math.cos(angle)), far * Math.abs(Math.sin(angle))] : [far, far];
+          left = Math.min(left, x - wide); right = Math.max(right, x + wide);
+          low = Math.min(low, y - tall); high = Math.max(high, y + tall);
         }
       });
     }
@@ -51,10 +59,18 @@
     const room = { width: 880, height: 0, top: 12 };
     const sharp = Math.min(2, window.devicePixelRatio || 1);
     let scale = 1;
+    // The time that is shown, in frames: between two of them all is drawn between both, so that slow motion is smooth.
     let frame = 0;
+    const at = (values) => {
+      const low = Math.floor(frame);
+      return low >= last ? values[last] : values[low] + (frame - low) * (values[low + 1] - values[low]);
+    };
+    const pose = (track, which) => track && track[which] && [0, 1, 2].map((axis) => at(track[which].axes[axis]));
+    const now = () => at(data.t);
     const measure = () => {
       room.width = Math.min(880, Math.max(300, canvas.clientWidth));
-      scale = Math.min((room.width - 24) / (right - left), 300 / (high - low));
+      // A tall scene gets more height than a wide one.
+      scale = Math.min((room.width - 24) / (right - left), (high - low > right - left ? 400 : 300) / (high - low));
       // A flat scene gets room above and below for the names of its bodies.
       const area = Math.max((high - low) * scale + 24, 17 * Math.min(data.shapes.length + 2, 9));
       room.top = (area - (high - low) * scale) / 2;
@@ -64,11 +80,11 @@
     };
     const place = (x, y) => [(x - (left + right) / 2) * scale + room.width / 2, room.top + (high - y) * scale];
 
-    const body = (shape, [x, y, angle], filled) => {
+    const body = (shape, [x, y, angle], manner) => {
       const [px, py] = place(x, y);
       pen.save();
       pen.translate(px, py);
-      pen.rotate(-angle);
+      pen.rotate(-(angle || 0));
       pen.beginPath();
       if (isLine(shape)) {
         const long = shape.size[0] * scale;
@@ -79,11 +95,15 @@
         pen.rect(-wide / 2, -tall / 2, wide, tall);
       } else {
         pen.arc(0, 0, shape.size[0] * scale, 0, 2 * Math.PI);
-        pen.moveTo(0, 0);
-        pen.lineTo(shape.size[0] * scale, 0);
+        // A goal that leaves the angle open has none.
+        if (angle !== null) pen.moveTo(0, 0);
+        if (angle !== null) pen.lineTo(shape.size[0] * scale, 0);
       }
       pen.lineWidth = 2;
-      if (filled) {
+      if (manner === "goal") {
+        pen.strokeStyle = colour("--level");
+        pen.setLineDash([2, 3]);
+      } else if (manner === "replay") {
         pen.fillStyle = colour("--touch");
         pen.strokeStyle = colour("--replay");
         pen.fill();
@@ -106,14 +126,19 @@
     const names = () => {
       const tall = room.width < 500 ? 14 : 17;
       const taken = [];
-      const found = data.shapes.map((shape, which) => [shape, ((data.replay && data.replay[which]) || (data.plan && data.plan[which]) || [])[frame]]);
-      for (const [shape, pose] of found.filter((one) => one[1]).sort((one, other) => reach(other[0]) - reach(one[0]))) {
-        const [px, py] = place(pose[0], pose[1]);
+      const found = data.shapes.map((shape, which) => [shape, pose(shows("replay") && data.replay, which) || pose(shows("plan") && data.plan, which)]);
+      for (const [shape, where] of found.filter((one) => one[1]).sort((one, other) => reach(other[0]) - reach(one[0]))) {
+        const [px, py] = place(where[0], where[1]);
         const long = pen.measureText(shape.name).width;
-        const [wide, high] = chords(shape, pose[2]);
+        const [wide, high] = chords(shape, where[2]);
         const [aside, away] = [wide / 2 + long / 2 + 6, high / 2 + tall / 2 + 2];
         const spots = wide > long + 6 && high > tall ? [[0, 0]] : [];
-        if (isLine(shape)) spots.push([0, away], [0, -away]);
+        if (isLine(shape)) {
+          // Beside the line, at right angles to it.
+          const [right, up] = [-Math.sin(where[2]), Math.cos(where[2])];
+          const far = Math.abs(right) * (long / 2) + Math.abs(up) * (tall / 2) + 4;
+          spots.push([right * far, -up * far], [-right * far, up * far]);
+        }
         spots.push([aside, 0], [-aside, 0]);
         for (const row of [0, 1, 2, 3]) spots.push([0, -away - row * tall], [0, away + row * tall], [aside, -row * tall], [-aside, -row * tall], [aside, row * tall], [-aside, row * tall]);
         const free = ([x, y]) => px + x - long / 2 >= 2 && px + x + long / 2 <= room.width - 2 && py + y > tall / 2 && py + y < room.height - bars
@@ -167,10 +192,10 @@
       const touch = data.touches[which];
       const values = forces && forces[which];
       if (!touch || !values || !track) return;
-      const long = (values[frame] / strongest) * ARROW;
+      const long = (at(values) / strongest) * ARROW;
       const [one, other] = touch.shapes;
       if (!(Math.abs(long) > SEEN) || !track[one] || !track[other]) return;
-      const [first, second] = [track[one][frame], track[other][frame]];
+      const [first, second] = [pose(track, one), pose(track, other)];
       const [a, b] = [point(one, touch.ends[0], first), point(other, touch.ends[1], second)];
       let normal;
       if (touch.turn !== null) {
@@ -186,7 +211,7 @@
       arrow(spot, to, size, wide, colour(name));
       arrow(spot, [-to[0], -to[1]], size, wide, colour(name));
     };
-    const bar = (which, frame) => {
+    const bar = (which) => {
       const top = room.height - bars + 8 + which * 34;
       const from = Math.min(150, room.width * 0.3);
       const full = room.width - from - 90;
@@ -197,65 +222,76 @@
         const values = list && list[which];
         if (!values) return;
         pen.fillStyle = colour(name);
-        pen.fillRect(from, top + below, Math.max(1, (values[frame] / strongest) * full), 10);
+        pen.fillRect(from, top + below, Math.max(1, (at(values) / strongest) * full), 10);
       });
       const values = (data.replay_force && data.replay_force[which]) || (data.plan_force && data.plan_force[which]);
       pen.fillStyle = colour("--ink");
-      if (values) pen.fillText(`${values[frame].toFixed(2)} N`, room.width - 72, top + 17);
+      if (values) pen.fillText(`${at(values).toFixed(2)} N`, room.width - 72, top + 17);
     };
     const draw = () => {
       pen.setTransform(sharp, 0, 0, sharp, 0, 0);
       pen.clearRect(0, 0, room.width, room.height);
       pen.font = room.width < 500 ? "12px system-ui, sans-serif" : "15px system-ui, sans-serif";
-      data.shapes.forEach((shape, which) => { if (data.replay && data.replay[which]) body(shape, data.replay[which][frame], true); });
-      data.shapes.forEach((shape, which) => { if (data.plan && data.plan[which]) body(shape, data.plan[which][frame], false); });
+      for (const [name, track] of [["replay", data.replay], ["plan", data.plan]]) {
+        data.shapes.forEach((shape, which) => { if (shows(name) && track && track[which]) body(shape, pose(track, which), name); });
+      }
+      data.shapes.forEach((shape) => { if (shows("goal") && shape.goal) body(shape, shape.goal, "goal"); });
       data.contacts.forEach((_, which) => {
         // The plan's arrow is the broad one below: where both agree it shows as a rim.
-        push(which, data.plan, data.plan_force, "--plan", 6);
-        push(which, data.replay, data.replay_force, "--push", 2.5);
-        bar(which, frame);
+        if (shows("forces") && shows("plan")) push(which, data.plan, data.plan_force, "--plan", 6);
+        if (shows("forces") && shows("replay")) push(which, data.replay, data.replay_force, "--push", 2.5);
+        bar(which);
       });
-      names();
-      output.textContent = `${data.t[frame].toFixed(2)} s`;
-      slider.value = frame;
-      slider.setAttribute("aria-valuetext", `${data.t[frame].toFixed(2)} seconds`);
+      if (shows("labels")) names();
+      output.textContent = `${now().toFixed(2)} of ${data.t[last].toFixed(2)} s`;
+      slider.value = Math.round(frame);
+      slider.setAttribute("aria-valuetext", `${now().toFixed(2)} seconds`);
     };
-    let began = null;
+    // Who wants little motion gets two pictures a second.
+    const calm = matchMedia("(prefers-reduced-motion: reduce)");
+    const CALM = 500;
+    let before = null;
+    let drawn = 0;
     const stop = () => {
-      began = null;
+      before = null;
       button.textContent = "▶";
       button.setAttribute("aria-label", "Play");
     };
-    const tick = (now) => {
-      if (began === null) return;
-      const t = data.t[0] + (now - began) / 1000;
-      while (frame < last && data.t[frame + 1] <= t) frame += 1;
-      draw();
-      if (frame >= last) stop(); else requestAnimationFrame(tick);
+    const tick = (stamp) => {
+      if (before === null) return;
+      const frames = ((stamp - before) / 1000) * Number(choice.speed.value) / (data.t[1] - data.t[0]);
+      before = stamp;
+      frame += Math.max(0, frames);
+      const ended = frame >= last;
+      if (ended) frame = shows("loop") ? 0 : last;
+      if (!calm.matches || ended || stamp - drawn > CALM) { draw(); drawn = stamp; }
+      if (ended && !shows("loop")) stop(); else requestAnimationFrame(tick);
     };
     const play = () => {
-      if (began !== null) { stop(); return; }
+      if (before !== null) { stop(); draw(); return; }
       if (frame >= last) frame = 0;
-      began = performance.now() - (data.t[frame] - data.t[0]) * 1000;
+      before = performance.now();
       button.textContent = "❚❚";
-      button.setAttribute("aria-label", "Stop");
+      button.setAttribute("aria-label", "Pause");
       requestAnimationFrame(tick);
     };
     slider.max = last;
     slider.addEventListener("input", () => { stop(); frame = Number(slider.value); draw(); });
-    // The button steps as the slider does.
-    button.addEventListener("keydown", (event) => {
-      const target = { ArrowRight: frame + 1, ArrowLeft: frame - 1, Home: 0, End: last }[event.key];
-      if (target === undefined || event.altKey || event.ctrlKey || event.metaKey) return;
+    // The same keys wherever the focus is, but on what has a use for them.
+    player.addEventListener("keydown", (event) => {
+      if (event.altKey || event.ctrlKey || event.metaKey || event.target.matches("select, [type=checkbox]")) return;
+      if (event.key === " " && event.target !== button) { event.preventDefault(); play(); }
+      const whole = Math.round(frame);
+      const target = { ArrowRight: whole + 1, ArrowUp: whole + 1, ArrowLeft: whole - 1, ArrowDown: whole - 1, Home: 0, End: last }[event.key];
+      if (target === undefined) return;
       event.preventDefault();
       stop();
       frame = Math.min(Math.max(target, 0), last);
       draw();
     });
-    // The slider steps by arrows of itself; a click on the picture or space on the slider plays.
-    slider.addEventListener("keydown", (event) => { if (event.key === " ") { event.preventDefault(); play(); } });
     canvas.addEventListener("click", () => { slider.focus(); play(); });
     button.addEventListener("click", play);
+    player.querySelectorAll("[type=checkbox]").forEach((box) => box.addEventListener("change", draw));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
     new ResizeObserver(() => { measure(); draw(); }).observe(canvas.parentElement);
     measure();

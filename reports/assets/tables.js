@@ -1,5 +1,9 @@
-// A button below each table saves it as CSV: numbers with the digits that the page holds, one row of heads, nothing that a spreadsheet would run.
+// Tables: sorted by the head of a column, filtered as you type, and saved as CSV: numbers with the digits that the page holds, one row of heads.
 (() => {
+  const { make, named, plain, saveCsv, whose, words } = touchstone;
+  // Fewer rows than this are seen at once.
+  const MANY = 8;
+  const DASH = "–";
   const SUPER = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹";
   const lowered = (text) => [...text].map((sign) => "-0123456789"[SUPER.indexOf(sign)]).join("");
   // 1.5×10⁻³, 10⁻⁷, 16 619.35, −4: as a program reads them.
@@ -9,104 +13,115 @@
     const [, sign, digits, power, alone] = found;
     return `${sign ? "-" : ""}${digits ? digits.replaceAll("\u202f", "") : "1"}${power || alone ? `e${lowered(power || alone)}` : ""}`;
   };
-  const safe = (text) => number(text) ?? (/^[=+\-@−]/.test(text) && text.length > 1 ? `'${text}` : text);
-  const plain = (text) => text.replaceAll("\u00ad", "").replace(/(\d)\u202f(?=\d)/g, "$1").replace(/\s+/g, " ").trim();
-  const DASH = "–";
   // What stands apart in a cell, a unit or a second number, gets a column of its own; why a value is not there stands at the end of the row.
   const reasoned = (cell) => [...cell.querySelectorAll(".none > .sr")].map((part) => plain(part.textContent)).join(" ");
   const said = (cell) => {
     const data = cell.querySelectorAll("data");
     if (data.length === 1 && (cell.dataset.apart || data[0].textContent.trim() === cell.textContent.trim())) return data[0].value;
     const copy = cell.cloneNode(true);
-    copy.querySelectorAll("button.take, svg, [data-apart]").forEach((part) => part.remove());
+    copy.querySelectorAll("svg, [data-apart]").forEach((part) => part.remove());
     const rest = copy.querySelectorAll("data");
     if (rest.length === 1 && rest[0].textContent.trim() === copy.textContent.trim()) return rest[0].value;
     copy.querySelectorAll(".sub, .sr").forEach((part) => part.prepend(" "));
     const reason = reasoned(copy);
     const text = plain(copy.textContent);
-    return text === DASH || (reason && text === `${DASH} ${reason}`) ? "" : safe(text);
+    return text === DASH || (reason && text === `${DASH} ${reason}`) ? "" : number(text) ?? text;
   };
   const reasons = (cells) => [...new Set(cells.filter((cell) => cell && !said(cell)).map(reasoned))].filter(Boolean).join("; ");
-  const field = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  // Heads that span rows or columns are spread over what they span and joined.
+  // Of each column the cells of the head above it, from the top: those that span rows or columns stand above all that they span.
   const heads = (table) => {
     const grid = [];
-    const rows = table.tHead ? [...table.tHead.rows] : [];
-    rows.forEach((row, down) => {
+    [...(table.tHead ? table.tHead.rows : [])].forEach((row, down) => {
       let across = 0;
       for (const cell of row.cells) {
-        if (cell.hidden) continue;
         while (grid[across] && grid[across][down] !== undefined) across += 1;
         for (let column = across; column < across + cell.colSpan; column += 1) {
           grid[column] = grid[column] || [];
-          for (let below = down; below < down + cell.rowSpan; below += 1) grid[column][below] = below === down ? said(cell) : "";
+          for (let below = down; below < down + cell.rowSpan; below += 1) grid[column][below] = below === down ? cell : null;
         }
         across += cell.colSpan;
       }
     });
-    return grid.map((words) => words.filter(Boolean).join(" "));
+    return grid.map((cells) => cells.filter(Boolean));
   };
-  const words = (table) => {
-    if (!table.caption) return "";
-    const copy = table.caption.cloneNode(true);
-    copy.querySelectorAll("button.take, .sign").forEach((part) => part.remove());
-    return plain(copy.textContent);
-  };
-  const title = (table) => table.dataset.name || words(table).split(/[.:;,(]/)[0].trim() || "table";
-  // The cells of a row as they are shown, with nothing below what spans columns.
-  const placed = (row) => [...row.cells].filter((cell) => !cell.hidden).flatMap((cell) => [cell, ...Array(cell.colSpan - 1).fill(null)]);
-  const csv = (table) => {
-    const shown = [...table.tBodies].flatMap((body) => [...body.rows]).filter((row) => !row.hidden);
-    const rows = shown.map(placed);
+  const title = (table) => table.dataset.name || words(table.caption).split(/[.:;,(]/)[0].trim() || "table";
+  // The cells of a row, with nothing below what spans columns.
+  const placed = (row) => [...row.cells].flatMap((cell) => [cell, ...Array(cell.colSpan - 1).fill(null)]);
+  const bodyRows = (table) => [...table.tBodies].flatMap((body) => [...body.rows]);
+
+  const save = (table) => {
+    const rows = bodyRows(table).filter((row) => !row.hidden).map(placed);
     const wide = Math.max(0, ...rows.map((cells) => cells.length));
     const apart = Array.from({ length: wide }, (_, place) => [
       ...new Set(rows.flatMap((cells) => (cells[place] ? [...cells[place].querySelectorAll("[data-apart]")] : [])).map((part) => part.dataset.apart)),
     ]);
-    const named = heads(table);
-    const columns = named.length ? named : ["Quantity", safe(title(table)), "Note"].slice(0, wide);
+    const above = heads(table).map((cells) => cells.map(said).filter(Boolean).join(" "));
+    const columns = above.length ? above : ["Quantity", title(table), "Note"].slice(0, wide);
     const [why, lacks] = [rows.map(reasons), "Why a value is not there"];
     const head = columns.flatMap((name, place) => [name, ...(apart[place] || []).map((part) => `${name}, ${part}`)]);
     const lines = rows.map((cells, down) => [
       ...cells.flatMap((cell, place) => [cell, ...apart[place].map((part) => cell && cell.querySelector(`[data-apart="${part}"]`))]).map((cell) => (cell ? said(cell) : "")),
-      ...(why.some(Boolean) ? [safe(why[down])] : []),
+      ...(why.some(Boolean) ? [why[down]] : []),
     ]);
-    return `${[[...head, ...(why.some(Boolean) ? [lacks] : [])], ...lines].map((line) => line.map(field).join(",")).join("\r\n")}\r\n`;
+    saveCsv(named([...(table.dataset.name ? [] : whose(table)), title(table)], "csv"), [[...head, ...(why.some(Boolean) ? [lacks] : [])], ...lines]);
   };
-  // Whose table it is, where its title does not say so: the run and its stage, or the scene.
-  const around = (table) => {
-    if (table.dataset.name) return [];
-    const run = table.closest("article.run[data-words]");
-    const stage = table.closest("details.stage");
-    const scene = table.closest(".of-scene");
-    const found = [run && run.querySelector("h3"), stage && stage.querySelector("h4"), scene && scene.querySelector("h3")].filter(Boolean).map((heading) => {
-      const copy = heading.cloneNode(true);
-      copy.querySelectorAll(".sign").forEach((part) => part.remove());
-      return plain(copy.textContent).split(/ of \d+:/)[0];
+
+  // By the words before the first number of a cell, then by that number; what is empty comes last, whichever way.
+  const key = (cell) => {
+    const text = cell ? said(cell) : "";
+    const found = /^([^\d]*?)(-?\d[\d.]*(?:e-?\d+)?)?(?=\D|$)/.exec(text);
+    return [text === "", found ? found[1].trim() : text, found && found[2] ? Number(found[2]) : -Infinity, text];
+  };
+  const order = (down) => ([one], [other]) => {
+    if (one[0] !== other[0]) return one[0] ? 1 : -1;
+    const differs = [1, 2, 3].find((part) => one[part] !== other[part]);
+    return differs === undefined ? 0 : (one[differs] < other[differs] ? -1 : 1) * (down ? -1 : 1);
+  };
+  const sortable = (table) => {
+    const columns = heads(table);
+    const first = new Map([...table.tBodies].map((body) => [body, [...body.rows]]));
+    const lowest = columns.map((cells) => cells[cells.length - 1]);
+    lowest.forEach((cell, place) => {
+      const button = make("button", { type: "button", className: "sort" });
+      button.append(...cell.childNodes);
+      cell.append(button);
+      button.addEventListener("click", () => {
+        // First up, then down, then as it was.
+        const next = { ascending: "descending", descending: null }[cell.ariaSort] ?? (cell.ariaSort ? null : "ascending");
+        lowest.forEach((other) => other.removeAttribute("aria-sort"));
+        if (next) cell.setAttribute("aria-sort", next);
+        for (const [body, rows] of first) {
+          // A row that heads its group stays above it.
+          const [above, below] = [rows.filter((row) => row.querySelector("[scope=rowgroup]")), rows.filter((row) => !row.querySelector("[scope=rowgroup]"))];
+          const sorted = below.map((row) => [key(placed(row)[place]), row]).sort(order(next === "descending"));
+          body.append(...(next ? [...above, ...sorted.map(([, row]) => row)] : rows));
+        }
+      });
     });
-    return found;
   };
-  // Whole words, as many as each part of a file's name has room for.
-  const LONGEST = 60;
-  const slug = (text) => {
-    const all = text.toLowerCase().replace(/[^\p{L}\p{N}_]+/gu, "-").replace(/^-|-$/g, "");
-    return all.length > LONGEST ? all.slice(0, LONGEST + 1).replace(/-[^-]*$/, "").slice(0, LONGEST) : all;
+  const filter = (table) => {
+    const rows = bodyRows(table).filter((row) => !row.querySelector("[scope=rowgroup]"));
+    const count = make("output");
+    const input = make("input", { type: "search", placeholder: "Filter", autocomplete: "off", spellcheck: false, ariaLabel: `Filter the rows: ${words(table.caption).slice(0, 80)}` });
+    input.addEventListener("input", () => {
+      const wanted = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+      for (const row of rows) row.hidden = !wanted.every((word) => row.textContent.toLowerCase().includes(word));
+      for (const body of table.tBodies) {
+        const [head, ...others] = body.rows;
+        if (head && head.querySelector("[scope=rowgroup]")) head.hidden = others.every((row) => row.hidden);
+      }
+      count.textContent = wanted.length ? `${rows.filter((row) => !row.hidden).length} of ${rows.length}` : "";
+    });
+    return [input, count];
   };
-  const name = (table) => [...around(table), title(table)].map(slug).filter(Boolean).join("-") || "table";
-  const save = (table) => {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob(["\ufeff", csv(table)], { type: "text/csv" }));
-    link.download = `${name(table)}.csv`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  };
+
   for (const table of document.querySelectorAll("table")) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.className = "take";
-    button.textContent = "CSV";
-    button.setAttribute("aria-label", `Download as CSV: ${words(table).slice(0, 80)}`);
+    const button = make("button", { type: "button", className: "take", ariaLabel: `Save as CSV: ${words(table.caption).slice(0, 80)}` }, "CSV");
     button.addEventListener("click", () => save(table));
+    const rows = bodyRows(table).length;
+    if (table.tHead && rows > 1) sortable(table);
+    const tools = make("span", { className: "tools" }, ...(table.tHead && rows >= MANY ? filter(table) : []), button);
     const frame = table.closest(".scroll");
-    if (frame) frame.after(button); else if (table.caption) table.caption.append(" ", button); else table.after(button);
+    if (frame) frame.before(tools); else table.caption.append(" ", tools);
   }
 })();

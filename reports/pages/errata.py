@@ -17,6 +17,7 @@ def build(report: Report) -> Section | None:
         "Errata of the paper, and what it leaves open",
         "errata.html",
         {"closed_form": _closed_form(report), "physics": _physics(report), "clock": _clock(report)},
+        said="Eight errata of the paper, each with what our records show of it, and its Fig. 2: the worst-case violation against ε.",
     )
 
 

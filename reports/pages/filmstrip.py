@@ -39,7 +39,7 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
     frames = []
     for place, moment in enumerate(moments):
         left = place * (_WIDTH + _GAP)
-        drawn = "".join(_shape(shape, poses[shape.name][:, place], middle, scale, number_ % 6) for number_, shape in enumerate(shapes))
+        drawn = "".join(placed(shape, poses[shape.name][:, place], middle, scale, number_ % 6) for number_, shape in enumerate(shapes))
         frames.append(
             f'<svg x="{left:.0f}" y="0" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}" viewBox="{-_WIDTH / 2:.0f} {-_HEIGHT / 2:.0f} {_WIDTH:.0f} {_HEIGHT:.0f}">'
             f'<rect class="frame" x="{-_WIDTH / 2:.0f}" y="{-_HEIGHT / 2:.0f}" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}"/>{drawn}</svg>'
@@ -51,7 +51,7 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
     return Strip(Markup(svg), f"{_FRAMES} moments of the plan, from {number(float(moments[0]), 3)} s to {number(float(moments[-1]), 3)} s.")
 
 
-def _shape(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:
+def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:
     """One shape at a pose x, y [m], angle [rad]; up is up."""
     x, y, angle = (float(value) for value in pose)
     across, up = scale * (x - middle[0]), -scale * (y - middle[1])

@@ -30,7 +30,8 @@ def build(report: Report) -> Section | None:
     if not records:
         return None
     views = [_view(record, place) for place, record in enumerate(records)]
-    return Section("fmus", "FMUs", "fmus.html", {"views": views, "statuses": STATUSES, "sentence": _sentence(views)})
+    sentence = _sentence(views)
+    return Section("fmus", "FMUs under the check", "fmus.html", {"views": views, "statuses": STATUSES, "sentence": sentence}, said=sentence)
 
 
 def _view(record: ExaminationRecord, place: int) -> FmuView:

@@ -1,8 +1,6 @@
-"""Cost against terminal error of all rows after the replay: a cost means nothing without its error."""
+"""Cost against terminal error of all stages on a scene after the replay, positions and velocities apart: a cost means nothing without its error."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
@@ -12,8 +10,8 @@ from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing
 
 _ERRORS = (
-    ("replay_terminal_error", "After the replay (continuous dynamics)", "terminal error after replay"),
-    ("discrete_terminal_error", "On the plan's own grid, with the true contact law", "terminal error on the grid"),
+    ("replay_terminal_position_error", "Cost against terminal position error, after the replay", "terminal position error"),
+    ("replay_terminal_velocity_error", "Cost against terminal velocity error, after the replay", "terminal velocity error"),
 )
 # Below this an error is a rounding error: drawn at the edge, so that it does not squeeze the rest.
 _SMALLEST = 1e-10
@@ -21,21 +19,21 @@ _SMALLEST = 1e-10
 _WIDE = 20.0
 
 
-@dataclass(frozen=True)
-class Front:
-    """The plots of one scene and the rows that no other row beats in both cost and error."""
-
-    scene: SceneRecord
-    plots: list[Plot]
-    best: list[Row]
-    absent: list[Row]
-
-
-def build(report: Report) -> Section | None:
-    """The section, or None where no stage has a cost and an error."""
-    fronts = [_front(scene, report.rows_of_scene(scene)) for scene in report.scenes]
-    fronts = [front for front in fronts if front.plots]
-    return Section("front", "Cost against terminal error", "front.html", {"fronts": fronts}) if fronts else None
+def build(report: Report, scene: SceneRecord) -> Section | None:
+    """The section of one scene, or None where no stage on it has a cost and an error."""
+    rows = report.rows_of_scene(scene)
+    plots, best = [], []
+    for name, title, quantity in _ERRORS:
+        points = [(value, row.stage.cost, row) for row in rows if (value := row.metric(name)) is not None and row.stage.cost is not None]
+        if points:
+            front = unbeaten(points)
+            plots.append(_plot(scene, name, title, quantity, points, front))
+            best = best or [row for _, _, row in front]
+    if not plots:
+        return None
+    absent = [row for row in rows if row.stage.cost is None or row.metric(_ERRORS[0][0]) is None]
+    anchor = f"front-{report.scenes.index(scene) + 1}"
+    return Section(anchor, "Cost against terminal error", "front.html", {"plots": plots, "best": best, "absent": absent})
 
 
 def unbeaten(points: list[tuple[float, float, Row]]) -> list[tuple[float, float, Row]]:
@@ -57,25 +55,12 @@ def draw_front(plot: Plot, corners: list[tuple[float, float]]) -> None:
         plot.line("front", "front", [x for x, _ in path], [y for _, y in path])
 
 
-def _front(scene: SceneRecord, rows: list[Row]) -> Front:
-    plots: list[Plot] = []
-    best: list[Row] = []
-    for name, title, quantity in _ERRORS:
-        points = [(value, row.stage.cost, row) for row in rows if (value := row.metric(name)) is not None and row.stage.cost is not None]
-        if points:
-            front = unbeaten(points)
-            plots.append(_plot(scene, title, quantity, points, front))
-            best = best or [row for _, _, row in front]
-    absent = [row for row in rows if row.stage.cost is None or row.metric("replay_terminal_error") is None]
-    return Front(scene, plots, best, absent)
-
-
 def _plot(
-    scene: SceneRecord, title: str, quantity: str, points: list[tuple[float, float, Row]], front: list[tuple[float, float, Row]]
+    scene: SceneRecord, name: str, title: str, quantity: str, points: list[tuple[float, float, Row]], front: list[tuple[float, float, Row]]
 ) -> Plot:
     known = known_cost(scene)
     costs = [point[1] for point in points] + ([known[1]] if known else [])
-    units = {metric.unit for _, _, row in points if (metric := row.stage.metric("replay_terminal_error"))}
+    units = {metric.unit for _, _, row in points if (metric := row.stage.metric(name))}
     wide = min(costs) > 0 and max(costs) / min(costs) > _WIDE
     plot = Plot(
         title,
@@ -97,7 +82,7 @@ def _plot(
     for missed, price, row in points:
         style = row.stage.kind
         marker = "square" if style == "direct" else "circle"
-        tip = f"{row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
+        tip = f"{row.label}: cost {cost(price)}, {row.ends}, {row.stage.verdict}"
         plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.link)
     plot.name_points([(max(missed, _SMALLEST), price, row.name) for missed, price, row in front])
     steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]

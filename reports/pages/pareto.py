@@ -34,6 +34,8 @@ _FREE = (
     "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
 )
 
+_NOTHING = "No stage gave a plan that could be replayed, so there is nothing to compare."
+
 Point = tuple[float, float, Row]
 
 
@@ -45,26 +47,24 @@ class ParetoView:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Pareto:
-    """The plots of one scene.
+def build(report: Report, scene: SceneRecord) -> Section | None:
+    """The section of one scene, or None where no stage on it is stored.
 
     failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply; nothing: why there is no plot, where
     there is none.
     """
-
-    scene: SceneRecord
-    views: list[ParetoView]
-    failed: list[tuple[Row, str]]
-    refused: list[str]
-    nothing: str = ""
-
-
-def build(report: Report) -> Section | None:
-    """The section, or None where no plan was replayed."""
-    found = [_pareto(scene, report.rows_of_scene(scene)) for scene in report.scenes]
-    keys = next((pareto.views[0].plot.keys for pareto in found if pareto.views), None)
-    return Section("pareto", "CPU time against error and cost", "pareto.html", {"scenes": found, "keys": keys}) if keys else None
+    rows = report.rows_of_scene(scene)
+    ran = [row for row in rows if row.stage.outcome != "refused"]
+    if not rows:
+        return None
+    views = [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None] if scene.inputs else []
+    values = {
+        "views": views,
+        "failed": [(row, reason) for row in ran if (reason := _why_absent(row))] if scene.inputs else [],
+        "refused": list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused")),
+        "nothing": "" if views else _NOTHING if scene.inputs else _FREE,
+    }
+    return Section(f"pareto-{report.scenes.index(scene) + 1}", "CPU time against error and cost", "pareto.html", values)
 
 
 def cpu(row: Row) -> float:
@@ -89,18 +89,6 @@ def _terminal(row: Row) -> list[MetricRecord]:
     return [metric for metric in limited if metric.name.startswith(name)] or [
         metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
     ]
-
-
-def _pareto(scene: SceneRecord, rows: list[Row]) -> Pareto:
-    ran = [row for row in rows if row.stage.outcome != "refused"]
-    refused = list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused"))
-    if not scene.inputs:
-        return Pareto(scene, [], [], refused, _FREE)
-    views = [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None]
-    failed = [(row, reason) for row in ran if (reason := _why_absent(row))]
-    return Pareto(
-        scene, views, failed, refused, "" if views else "No stage gave a plan that could be replayed, so there is nothing to compare."
-    )
 
 
 def _why_absent(row: Row) -> str:
@@ -218,8 +206,7 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
     for x, y, row in points:
         holds = row.holds
         quantity = y_axis.quantity
-        missed = row.metric("replay_terminal_error")
-        ends = f", ends {error(missed)} from the goal" if missed is not None else ""
+        ends = f", ends off the goal by {row.ends}" if row.ends else ""
         tip = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
         plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.link)
     plot.name_points([(x, y, row.name) for x, y, row in front])

@@ -61,7 +61,7 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         "t": [begin, end, _FRAMES],
         "grain": [grain, grain, _ANGLE],
         "push": push,
-        "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size)} for shape in shapes],
+        "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size), "goal": _goal(shape)} for shape in shapes],
         "plan": _stepped_tracks(planned, grain),
         "replay": _stepped_tracks(replayed, grain),
         "contacts": contacts,
@@ -70,13 +70,19 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         "replay_force": _stepped_forces(pushed, push),
     }
     how = "replayed with feedback" if is_tracked(stage) else "replayed"
-    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
+    goal = ", the goal dotted" if any(shape["goal"] for shape in data["shapes"]) else ""
+    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled){goal}, with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
 
 
 def script_json(data: object) -> Markup:
     """JSON that cannot end the script element it stands in; NaN is refused, because JSON has none."""
     return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c").replace("\u2028", "\\u2028"))
+
+
+def _goal(shape: ShapeRecord) -> tuple[float, float, float | None] | None:
+    """Where the goal puts the shape, if that can be drawn: all but a disc need their angle."""
+    return shape.goal if shape.goal is not None and (shape.goal[2] is not None or shape.kind == "disc") else None
 
 
 def _poses(trace: Trace | None) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from reports.pages.section import Report, Section
 from reports.records.record import ProvenanceRecord
+from reports.wording import count
 
 _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
 
@@ -15,7 +16,9 @@ def build(report: Report) -> Section | None:
     if first is None:
         return None
     runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
-    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign})
+    others = sum(bool(differs) for _, _, differs in runs)
+    said = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
+    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign}, said=said)
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:

@@ -1,10 +1,12 @@
-"""A scene itself: equations, what it does not need, quantities with units, known answers."""
+"""A scene itself: what it is, its best plan at a few times, equations, what it does not need, quantities with units, known answers."""
 
 from __future__ import annotations
 
-from reports.mathml import safe_mathml
+from reports.pages.mathml import safe_mathml
+from reports.pages.overview import best_strip
 from reports.pages.section import Report, Section
 from reports.pages.sizes import method_sizes
+from reports.paper import SCENE as PAPER_SCENE
 from reports.records.record import SceneRecord
 from reports.wording import listing, number
 
@@ -27,7 +29,17 @@ def time_step(report: Report, scene: str) -> str:
 
 
 def build(report: Report, scene: SceneRecord) -> Section:
-    """The section of one scene."""
+    """What the scene is, in a few words and a film strip, and what leads to its runs."""
+    values = {
+        "scene": scene,
+        "strip": best_strip(report, scene.name),
+        "table1": report.report_link("table1") if scene.name == PAPER_SCENE else "",
+    }
+    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html", values)
+
+
+def model(report: Report, scene: SceneRecord) -> Section:
+    """Its equations, quantities and known answers."""
     equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
     values = {"scene": scene, "equations": equations, "sizes": method_sizes(report, scene.name), "time_step": time_step(report, scene.name)}
-    return Section(report.scene_anchor(scene), f"The scene {scene.name} and its equations", "scene.html", values)
+    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene_model.html", values)

@@ -15,8 +15,10 @@ from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of, scenes_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
-# The folder of the pages of runs and scenes, beside report.html.
-PAGES = "pages"
+# The campaign's page, and the folder of all others beside it.
+REPORT, PAGES = "report.html", "pages"
+# A key as campaigns make them, of which so many characters tell runs apart: links to pages stand in report.html by the thousand.
+_DIGEST, _SHORT = re.compile(r"[0-9a-f]{64}"), 16
 # Names of scenes that are names of files as they are.
 _PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
@@ -68,6 +70,14 @@ class Report:
         """What a link to the scene leads to."""
         return f"#{self.scene_anchor(scene)}" if self.single else self.at + quote(scene_page(scene))
 
+    def page_link(self, page: str, anchor: str = "") -> str:
+        """What a link to one of the other pages leads to; its first section has its name. anchor: of something else on it."""
+        return f"#{anchor or page}" if self.single else f"{self.at}{page}.html" + (f"#{anchor}" if anchor else "")
+
+    def report_link(self, anchor: str) -> str:
+        """What a link to a section of report.html leads to."""
+        return f"#{anchor}" if self.single or self.at else f"../{REPORT}#{anchor}"
+
     def motion(self, run: RunRecord, stage: StageRecord) -> Motion:
         """Plan and replays of a stage of the run."""
         return read_motion(self.folder / "runs" / run.key, run, stage)
@@ -78,8 +88,8 @@ class Report:
 
 
 def run_page(run: RunRecord) -> str:
-    """The name of the run's page: its key, which is also that of a folder."""
-    return f"{run.key}.html"
+    """The name of the run's page: its key, which is also that of a folder; of a digest the beginning."""
+    return f"{run.key[:_SHORT] if _DIGEST.fullmatch(run.key) else run.key}.html"
 
 
 def scene_page(scene: SceneRecord) -> str:
@@ -90,10 +100,14 @@ def scene_page(scene: SceneRecord) -> str:
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it."""
+    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
+
+    said: a sentence with its main figure, for the index of report.html.
+    """
 
     anchor: str
     title: str
     template: str
     values: dict[str, Any] = field(default_factory=dict)
     entries: tuple[tuple[str, str], ...] = ()
+    said: str = ""

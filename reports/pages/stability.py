@@ -1,4 +1,4 @@
-"""The hard cases, a row each: what a correct system does, what happened, the figures, and whether that passes; below them their plots."""
+"""The stress cases, a row each: what a correct system does, what happened, the figures, and whether that passes; below them their plots."""
 
 from __future__ import annotations
 
@@ -53,18 +53,19 @@ class StabilityRow:
 
 
 def build(report: Report) -> Section | None:
-    """The section, or None where no hard case ran."""
+    """The section, or None where no stress case ran."""
     records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
     if not records:
         return None
     rows = [_row(record) for record in records]
     failed = [row for row in rows if row.sign is not PASS]
-    passed = f"{len(rows) - len(failed)} of {count(len(rows), 'hard case')} {'passes' if len(rows) == 1 else 'pass'}"
+    passed = f"{len(rows) - len(failed)} of {count(len(rows), 'stress case')} {'passes' if len(rows) == 1 else 'pass'}"
     return Section(
-        "stability",
-        "Stability: the hard cases",
+        "stress-cases",
+        "Stress cases",
         "stability.html",
         {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
+        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its figures and plots.",
     )
 
 

@@ -49,8 +49,8 @@ def is_empty(stage: StageRecord) -> bool:
     return not (stage.metrics or stage.replay or stage.has_plan)
 
 
-def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion) -> StagePlots:
-    """The plots of a stage; motion: of that stage."""
+def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole: bool = True) -> StagePlots:
+    """The plots of a stage; motion: of that stage; whole: else positions, contact forces and error alone, as of a stage that another goes on from."""
     plan, replay = motion.plan, motion.judged(stage)
     absent = list(motion.problems)
     if is_empty(stage):
@@ -60,7 +60,7 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion) -> Stage
     if replay is None and not is_empty(stage):
         said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
         absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
-    if not stage.history and not is_empty(stage):
+    if not stage.history and not is_empty(stage) and stage.kind != "given":
         absent.append("The method kept no history of its iterations.")
     plots: list[Plot | None] = []
     times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]
@@ -70,15 +70,17 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion) -> Stage
             plots.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
         for contact in scene.contacts:
             plots.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
-        for friction in scene.frictions:
+        for friction in scene.frictions if whole else ():
             plots.append(
                 _contact(scene, f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
             )
         plots.append(_error(scene, x, motion.replay) if motion.tracked is None else _two_errors(scene, x, motion.replay, motion.tracked))
-        for contact in scene.contacts:
+        for contact in scene.contacts if whole else ():
             plots.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
-        plots.append(_inputs(scene, x, plan, motion.tracked))
-    history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
+        if whole:
+            plots.append(_inputs(scene, x, plan, motion.tracked))
+    kept = list(stage.history.items())[:_MOST_HISTORY] if whole else []
+    history = [_history(name, values, stage.iterations) for name, values in kept if len(values) > 1]
     keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
     return StagePlots(keys, [plot for plot in plots if plot is not None], history, absent)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import statistics
 from dataclasses import dataclass
 
-from reports.collected import optima
 from reports.pages.tolerance import windows_text
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
+from reports.records.collected import optima
 from reports.records.record import StageRecord, StartRecord
 from reports.wording import cost, count, percent
 

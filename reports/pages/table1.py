@@ -1,37 +1,93 @@
-"""Table I: ours beside the paper, row by row, and sentences that say what to conclude, computed from the rows."""
+"""The stages on one scene as a table - of the paper's scene beside its Table I - and sentences that say what to conclude, computed from the rows."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from reports.judged import distance_of, judged_metric
 from reports.pages.section import Report, Section
 from reports.paper import SCENE, TABLE_1
+from reports.records.record import SceneRecord
 from reports.rows import Row, known_cost, lacking
-from reports.wording import cost, count, error, listing, number, percent, seconds, times
+from reports.wording import cost, count, error, listing, number, percent, seconds, times, unit
 
 # The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the print.
 _SAME_COST = 1e-4
 # A solver that returns twice the cost of another on the same problem has failed, not found another plan.
 _FAILED_COST = 2.0
+# Where the terminal error is told: in the plan, with exact contact on its own grid, after the replay.
+_WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
+
+
+@dataclass(frozen=True)
+class TerminalError:
+    """A terminal error as a cell shows it, of the judged replay where it is of one.
+
+    position, velocity: apart, each in its unit; norm: of both together, where they are not known apart; alone: the position by the inputs alone, of a stage
+    that holds with feedback; reason: why there is none.
+    """
+
+    position: float | None
+    velocity: float | None
+    norm: float | None
+    alone: float | None
+    reason: str
 
 
 def build(report: Report) -> Section | None:
-    """The section, or None where no stage is stored."""
-    tables = [(scene, rows, lacking(scene, rows)) for scene in report.scenes if (rows := report.rows_of_scene(scene))]
-    if not tables:
+    """Table I; None where no stage on the paper's scene is stored."""
+    scene = next((scene for scene in report.scenes if scene.name == SCENE), None)
+    return scene and _section(report, scene, "table1", "Table I: ours beside the paper")
+
+
+def of_scene(report: Report, scene: SceneRecord) -> Section | None:
+    """All stages on one scene; None where none is stored, or where Table I has them."""
+    if scene.name == SCENE:
         return None
-    conclusions = {scene.name: conclude(rows) for scene, rows, _ in tables}
-    entries = tuple((f"table-{place}", scene.name) for place, (scene, _, _) in enumerate(tables, 1)) if len(tables) > 1 else ()
-    return Section(
-        "table1",
-        "Table I: ours beside the paper",
-        "table1.html",
-        {
-            "tables": tables,
-            "conclusions": conclusions,
-            "paper_scene": SCENE,
-            "opened": SCENE if SCENE in conclusions else next(iter(conclusions)),
-        },
-        entries,
+    return _section(report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}")
+
+
+def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Section | None:
+    rows = report.rows_of_scene(scene)
+    if not rows:
+        return None
+    values = {
+        "scene": scene,
+        "rows": [(row, _ends(row)) for row in rows],
+        "lacks": lacking(scene, rows),
+        "paper_scene": SCENE,
+        "beside": scene.name == SCENE or any(row.stage.paper for row in rows),
+        "units": _units(rows),
+        "conclusions": conclude(rows),
+    }
+    return Section(anchor, title, "table1.html", values)
+
+
+def _ends(row: Row) -> dict[str, TerminalError]:
+    return {where: _end(row, prefix) for where, prefix in _WHERE.items()}
+
+
+def _end(row: Row, prefix: str) -> TerminalError:
+    whole = row.stage.metric(f"{prefix}terminal_error")
+    name = f"{prefix}terminal_position_error"
+    alone = row.stage.metric(name) if prefix == "replay_" and row.stage.verdict == "holds with feedback" else None
+    return TerminalError(
+        row.metric(name),
+        row.metric(f"{prefix}terminal_velocity_error"),
+        row.metric(f"{prefix}terminal_error"),
+        alone.value if alone is not None else None,
+        (whole.reason if whole is not None else "") or row.stage.why or "no plan",
     )
+
+
+def _units(rows: list[Row]) -> tuple[str, str]:
+    """Of positions and of velocities; empty where a scene has several."""
+
+    def one(part: str) -> str:
+        found = {metric.unit for row in rows if (metric := judged_metric(row.stage, f"replay_terminal_{part}_error")) is not None}
+        return unit(found.pop()) if len(found) == 1 else ""
+
+    return one("position"), one("velocity")
 
 
 def conclude(rows: list[Row]) -> list[str]:
@@ -61,7 +117,7 @@ def _failed(both: list[Row]) -> list[str]:
         theirs, ours = row.stage.paper.get("cost"), row.stage.cost
         if theirs is None or ours is None or min(ours, theirs) <= 0:
             continue
-        pair = f"ours {cost(ours)} at a replayed terminal error of {error(row.metric('replay_terminal_error'))}, the paper's {cost(theirs)}"
+        pair = f"ours {cost(ours)} (replayed, it misses the goal by {_replayed(row)}), the paper's {cost(theirs)}"
         if theirs / ours >= _FAILED_COST:
             dear.append((row, f"{row.label}: {pair}, {times(theirs / ours)} as much"))
         elif ours / theirs >= _FAILED_COST:
@@ -88,13 +144,25 @@ def _relaxed(rows: list[Row]) -> list[str]:
         if cold is None or not warm or cold.stage.cost is None:
             continue
         parts = [
-            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)} at {error(row.metric('replay_terminal_error'))} terminal error, "
+            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)}, {_replayed(row)} off the goal, "
             f"{seconds(row.stage.seconds.total)} s in total"
             for row in warm
         ]
-        start = f"{method} cold: cost {cost(cold.stage.cost)} at {error(cold.metric('replay_terminal_error'))} terminal error, {seconds(cold.stage.seconds.total)} s"
+        start = (
+            f"{method} cold: cost {cost(cold.stage.cost)}, replayed {_replayed(cold)} off the goal, {seconds(cold.stage.seconds.total)} s"
+        )
         said.append(f"{start}. Warm started after {'; after '.join(parts)}.")
     return said
+
+
+def _replayed(row: Row) -> str:
+    """How far from the goal its replay ends, by its positions."""
+    return _first_of(row.ends)
+
+
+def _first_of(distance: str) -> str:
+    """Of `position 0.11 m, velocity 0.10 m/s` the first: sentences are read one after the other, the table has both."""
+    return distance.partition(", velocity ")[0].removeprefix("position ").removeprefix("error ") or "an unknown distance"
 
 
 def _against(warm: float, cold: float) -> str:
@@ -114,7 +182,7 @@ def _own_model(rows: list[Row]) -> list[str]:
     ]
     if not cheating:
         return []
-    parts = [f"{row.label} misses by {error(row.metric('discrete_terminal_error'))}" for row in cheating]
+    parts = [f"{row.label} misses by {_first_of(distance_of(row.stage, 'discrete_'))}" for row in cheating]
     return [f"Plans that reach the goal in their own model only: with the true contact law in the same time step, {listing(parts)}."]
 
 
@@ -139,7 +207,7 @@ def _bought(rows: list[Row]) -> list[str]:
         below = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
         if not known or not below:
             continue
-        parts = [f"{row.label} ({cost(row.stage.cost)} at {error(row.metric('discrete_terminal_error'))})" for row in below]
+        parts = [f"{row.label} ({cost(row.stage.cost)} at {_first_of(distance_of(row.stage, 'discrete_'))})" for row in below]
         said.append(
             f"The best known cost of an exact plan is {cost(known)}. Plans of direct methods below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."

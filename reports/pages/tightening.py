@@ -1,21 +1,25 @@
-"""Figs. 4-6 of the paper: how the plans of a relaxation on a scene change while eps is tightened."""
+"""Figs. 4-6 of the paper: how the plans of a relaxation on a scene change while eps is tightened, and how the metrics go with eps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from reports.judged import judged_metric
 from reports.pages.section import Report, Section
+from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.paper import TIGHTENING_FIGURES
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import QuantityRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Array, Trace, column, force, gap
-from reports.wording import error, number, small
+from reports.wording import error, number, small, spaced
 
+# Metrics that are drawn against eps.
+_AGAINST = ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error", "physics_scaled", "cost")
 # Classes s0 (loosest) .. s5 (tightest) of the page's sequential colours.
 _SHADES = 6
 
@@ -50,7 +54,27 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
         return None
     figures = "Figs. 4–6: plans" if any(sweep.title.startswith("Fig.") for sweep in sweeps) else "Plans"
     entries = tuple((sweep.anchor, sweep.title) for sweep in sweeps)
-    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "tightening.html", {"sweeps": sweeps}, entries)
+    styles = styles_of(_curve(sweep) for sweep in sweeps)
+    against = [plot for name in _AGAINST if (plot := _against(name, sweeps, styles)) is not None]
+    values = {"sweeps": sweeps, "keys": keys_of(styles), "against": against}
+    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "tightening.html", values, entries)
+
+
+def _curve(sweep: Sweep) -> str:
+    return sweep.title.partition(": ")[2] if sweep.title.startswith("Fig. ") else sweep.title
+
+
+def _against(name: str, sweeps: Sequence[Sweep], styles: Mapping[str, tuple[str, str]]) -> Plot | None:
+    """One metric of all relaxations against eps."""
+    marks, unit = [], ""
+    for sweep in sweeps:
+        for row in sweep.rows:
+            metric, eps = judged_metric(row.stage, name), row.stage.eps
+            if metric is not None and metric.value is not None and eps:
+                unit = metric.unit
+                tip = f"{row.label}: {spaced(name)} {number(metric.value, 3)} {unit}, {row.stage.verdict}"
+                marks.append(Mark(_curve(sweep), eps, metric.value, tip, row.link, row.holds))
+    return draw_against(Quantity("ε"), spaced(name), unit, marks, styles)
 
 
 def _sweep(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], anchor: str) -> Sweep:

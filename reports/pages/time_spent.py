@@ -71,7 +71,13 @@ def build(report: Report) -> Section | None:
         "without": len(report.stored.runs) - len(profiled),
         "width": _WIDTH,
     }
-    return Section("time-spent", "Where time goes", "time_spent.html", values)
+    return Section(
+        "time-spent",
+        "Where time goes",
+        "time_spent.html",
+        values,
+        said=values["sentence"] or "The slowest runs, each by what its seconds were spent on.",
+    )
 
 
 def _group(phase: str) -> str:

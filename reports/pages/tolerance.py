@@ -33,19 +33,21 @@ class Beside:
 
 @dataclass(frozen=True)
 class Exactness:
-    """The front of one scene. link: of the run it comes from."""
+    """The front that one run found. link: of that run."""
 
-    scene: SceneRecord
+    run: RunRecord
     link: str
     points: tuple[FrontPointRecord, ...]
     plot: Plot
     beside: list[Beside]
 
 
-def build(report: Report) -> Section | None:
-    """The section, or None where no run has a front."""
-    views = [view for run in report.stored.runs if (view := _view(report, run)) is not None]
-    return Section("tolerance", "Least cost within a terminal tolerance", "tolerance.html", {"views": views}) if views else None
+def build(report: Report, scene: SceneRecord) -> Section | None:
+    """The section of one scene, or None where no run on it has a front."""
+    runs = [run for run in report.stored.runs if run.scene.name == scene.name]
+    views = [view for run in runs if (view := _view(report, run)) is not None]
+    anchor = f"tolerance-{report.scenes.index(scene) + 1}"
+    return Section(anchor, "Least cost within a terminal tolerance", "tolerance.html", {"scene": scene, "views": views}) if views else None
 
 
 def windows_text(windows: tuple[tuple[str, int, int], ...]) -> str:
@@ -70,7 +72,7 @@ def _view(report: Report, run: RunRecord) -> Exactness | None:
     others = [row for row in report.rows_of_scene(run.scene) if not row.stage.front]
     beside = [_beside(points, row) for row in others if row.metric("discrete_terminal_error") is not None and row.stage.cost is not None]
     link = report.link(run)
-    return Exactness(run.scene, link, points, _plot(points, beside, link), beside)
+    return Exactness(run, link, points, _plot(points, beside, link), beside)
 
 
 def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
@@ -110,7 +112,7 @@ def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], link: str)
     errors = [edge, *(max(point.tolerance, edge) for point, _ in priced), *(max(item.missed, edge) for item in beside)]
     plot = Plot(
         "Least cost of the exact problem against terminal error",
-        Axis.fitted("terminal error on the grid, true contact law", "", errors, log=True, margin=0.04),
+        Axis.fitted("terminal error on the grid, exact contact (norm of positions and velocities)", "", errors, log=True, margin=0.04),
         Axis.fitted("cost", "", costs, log=min(costs) > 0 and max(costs) / min(costs) > _WIDE, margin=0.08),
         width=720,
         height=420,

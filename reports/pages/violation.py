@@ -17,11 +17,11 @@ _LAWS = {
 
 
 def build(report: Report) -> Section | None:
-    """The section; it says so where the campaign measured no point."""
+    """The section, or None where the campaign measured no point."""
     campaign = report.stored.campaign
     points = [point for point in campaign.violation if point.eps > 0] if campaign else []
     if not points:
-        return Section("violation", "Fig. 2: worst-case violation", "violation.html", {"plot": None, "laws": [], "worst": []})
+        return None
     values = [value for point in points for value in (point.measured, point.closed_form)]
     plot = Plot(
         "Worst-case violation D against ε",

@@ -3,14 +3,14 @@
     plot = Plot("Contact force", Axis.fitted("time", "s", t), Axis.fitted("force", "N", force))
     plot.line("plan", "p", t, force);  plot.markup()
 
-Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. The script reads values back
-from the paths (the axes are in data attributes), so no number is stored twice.
+Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. Beside what is drawn stand the numbers of every
+series (reports.plots.packed), for reading values, zooming and saving.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -19,12 +19,13 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from reports.plots.axis import Axis
+from reports.plots.packed import packed
 from reports.plots.simplify import seen
 from reports.wording import unit
 
 # A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
 _TOLERANCE = 0.25
-# Digits of the axes' ends, from which values are read back with four.
+# Digits of the axes' ends, by which the script finds the pixels of values.
 _DIGITS = 7
 # Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
 _CHARACTER, _BOLD, _LINE = 6.6, 7.8, 14.0
@@ -55,6 +56,8 @@ class Plot:
     _lines: list[str] = field(default_factory=list)
     _over: list[str] = field(default_factory=list)
     _levels: list[tuple[float, str]] = field(default_factory=list)
+    _series: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=list)
+    _points: list[tuple[float, float]] = field(default_factory=list)
     _taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
@@ -76,13 +79,16 @@ class Plot:
         xs, ys : (n,), in the units of the axes; the shorter decides, as quantities of steps are one shorter than those of nodes
         """
         length = min(len(xs), len(ys))
-        if not length:
+        along, up = np.asarray(xs[:length], np.float64), np.asarray(ys[:length], np.float64)
+        known = np.isfinite(along) & np.isfinite(up)
+        if not known.any():
             return
-        across = self.x.pixels(xs[:length], self._LEFT, self.width - self._RIGHT)
-        down = self.y.pixels(ys[:length], self.height - self._BOTTOM, self._TOP)
+        along, up = along[known], up[known]
+        self._series.append((along, up))
+        across = self.x.pixels(along, self._LEFT, self.width - self._RIGHT)
+        down = self.y.pixels(up, self.height - self._BOTTOM, self._TOP)
         points = seen(across, down, _TOLERANCE)
-        path = "L".join(map("{},{}".format, _fifths(across[points]), _fifths(down[points])))
-        self._lines.append(f'<path class="ln {escape(style)}" data-n="{escape(name)}" d="M{path}"/>')
+        self._lines.append(f'<path class="ln {escape(style.strip())}" data-n="{escape(name)}" d="{_path(across[points], down[points])}"/>')
 
     def band(self, low: float, high: float, style: str) -> None:
         """An interval of x, shaded over the whole height."""
@@ -101,21 +107,24 @@ class Plot:
     def level(self, value: float, words: str) -> None:
         """A horizontal line with its label."""
         y = self.py(value)
-        self._under.append(f'<path class="level" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
+        ends = np.array([self.x.low, self.x.high])
+        self._series.append((ends, np.full(2, value)))
+        self._lines.append(f'<path class="level" data-n="{escape(words)}" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
         self._levels.append((y, words))
 
     def point(
         self, x: float, y: float, style: str, marker: str, tip: str, href: str = "", radius: float = 5.0, keeps_free: bool = True
     ) -> None:
-        """A marker that can be focused: `tip` is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
+        """A marker that can be focused: `tip` is its name and is read out on hover and focus. radius: of a circle; keeps_free: no label may lie on it."""
         left, top = self.px(x), self.py(y)
         shape = {
             "square": f'<rect x="{left - 4.5:.1f}" y="{top - 4.5:.1f}" width="9" height="9"/>',
             "diamond": f'<path d="M{left:.1f},{top - 6:.1f}l6,6l-6,6l-6,-6z"/>',
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
         }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="{radius:g}"/>')
-        inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
-        self._over.append(f'<a href="{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
+        element, leads = ("a", f' href="{escape(href)}"') if href else ("g", "")
+        self._over.append(f'<{element} class="pt {escape(style)}"{leads}><title>{escape(tip)}</title>{shape}</{element}>')
+        self._points.append((x, y))
         if keeps_free:
             self._taken.append((left - radius - 1, top - radius - 1, left + radius + 1, top + radius + 1))
 
@@ -174,7 +183,7 @@ class Plot:
         axes = {
             "x": [_short(self.x.low), _short(self.x.high), self._LEFT, self.width - self._RIGHT, int(self.x.log)],
             "y": [_short(self.y.low), _short(self.y.high), self.height - self._BOTTOM, self._TOP, int(self.y.log)],
-            "q": [self.x.quantity, unit(self.x.unit), unit(self.y.unit)],
+            "q": [self.x.quantity, unit(self.x.unit), self.y.quantity, unit(self.y.unit)],
         }
         # Last, so that they keep clear of points and names: words of levels, at whichever end has room.
         for y, words in self._levels:
@@ -184,19 +193,21 @@ class Plot:
         self._levels.clear()
         quiet = ' aria-hidden="true"' if hidden else ""
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
+        # In single quotes, since JSON is full of double ones.
+        told = json.dumps(axes, separators=(",", ":"), ensure_ascii=False).replace("&", "&amp;").replace("<", "&lt;").replace("'", "&#39;")
+        points = [tuple(np.array(self._points).T)] if self._points else []
         return Markup(
-            f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
-            f'data-axes="{escape(json.dumps(axes, separators=(",", ":")))}" focusable="false"{quiet}>{inside}</svg>'
+            f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" data-axes=\'{told}\' '
+            f'data-v="{packed([*self._series, *points], self.x, self.y)}"{quiet}>{inside}</svg>'
         )
 
     def _grid(self) -> list[str]:
         bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT
-        across, up, words = [], [], []
-        room = max(3, int((right - self._LEFT) / 62))
-        for value, said in self.x.ticks(room):
+        across, up, below, left = [], [], [], []
+        for value, said in self.x.ticks(max(3, int((right - self._LEFT) / 62))):
             x = _pixel(self.px(value))
             up.append(f"M{x},{self._TOP}V{bottom}")
-            words.append(f'<text class="tick" x="{x}" y="{bottom + 15}" text-anchor="middle">{escape(said)}</text>')
+            below.append(f'<text x="{x}" y="{bottom + 15}">{escape(said)}</text>')
         zero = ""
         for value, said in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
             y = self.py(value)
@@ -205,12 +216,12 @@ class Plot:
                 zero = f'<path class="grid zero" d="{line}"/>'
             else:
                 across.append(line)
-            words.append(f'<text class="tick" x="{self._LEFT - 6}" y="{_pixel(y + 4)}" text-anchor="end">{escape(said)}</text>')
+            left.append(f'<text x="{self._LEFT - 6}" y="{_pixel(y + 4)}">{escape(said)}</text>')
         return [
-            f'<path class="grid" d="{"".join([*up, *across])}"/>{zero}',
-            *words,
+            f'<path class="grid x" d="{"".join(up)}"/><path class="grid" d="{"".join(across)}"/>{zero}',
+            f'<g class="tick x">{"".join(below)}</g><g class="tick">{"".join(left)}</g>',
             f'<path class="frame" d="M{self._LEFT},{self._TOP}V{bottom}H{right}"/>',
-            f'<text class="axis" x="{right}" y="{self.height - 6}" text-anchor="end">{escape(self.x.title)}</text>',
+            f'<text class="axis x" x="{right}" y="{self.height - 6}">{escape(self.x.title)}</text>',
             f'<text class="axis" x="2" y="12">{escape(self.y.title)}</text>',
         ]
 
@@ -220,9 +231,11 @@ def _pixel(place: float) -> str:
     return f"{place:.1f}".removesuffix(".0")
 
 
-def _fifths(places: NDArray[np.float64]) -> Iterator[str]:
-    """Places of a line's points: to a fifth of a pixel, which is finer than what was left out."""
-    return map(_fifth, np.rint(5 * places).astype(int).tolist())
+def _path(across: NDArray[np.float64], down: NDArray[np.float64]) -> str:
+    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out."""
+    places = np.rint(5 * np.column_stack([across, down])).astype(int)
+    steps = (f"{_fifth(right)},{_fifth(below)}" for right, below in np.diff(places, axis=0).tolist())
+    return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{' '.join(steps) or '0,0'}"
 
 
 @lru_cache(maxsize=10_000)

@@ -14,8 +14,8 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from reports.collected import collected, grouped
 from reports.records.check_record import ExaminationRecord, divided, record_of
+from reports.records.collected import collected, grouped
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 

@@ -129,11 +129,15 @@ class ContactRecord(QuantityRecord):
 
 
 class ShapeRecord(_Model):
-    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes."""
+    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes.
+
+    goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None where it leaves the place open, or the body never moves.
+    """
 
     name: str
     kind: str
     size: tuple[Finite, ...]
+    goal: tuple[Finite, Finite, Finite | None] | None = None
 
 
 class EquationRecord(_Model):
@@ -141,6 +145,10 @@ class EquationRecord(_Model):
 
     caption: str
     mathml: str
+
+
+# Caption of the equation that a scene has whose cost is not of its steps alone.
+FINAL_COST = "cost of the last state, added to that sum"
 
 
 class SceneRecord(_Model):
@@ -301,7 +309,7 @@ class StageRecord(_Model):
     index: int
     method: str
     method_title: str
-    kind: Literal["indirect", "direct"]
+    kind: Literal["indirect", "direct", "given"]  # given: somebody's plan, which no method of ours found
     eps: Finite | None
     outcome: str  # name of the Outcome, lower case
     advice: str  # its sentence

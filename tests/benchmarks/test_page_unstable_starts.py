@@ -51,7 +51,7 @@ def test_the_sentence_is_counted_from_the_starts(page: str):
 def test_every_start_is_a_point_and_what_has_no_end_is_none(page: str):
     section = page[page.index('id="unstable-starts"') :]
     section = section[: section.index("</section>")]
-    assert section.count("not balanced, end") == 2 * 2 + 2 * 1  # a title and a tip each; the one without a plan in the first plot only
+    assert section.count("not balanced, end") == 2 + 1  # a title each; the one without a plan in the first plot only
     assert section.count('<tr><th scope="row">') == len(STARTS)
 
 

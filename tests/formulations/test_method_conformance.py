@@ -113,7 +113,7 @@ def test_its_answer_is_whole(name: str) -> None:
     assert solution.residuals
     assert all(np.isfinite(value) for value in solution.residuals.values())
     assert "terminal_error" in solution.residuals
-    assert len({len(column) for column in solution.history.values()}) == 1, "columns of the history are equally long"
+    assert len({len(column) for column in solution.history.values()}) <= 1, "columns of a history, if there is one, are equally long"
     assert all(np.isfinite(column).all() for column in solution.history.values())
     seconds = solution.seconds
     assert min(seconds.build, seconds.translate, seconds.evaluate, seconds.linear_algebra) >= 0

@@ -16,10 +16,9 @@ from formulations.contact_modes.nonlinear import SoftplusHomotopy
 from formulations.pipelines import load_method
 from formulations.shooting.reference import reference_rollout
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactFormulation, tighten
+from formulations.transcription.build import build_model, load_plan
+from formulations.transcription.contact import ContactFormulation, set_relaxation
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import load_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
@@ -112,7 +111,7 @@ def test_compiled_torch_numpy_and_pyomo_have_the_same_forces_at_a_tenth_of_the_s
     plan = Trajectory(t=uniform_grid(h, len(u)), q=rolled[1].q, v=rolled[1].v, u=u, lam=rolled[1].lam)
     assert PlanResiduals(small).of(plan, ForceLaw.SOFTPLUS, EPS)["contact_law"] < 1e-10
     model = build_model(small, ContactFormulation.SOFTPLUS, eps=0.5)
-    tighten(model, EPS)
+    set_relaxation(model, EPS)
     load_plan(model, plan)
     rows = model.component("constraint_contact_softplus").values()
     assert max(abs(pyo.value(row.body) - pyo.value(row.upper)) for row in rows) < 1e-10

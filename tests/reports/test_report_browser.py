@@ -94,7 +94,7 @@ def test_structure_for_those_who_do_not_see_it(desk):
     assert desk.evaluate("[...document.querySelectorAll('th')].filter((h) => !h.scope).length") == 0
     assert (
         desk.evaluate(
-            "[...document.querySelectorAll('.draw')].filter((d) => !(d.getAttribute('aria-label').length > 40 && d.tabIndex === 0)).length"
+            "[...document.querySelectorAll('.draw')].filter((d) => !(/. (Arrow keys read values|Tab leads from point to point)\\.$/.test(d.getAttribute('aria-label')) && d.tabIndex === 0)).length"
         )
         == 0
     )
@@ -114,19 +114,23 @@ def test_values_are_read_off_a_plot_by_keyboard(desk, full_folder, factory):
     """The last value of q1 in Fig. 4, as the record has it."""
     desk.evaluate("document.querySelector('#tightening-1 [data-read]').focus()")
     desk.press("End")
-    told = desk.evaluate("document.querySelector('#tightening-1 .fig output').textContent")
-    assert told.startswith("time 5 s:")
-    read = re.search(r"q1, ε = 10⁻⁷ ([\d.]+) m", told)
+    lines = "[...document.querySelectorAll('#tightening-1 .fig:has([data-read]) output span')].map((line) => line.textContent)"
+    # The numbers are unpacked when they are first asked for.
+    told = desk.evaluate(
+        f"(async () => {{ for (let turn = 0; turn < 400 && !{lines}.length; turn += 1) await new Promise((done) => setTimeout(done, 25)); return {lines}; }})()"
+    )
+    assert told[0] == "time 5 s"
+    read = re.search(r"q1, ε = 10⁻⁷ ([\d.]+) m", "; ".join(told))
     assert read is not None
     run = next(run for run in factory.runs() if run.pipeline == "softplus_dc+strict")
     plan = factory.motion(full_folder, run, run.stages[2]).plan
-    assert float(read[1]) == pytest.approx(plan.columns["q1"][-1], abs=0.01)
+    assert float(read[1]) == pytest.approx(plan.columns["q1"][-1], abs=1e-3)
     assert desk.evaluate("document.querySelectorAll('#tightening-1 .cursor').length") == 1
 
 
 def test_points_of_the_front_tell_their_stage_on_focus(desk):
-    desk.evaluate("document.querySelector('#front .draw a').focus()")
-    assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("strict_lcp: cost 496.63")
+    desk.evaluate("document.querySelector('#front-1 .draw a').focus()")
+    assert desk.evaluate("document.querySelector('#front-1 .fig output').textContent").startswith("strict_lcp: cost 496.63")
 
 
 @pytest.mark.slow
@@ -147,7 +151,7 @@ def test_the_player_moves(chromium, run_file):
     inside = "document.querySelector('[data-player]')"
     before = desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()")
     desk.evaluate(f"(() => {{ const s = {inside}.querySelector('input'); s.value = 60; s.dispatchEvent(new Event('input')); }})()")
-    assert desk.evaluate(f"{inside}.querySelector('output').textContent") == "2.00 s"
+    assert desk.evaluate(f"{inside}.querySelector('output').textContent") == "2.00 of 5.00 s"
     assert desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()") != before
 
 
@@ -167,9 +171,6 @@ def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
     assert page.messages == []
     pdf = page.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"]
     assert len(pdf) > 50_000
-
-
-_ROWS = "[...document.querySelectorAll('#matrix-table tbody tr')].filter((row) => !row.hidden).map((row) => row.dataset.name)"
 
 
 @pytest.mark.slow
@@ -203,30 +204,6 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, page_file):
-    page = chromium.open(page_file)
-    before = page.evaluate(_ROWS)
-    page.evaluate("document.querySelector('#matrix-table thead th[data-sort=pipeline] button').focus()")
-    page.press("Enter")
-    assert page.evaluate(_ROWS) == sorted(before)
-    page.press("Enter")
-    assert page.evaluate(_ROWS) == sorted(before, reverse=True)
-    assert page.evaluate("document.querySelector('#matrix-table th[aria-sort]').ariaSort") == "descending"
-    page.evaluate(
-        "(() => { const s = document.getElementById('matrix-verdict'); s.value = 'holds'; s.dispatchEvent(new Event('input')); })()"
-    )
-    held = page.evaluate(_ROWS)
-    assert 0 < len(held) < len(before)
-    assert page.evaluate("location.hash") == "#matrix?verdict=holds&sort=pipeline&order=down"
-    again = chromium.open(page_file, fragment=page.evaluate("location.hash"))
-    assert again.evaluate(_ROWS) == held
-    assert chromium.open(page_file, fragment="#matrix?pipeline=softplus_gd&scene=three").evaluate(_ROWS) == [
-        name for name in before if "softplus_gd" in name
-    ]
-    assert chromium.open(page_file, fragment="#matrix?verdict=<b>&sort=%22]&scene=nowhere").messages == []
-
-
-@pytest.mark.slow
 def test_every_table_is_saved_as_csv(chromium, page_file):
     """The file's text as the button makes it, numbers as a program reads them."""
     page = chromium.open(page_file)
@@ -240,10 +217,10 @@ def test_every_table_is_saved_as_csv(chromium, page_file):
     text, name = page.evaluate("saved[0].text().then((text) => [text, saved[1]])")
     rows = list(csv.reader(text.lstrip("\ufeff").splitlines()))
     assert name.endswith(".csv")
-    assert rows[0][:5] == ["Stage", "Verdict", "Cost ours", "Cost paper", "Cost relative"]
+    assert rows[0][:5] == ["Stage", "Verdict", "Cost ours", "Cost ours, relative to the paper's", "Cost paper"]
     assert {len(row) for row in rows} == {len(rows[0])}
     first = next(row for row in rows if row[0].startswith("softplus_dc"))
-    assert (float(first[2]), float(first[3])) == (197.863, 197.86)
+    assert (float(first[2]), float(first[4])) == (197.863, 197.86)
 
 
 def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
@@ -275,7 +252,7 @@ def test_a_player_in_a_closed_run_is_there_when_it_is_opened(chromium, page_file
         page.evaluate(
             f"(async () => {{ for (let turn = 0; turn < 400 && !{drawn}; turn += 1) await new Promise((done) => setTimeout(done, 50)); return {drawn}; }})()"
         )
-        == "0.00 s"
+        == "0.00 of 5.00 s"
     )
 
 

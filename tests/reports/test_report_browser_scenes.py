@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-
 import pytest
 
 from reports.records.check_record import ExaminationRecord
-from reports.render import write_report, write_single
+from reports.render import PAGES, write_report, write_single
 
 # A4 across, less the margins of 12 mm, in pixels of CSS.
 _PAPER = 1032
@@ -49,11 +47,11 @@ def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
     page = chromium.open(many_file, width=_PAPER)
     page.call("Emulation.setEmulatedMedia", media="print")
     past = page.evaluate("""(() => {
-      const cells = [...document.querySelectorAll("#matrix-table th, #matrix-table td")];
+      const cells = [...document.querySelectorAll(".grid-of-runs th, .grid-of-runs td")];
       const over = cells.filter((cell) => cell.scrollWidth > cell.clientWidth + 1 || cell.getBoundingClientRect().right > innerWidth);
       return [cells.length, over.length];
     })()""")
-    assert past == [2 * 18, 0]
+    assert past == [2 * 17, 0]
 
 
 @pytest.mark.slow
@@ -74,22 +72,11 @@ def test_one_word_opens_for_paper_what_is_closed_but_the_runs(chromium, many):
     assert page.messages == []
 
 
-def test_hard_cases_are_read_on_a_telephone_without_scrolling_sideways(chromium, many_file):
-    page = chromium.open(many_file, width=390)
+def test_stress_cases_are_read_on_a_telephone_without_scrolling_sideways(chromium, many_file):
+    page = chromium.open(many_file.parent / PAGES / "stress-cases.html", width=390)
     assert page.evaluate(
         "(() => { const box = document.querySelector('.cases').parentElement; return box.scrollWidth <= box.clientWidth; })()"
     )
     texts = page.evaluate("[...document.querySelectorAll('.cases td.text')].map((cell) => cell.getBoundingClientRect().width)")
     assert len(texts) == 6
     assert min(texts) > 250
-
-
-def test_a_filtered_matrix_is_saved_as_it_is_shown(chromium, many_file):
-    page = chromium.open(many_file, fragment="#matrix?scene=number_1")
-    page.evaluate(
-        "window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob); return 'blob:none'; };"
-        "HTMLAnchorElement.prototype.click = function () {}; document.querySelector('#matrix button.take').click()"
-    )
-    rows = list(csv.reader(page.evaluate("saved[0].text()").lstrip("\ufeff").splitlines()))
-    assert rows[0] == ["Pipeline", "Holds on", *(f"a_scene_of_number_{place}" for place in (1, 10, 11, 12, 13, 14, 15))]
-    assert {len(row) for row in rows} == {9}

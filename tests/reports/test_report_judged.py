@@ -1,4 +1,4 @@
-"""Runs that end with exact contact and do not hold: named one by one where they are few, scene by scene where they are many, refusals by their reason."""
+"""Of which of two replays a verdict is, and how metrics stand by question and end by end."""
 
 from __future__ import annotations
 
@@ -6,64 +6,17 @@ import html
 import re
 
 from reports.judged import end_of, judged_metric, questions_of
-from reports.pages.judged_runs import direct, scene_by_scene
 from reports.pages.table1 import conclude
 from reports.records.record import MetricRecord, TrackedRecord
 from reports.render import write_single
 from reports.rows import rows_of
 
 
-def ended(factory, number: int, scene: str, verdict: str, **changes):
-    run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}", verdict=verdict, stages=(), **changes)
-    return run.model_copy(update={"scene": factory.scene(scene), "pipeline": f"p{number}"})
-
-
-def test_many_runs_are_told_scene_by_scene(factory):
-    runs = [ended(factory, number, "bank", "violates", outcome="solved", message="Too far.") for number in range(12)]
-    runs += [ended(factory, 30, "bank", "undecided", outcome="solved", message="Too near.")]
-    runs += [
-        ended(factory, 10 + number, "bank", "not applicable", outcome="refused", message=f"m{number}: scene bank has no wall.")
-        for number in range(3)
-    ]
-    runs += [ended(factory, 20, "hill", "holds", outcome="solved")]
-    (sentence,) = direct(tuple(runs), whole=True)
-    assert sentence.text == (
-        "1 of 14 runs that end with exact contact hold (3 not applicable). Of the others 12 violate and 1 is undecided; scene by scene below."
-    )
-    bank, hill = scene_by_scene(tuple(runs))
-    assert (bank.words, hill.words, hill.sentences) == ("0 of 13 runs hold", "1 of 1 run holds", [])
-    assert [one.text for one in bank.sentences[-3:]] == [
-        "p11: violates. Too far.",
-        "p30: undecided. Too near.",
-        "p10, p11 and p12 do not apply: scene bank has no wall.",
-    ]
-    assert [one.symbol for one in bank.sentences[-3:]] == ["✗", "?", "⊘"]
-
-
-def test_few_runs_are_named_where_they_are_counted(factory):
-    runs = tuple(ended(factory, number, "bank", "violates", outcome="solved", message="Too far.") for number in range(12))
-    assert [one.text for one in direct(runs, whole=True)[1:]] == [f"p{number} on bank: violates. Too far." for number in range(12)]
-    assert scene_by_scene(runs) == []
-
-
 def test_a_cold_cost_of_nought_is_no_whole_to_take_a_part_of(factory):
     cold, warm = factory.run("strict", None, "strict_lcp"), factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
     nothing = cold.model_copy(update={"stages": (cold.stages[0].model_copy(update={"cost": 0.0}),)})
     text = " ".join(conclude(rows_of((nothing, warm), lambda run: "")))
-    assert f"after softplus_dc cost {warm.stages[-1].cost:.2f} at" in text
-
-
-def test_a_plan_that_violates_says_which_limit_however_its_method_ended(factory):
-    (stage,) = factory.run("strict", None, "strict_lcp").stages
-    stage = stage.model_copy(
-        update={"outcome": "stalled", "verdict": "violates", "why": "the replay misses the goal by 0.1 m, limit 0.05 m"}
-    )
-    run = factory.run("p", None, "strict_lcp", verdict="violates", outcome="stalled", message="No step lowers the loss.", stages=(stage,))
-    told = direct((run,), whole=True)[1].text
-    assert told.startswith("p on three_cart: violates. The replay misses the goal by 0.1 m, limit 0.05 m. ")
-    assert told.endswith("No step lowers the loss.")
-    solved = run.model_copy(update={"outcome": "solved", "message": stage.why})
-    assert direct((solved,), whole=True)[1].text == "p on three_cart: violates. The replay misses the goal by 0.1 m, limit 0.05 m."
+    assert f"after softplus_dc cost {warm.stages[-1].cost:.2f}, 0.0032 m off the goal" in text
 
 
 def followed(factory):
@@ -122,7 +75,9 @@ def test_the_page_shows_questions_metrics_and_both_ends(factory, tmp_path):
     page = write_single(factory.store(tmp_path / "all", [run])).read_text(encoding="utf-8")
     words = " ".join(html.unescape(re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)).split())
     for told in (
-        "↻ holds with feedback cost 496.63 position 0.0020 m",  # the matrix
+        "strict on three_cart ↻ holds with feedback",  # the head of the run
+        "Nearest to its limit replay_error with feedback: 0.004 m, limit 0.01 m.",
+        "Ends off the goal by position 0.0020 m",
         "inputs alone: position 0.50 m; with feedback: position 0.0020 m",  # the card
         "Metric Inputs alone With feedback Limit Reason of the limit 1. Is it a plan of this task? ✓ yes",
         "the answers are for the one with feedback",

@@ -97,7 +97,7 @@ def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory
     report = report_of(factory, tmp_path / "all", factory.runs())
     told = next(text for text in table1.conclude(report.rows) if "best known cost" in text)
     assert (
-        "with terminal error on their own grid: relu_gd after relaxed_lcp (490.10 at 0.0030), relu_gd after softplus_dc (360.31 at 0.047) and relu_gd after softplus_gd (309.42 at 0.047)."
+        "with terminal error on their own grid: relu_gd after relaxed_lcp (490.10 at 0.0030 m), relu_gd after softplus_dc (360.31 at 0.047 m) and relu_gd after softplus_gd (309.42 at 0.047 m)."
         in told
     )
 
@@ -110,9 +110,11 @@ def test_costs_far_apart_are_drawn_on_a_logarithmic_axis_and_others_are_not(fact
         run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}")
         stages = tuple(stage.model_copy(update={"cost": cost, "options": {"start": number}}) for stage in run.stages)
         runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages, "scene": scene}))
-    section = front.build(report_of(factory, tmp_path / "all", runs))
+    report = report_of(factory, tmp_path / "all", runs)
+    section = front.build(report, report.scenes[0])
     assert section is not None
-    for plot in section.values["fronts"][0].plots:
+    assert len(section.values["plots"]) == 2, "positions and velocities apart"
+    for plot in section.values["plots"]:
         assert (plot.x.log, plot.y.log) == (True, wide)
         assert plot.y.low < min(costs) < max(costs) < plot.y.high
         # A tenth of what is drawn is left on either side, by decades on a logarithmic axis.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,7 +12,7 @@ from reports.pages import pareto
 from reports.pages.section import Report
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, RunRecord
-from reports.render import render
+from reports.render import PAGES, write_report
 from tests.reports import record_factory as factory
 
 
@@ -39,11 +40,13 @@ def cell(name: str, cpu: float, error: float | None, cost: float, missed: float,
     return factory.run(name, None, "strict_lcp", stages=(stage,), key=f"{name}-0123456789abcdef")
 
 
-def page(*cells: RunRecord) -> pareto.Pareto:
-    section = pareto.build(Report(Stored("x", None, cells, (), (), 0)))
+def page(*cells: RunRecord) -> SimpleNamespace:
+    """What the section of the one scene shows."""
+    report = Report(Stored("x", None, cells, (), (), 0))
+    (scene,) = report.scenes
+    section = pareto.build(report, scene)
     assert section is not None
-    (found,) = section.values["scenes"]
-    return found
+    return SimpleNamespace(**section.values)
 
 
 def test_the_sentences_conclude_from_the_numbers() -> None:
@@ -72,7 +75,7 @@ def test_a_cost_is_compared_only_where_the_replay_ends_as_near_as_the_scene_asks
     assert "2 stages" in cost.plot.words
     assert "on the front, the fastest first: honest (2.00 s, 490.00)." in cost.plot.words  # what breaks a limit is drawn, but sets no front
     assert "the scene allows: 1 plan." in cost.sentence
-    assert "ends 0.40 from the goal" in str(found.views[0].plot.markup())
+    assert "ends off the goal by error 0.40 m, " in str(found.views[0].plot.markup())
     assert "200.00" not in str(cost.plot.markup())
 
 
@@ -105,13 +108,11 @@ def test_where_nothing_holds_it_says_so() -> None:
 
 def test_a_scene_without_inputs_has_nothing_to_choose_from() -> None:
     run = cell("motion", 1.0, 0.01, 0.0, 0.0)
-    run = run.model_copy(update={"scene": run.scene.model_copy(update={"inputs": ()})})
-    assert pareto.build(Report(Stored("x", None, (run,), (), (), 0))) is None
-    other = cell("planned", 1.0, 0.01, 490.0, 0.01)
-    free = run.model_copy(update={"scene": run.scene.model_copy(update={"name": "free"})})
-    section = pareto.build(Report(Stored("x", None, (free, other), (), (), 0)))
-    assert section is not None
-    assert [(len(found.views), bool(found.nothing)) for found in section.values["scenes"]] == [(0, True), (2, False)]
+    free = page(run.model_copy(update={"scene": run.scene.model_copy(update={"inputs": ()})}))
+    assert (free.views, free.failed) == ([], [])
+    assert free.nothing.startswith("This scene has no inputs")
+    planned = page(run)
+    assert (len(planned.views), planned.nothing) == (2, "")
 
 
 @pytest.mark.parametrize("words", ["pipeline quick, stage 1", "CPU time against cost at equal terminal error"])
@@ -120,4 +121,5 @@ def test_the_page_shows_them(tmp_path: Path, words: str) -> None:
     folder = tmp_path / "runs" / run.key
     folder.mkdir(parents=True)
     (folder / "record.json").write_text(json.dumps(run.model_dump(mode="json")))
-    assert words in render(tmp_path)
+    write_report(tmp_path)
+    assert words in (tmp_path / PAGES / "scene-three_cart.html").read_text(encoding="utf-8")

@@ -59,3 +59,14 @@ def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, 
 def test_a_record_that_names_no_bodies_is_shown_without_arrows(factory, tmp_path):
     contacts = tuple(contact.model_copy(update={"bodies": ("", "")}) for contact in scene_record(load_scene("three_cart")).contacts)
     assert _drawn(factory, tmp_path, "three_cart", contacts=contacts)["touches"] == [None, None]
+
+
+def test_the_goal_is_drawn_where_the_record_has_it_and_only_a_disc_may_lack_its_angle(factory, tmp_path):
+    shapes = scene_record(load_scene("three_cart")).shapes
+    changed = tuple(
+        shape.model_copy(update={"goal": (1.0, 2.0, None), "kind": kind})
+        for shape, kind in zip(shapes, ("box", "disc", "disc"), strict=True)
+    )
+    assert [shape["goal"] for shape in _drawn(factory, tmp_path, "three_cart")["shapes"]] == [list(shape.goal) for shape in shapes]
+    drawn = _drawn(factory, tmp_path, "three_cart", shapes=changed)
+    assert [shape["goal"] for shape in drawn["shapes"]] == [None, [1.0, 2.0, None], [1.0, 2.0, None]]

@@ -126,14 +126,7 @@ def test_a_scene_that_asks_for_nothing_needs_no_plan_that_holds(factory):
     )
 
 
-def test_the_summary_names_what_was_found(factory, tmp_path):
-    run = judged(factory, ended(factory, "solved", "violates"), q4="no")
-    words = words_of(factory.store(tmp_path, [run]))
-    assert "Found by the replay: bank x strict: a limit." in words
-
-
-@pytest.mark.slow
-def test_the_summary_says_the_rule_and_its_verdict_in_these_words(factory, tmp_path):
+def test_the_report_says_the_rule_and_its_verdict_in_these_words(factory, tmp_path):
     good = words_of(factory.store(tmp_path / "good", [factory.run("strict", None, "strict_lcp")]))
     assert "All required checks passed." in good
     assert all(sentence in good for sentence in (*RULE, *RESULTS))

@@ -6,7 +6,13 @@ import re
 from reports.pages import time_spent
 from reports.pages.section import Report
 from reports.records.load import load
-from reports.render import render
+from reports.render import PAGES, write_report
+
+
+def written(folder):
+    """The text of the page of times."""
+    write_report(folder)
+    return (folder / PAGES / "time-spent.html").read_text(encoding="utf-8")
 
 
 def profiled(run, key, scale=1.0, **more):
@@ -37,14 +43,14 @@ def test_the_ten_slowest_stand_first(factory, tmp_path):
 def test_the_sentence_is_worked_out(factory, tmp_path):
     """2 of 3.5 is 57 %, 1 is 29 %, 0.5 is 14 %."""
     first = factory.runs()[0]
-    text = html.unescape(render(factory.store(tmp_path / "all", [profiled(first, "one")])))
+    text = html.unescape(written(factory.store(tmp_path / "all", [profiled(first, "one")])))
     assert "Of the 3.50 s of 1 run, most went to replaying (57 %), linear algebra of solvers (29 %) and interpreter (14 %)." in text
 
 
 def test_phases_nobody_named_are_shown_and_escaped(factory, tmp_path):
     first = factory.runs()[0]
     folder = factory.store(tmp_path / "all", [profiled(first, "one", **{factory.HOSTILE: 9.0, "made_up": 0.0})])
-    text = render(folder)
+    text = written(folder)
     assert "<img" not in text
     section = re.search(r'id="time-spent".*?</section>', text, re.DOTALL)
     assert section is not None

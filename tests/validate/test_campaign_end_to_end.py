@@ -9,6 +9,7 @@ import pytest
 from models.catalog import load_scene
 from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
+from reports.pages.section import run_page
 from reports.records.record import RunRecord
 from reports.traces import read_motion
 
@@ -76,7 +77,7 @@ def test_the_folder_holds_everything(twice):
     assert motion.replay.columns["position_error"].max() == pytest.approx(last.metric("replay_error").value, rel=1e-6)
     assert last.seconds.total == pytest.approx(sum(stage.seconds.stage for stage in record.stages))
     assert (first / "report.html").stat().st_size > 10_000
-    assert (first / "pages" / f"{record.key}.html").stat().st_size > 100_000
+    assert (first / "pages" / run_page(record)).stat().st_size > 100_000
 
 
 @pytest.mark.slow

@@ -71,8 +71,8 @@ _SELECTING = (
         "--plugin",
         "tools",
         default=DEFAULT_TOOLS,
-        metavar="MODULE:NAME",
-        help="Methods, pipelines and judge from elsewhere (see validate/tasks/plugins.py).",
+        metavar="MODULE[:NAME]",
+        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:TOOLS, which may replace the judge too (docs/extending.md).",
     ),
 )
 _ENDING = (

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Examples:
   python -m validate replay plan.csv --scene three_cart
   python -m validate replay plan.csv --scene cart_pole_walls --track
+  python -m validate replay plan.csv --scene three_cart --html plan.html
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
 
 \b
@@ -65,8 +66,17 @@ or FMU; 3 a system requirement is missing.
     help="What exit code 0 needs: `holds` is strict.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
+@click.option(
+    "--html",
+    "html_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="Write a page with verdict, player, plots and metrics there, as a run has in a report.",
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
+@click.pass_obj
 def command(
+    arguments: tuple[str, ...],
     plan: Path,
     scene: str | None,
     fmu: Path | None,
@@ -77,6 +87,7 @@ def command(
     track: bool,
     require: str,
     as_json: bool,
+    html_file: Path | None,
     out: Path | None,
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
@@ -100,6 +111,8 @@ def command(
     told = _told(judgement, warnings)
     if out is not None:
         _write(out, told, judgement)
+    if html_file is not None:
+        _write_page(html_file, judgement, plan, arguments, warnings)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
@@ -182,6 +195,15 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
         write_replay(out / "tracked.nc", replay.tracked, subject)
         if isinstance(subject, Scene) and replay.tracked.feedback is not None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
+
+
+def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
+    from validate.judge.shown import JudgedPlan
+    from validate.store.disk import make_folder, write_durably
+    from validate.store.provenance import command_line
+
+    make_folder(target.parent)
+    write_durably(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))
 
 
 def _print(judgement: Judgement) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from reports.records.load import Stored
 
 
 @click.command(
@@ -48,20 +52,16 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
         stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
     except ReportError:
         stored = Stored("", None, (), (), (), 0)
-    campaign = stored.campaign or campaign_of(folder)  # which says why there is none
+    if not (stored.campaign or stored.runs or stored.examinations):
+        campaign_of(folder)  # which says why there is none
     write_or_remove(folder / RESULTS, results_text(stored.runs))
     write_or_remove(folder / EXAMINATIONS, examinations_text(stored.examinations))
-    write_or_remove(folder / VIOLATION, violation_text(campaign.violation))
+    write_or_remove(folder / VIOLATION, violation_text(stored.campaign.violation if stored.campaign else ()))
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
-    missing = len(campaign.keys) - sum(map(len, stored.parts)) - len(stored.examinations)
-    if missing:
-        click.echo(
-            f"{missing} of {len(campaign.keys)} runs have no readable record; the command of the campaign runs them: {campaign.command}",
-            err=True,
-        )
+    click.echo(_lacking(stored), nl=False, err=True)
     if as_json:
         told = {"results": rows(stored.runs), "examinations": examination_rows(stored.examinations), "report": str(report)}
         click.echo(json.dumps(told, indent=1, allow_nan=False))
@@ -69,3 +69,14 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
         click.echo(f"report:  {report}")
         click.echo(f"results: {folder / 'results.csv'}")
     return 0
+
+
+def _lacking(stored: Stored) -> str:
+    """What could not be told, a line; nothing where all is there."""
+    there, campaign = sum(map(len, stored.parts)) + len(stored.examinations), stored.campaign
+    if campaign is None:
+        return f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew.\n"
+    if there == len(campaign.keys):
+        return ""
+    missing = len(campaign.keys) - there
+    return f"{missing} of {len(campaign.keys)} runs have no readable record; the command of the campaign runs them: {campaign.command}\n"

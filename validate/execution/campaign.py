@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from models.codegen.compiler import find_compiler
-from reports.collected import collected
 from reports.findings import three_findings
 from reports.records.check_record import ExaminationRecord, divided
+from reports.records.collected import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
 from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, auto
 from typing import Any, TypeVar
 
 from reports.records.check_record import ExaminationRecord
@@ -31,13 +31,13 @@ _Item = TypeVar("_Item")
 class ChangeKind(IntEnum):
     """Worst first."""
 
-    REGRESSION = 0
-    GONE = 1
-    SLOWER = 2
-    OTHER = 3
-    NEW = 4
-    FASTER = 5
-    IMPROVEMENT = 6
+    REGRESSION = auto()
+    GONE = auto()
+    SLOWER = auto()
+    OTHER = auto()
+    NEW = auto()
+    FASTER = auto()
+    IMPROVEMENT = auto()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,13 +108,12 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
     if before.verdict != after.verdict:
         on_ladder = before.verdict in _VERDICTS and after.verdict in _VERDICTS
         better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict) if on_ladder else 0
-        relaxed = expected and {before.verdict, after.verdict} <= {*HOLD, "violates"}
+        relaxed = expected and {before.verdict, after.verdict}.issubset((*HOLD, "violates"))
         kind = ChangeKind.OTHER if relaxed or not better else ChangeKind.IMPROVEMENT if better > 0 else ChangeKind.REGRESSION
         yield Change(kind=kind, where=where, what="verdict", before=before.verdict, after=after.verdict)
     if before.outcome != after.outcome:
-        kind = {"solved": ChangeKind.REGRESSION}.get(
-            before.outcome, {"solved": ChangeKind.IMPROVEMENT}.get(after.outcome, ChangeKind.OTHER)
-        )
+        solved = ChangeKind.IMPROVEMENT if after.outcome == "solved" else ChangeKind.OTHER
+        kind = ChangeKind.REGRESSION if before.outcome == "solved" else solved
         yield Change(kind=kind, where=where, what="outcome", before=before.outcome, after=after.outcome)
     elif before.verdict == after.verdict and before.cost is not None and after.cost is not None:
         yield from _cost_change(where, before.cost, after.cost)
@@ -128,7 +127,7 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
 
 
 def _cost_change(where: str, before: float, after: float) -> Iterable[Change]:
-    if abs(after - before) > COST_TOLERANCE * max(abs(before), abs(after)) + COST_FLOOR:
+    if abs(after - before) > COST_TOLERANCE * abs(before) + COST_FLOOR:
         kind = ChangeKind.REGRESSION if after > before else ChangeKind.IMPROVEMENT
         yield Change(kind=kind, where=where, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")
 
@@ -143,6 +142,6 @@ def _time_change(where: str, before: float, after: float) -> Iterable[Change]:
 
 def _examination_changes(where: str, before: ExaminationRecord, after: ExaminationRecord) -> Iterable[Change]:
     if before.passed != after.passed:
-        words = {True: "passed", False: "failed", None: "no answer"}
-        kind = ChangeKind.IMPROVEMENT if after.passed else ChangeKind.REGRESSION if before.passed else ChangeKind.OTHER
+        words = {True: "passed", False: "failed"}
+        kind = ChangeKind.IMPROVEMENT if after.passed else ChangeKind.REGRESSION
         yield Change(kind=kind, where=where, what="examination", before=words[before.passed], after=words[after.passed])

@@ -16,6 +16,7 @@ from typing import Any
 
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import CertificateRecord, RunRecord, StageRecord, ViolationPoint
+from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
 RESULTS, EXAMINATIONS, VIOLATION, STARTS, FRONT = "results.csv", "examinations.csv", "violation.csv", "starts.csv", "front.csv"
@@ -32,13 +33,16 @@ _METRICS_FIRST = (
 _METRICS_LAST = ("replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual")
 # Of the replay with feedback, and which of the two replays the verdict is on.
 _METRICS_FEEDBACK = ("tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share")
-COLUMNS = (
+_COLUMNS = (
     *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
     *_METRICS_FIRST,
     *_METRICS_LAST,
     *("verdict", "iterations", "build_s", "solve_s", "stage_s", "stage_cpu_s", "total_s", "replay_s"),
     *("judged", *_METRICS_FEEDBACK, "growth_rate"),
 )
+# Every other metric that can be limited, in the order of the table.
+_METRICS_MORE = tuple(name for name in metric_names() if name not in _COLUMNS)
+COLUMNS = (*_COLUMNS, *_METRICS_MORE)
 
 
 def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
@@ -69,6 +73,7 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "judged": stage.replay.judged if stage.replay is not None else None,
         **{name: metrics.get(name) for name in _METRICS_FEEDBACK},
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
+        **{name: metrics.get(name) for name in _METRICS_MORE},
     }
 
 

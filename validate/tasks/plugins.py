@@ -1,8 +1,10 @@
 """What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
 
+    python -m validate all --plugin my_method          # defines METHOD, and where that has eps or needs company PIPELINE
     python -m validate all --plugin my_package.my_module:TOOLS
 
-`TOOLS` is a `Tools`; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
+A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs before ours. `TOOLS` is a `Tools`, for whoever
+replaces more; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
 the module must be importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU, certificate, judge - is imported where it
 is called: the campaign's own process imports neither Pyomo nor FMPy for it.
 """
@@ -12,15 +14,15 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import QUICK, load_method, pipelines_for
 from models.errors import MachineError, UnknownNameError
 
 if TYPE_CHECKING:
-    from formulations.method import Method, Pipeline
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
@@ -107,18 +109,35 @@ DEFAULT = Tools()
 
 
 def load_tools(reference: str) -> Tools:
-    """The Tools of a dotted name `module:NAME`. Raises UnknownNameError."""
+    """The Tools of a dotted name: `module:NAME`, or of a `module` that defines TOOLS or METHOD. Raises UnknownNameError."""
     module_name, _, name = reference.partition(":")
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise UnknownNameError(
-            f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME."
+            f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); its folder must be on PYTHONPATH."
         ) from error
     tools = getattr(module, name or "TOOLS", None)
+    if tools is None and not name and isinstance(getattr(module, "METHOD", None), Method):
+        return _of_method(reference, module.METHOD, getattr(module, "PIPELINE", None))
     if not isinstance(tools, Tools):
-        raise UnknownNameError(f"--plugin {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tasks.plugins.Tools.")
+        wanted = f"{name} that is a validate.tasks.plugins.Tools" if name else "METHOD (a formulations.method.Method)"
+        raise UnknownNameError(f"--plugin {reference}: {module_name} has no {wanted}.")
     return tools
+
+
+def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Tools:
+    """Ours, with a method and its pipeline (None: the method alone) before them."""
+    if pipeline is None and method.needs_eps:
+        raise UnknownNameError(
+            f"--plugin {reference}: method {method.name} needs eps; define PIPELINE, whose leg says which: Leg(method={method.name!r}, schedule=(..,))."
+        )
+    own = pipeline or Pipeline(name=method.name, title=method.title, legs=(Leg(method=method.name),))
+    return replace(
+        DEFAULT,
+        load_method=lambda name: method if name == method.name else load_method(name),
+        pipelines_for=lambda scene: (own, *pipelines_for(scene)),
+    )
 
 
 def tools_source(reference: str) -> str:

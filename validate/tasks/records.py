@@ -205,6 +205,29 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
     )
 
 
+def given_stage(name: str, judged: Judged, message: str = "") -> StageRecord:
+    """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called."""
+    return StageRecord(
+        index=0,
+        method=name,
+        method_title="A plan from elsewhere",
+        kind="given",
+        eps=None,
+        outcome="given",
+        advice="",
+        message=message,
+        cost=judged.score.value("cost"),
+        seconds=SecondsRecord(replay=judged.seconds),
+        metrics=tuple(_metric(metric) for metric in judged.score.metrics),
+        verdict=judged.score.verdict.value,
+        why=judged.score.why,
+        questions=_questions(judged.score),
+        not_asked=judged.score.not_asked,
+        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
+        has_plan=judged.replay is not None,
+    )
+
+
 def run_record(
     task: RunTask,
     scene: SceneRecord,
@@ -347,8 +370,6 @@ def _plain(value: object) -> Any:
 
 def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
     """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
-    columns = {name: [float(value) for value in values] for name, values in history.items()}
-    length = min((len(values) for values in columns.values()), default=0)
-    rows = [row for row in range(length) if all(math.isfinite(values[row]) for values in columns.values())]
-    keep = [rows[place] for place in thin(len(rows))] if rows else []
-    return {name: tuple(values[row] for row in keep) for name, values in columns.items()}
+    rows = [row for row in zip(*history.values(), strict=False) if all(map(math.isfinite, row))]
+    kept = [rows[place] for place in thin(len(rows))]
+    return {name: tuple(float(row[column]) for row in kept) for column, name in enumerate(history)}

@@ -11,9 +11,10 @@ from sympy.printing.mathml import mathml
 
 from models.codegen.operations import step_operations
 from models.dynamics import Dynamics, derive
+from models.kinematics import goal_poses
 from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
-from reports.records.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
+from reports.records.record import FINAL_COST, ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
 # The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a strict parser refuses.
@@ -65,9 +66,12 @@ def scene_record(scene: Scene) -> SceneRecord:
         ),
         shapes=tuple(
             ShapeRecord(
-                name=shape.name, kind=shape.kind, size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size)
+                name=shape.name,
+                kind=shape.kind,
+                size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size),
+                goal=goal,
             )
-            for shape in scene.shapes
+            for shape, goal in zip(scene.shapes, goal_poses(scene), strict=True)
         ),
         waived=tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None),
         unstable=scene.unstable,
@@ -110,7 +114,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     cost = sp.Symbol("J")
     found.append(("cost, summed over the steps", _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1)))))
     if dynamics.final_cost != 0:
-        found.append(("cost of the last state, added to that sum", _equation(sp.Symbol("J_T"), dynamics.final_cost)))
+        found.append((FINAL_COST, _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
 
 

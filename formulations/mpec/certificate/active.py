@@ -117,9 +117,8 @@ class ActiveSet:
 
 def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
     """The rows, bounds and sides of pairs within the tolerance of their limits."""
-    n = len(local.variables)
     covered = _covered_bounds(local)
-    everything = sparse.vstack([local.jacobian, sparse.identity(n, format="csr")], format="csr") if n else local.jacobian
+    everything = sparse.vstack([local.jacobian, sparse.identity(len(local.variables), format="csr")], format="csr")
     chosen, limits = [], []
     for number, row in enumerate((*local.rows, *local.bounds)):
         limit = _multiplier_limits(row, tolerance)

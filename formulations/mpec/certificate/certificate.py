@@ -305,8 +305,7 @@ def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplie
     nu, mu = np.array([first for first, _ in pairs]), np.array([second for _, second in pairs])
     rest = local.gradient - z
     for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
-        if vector.size:
-            rest = rest - matrix.T @ vector
+        rest = rest - matrix.T @ vector
     wrong = [float(np.max(np.abs(rest), initial=0.0))]
     for row, multiplier in zip((*local.rows, *local.bounds), (*y, *z), strict=True):
         distance = row.value - row.lower if multiplier > 0 else row.upper - row.value

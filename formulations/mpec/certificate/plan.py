@@ -14,8 +14,7 @@ from typing import Any, cast
 
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
-from formulations.transcription.build import build_model
-from formulations.transcription.workbench import load_plan, move_ball, open_goal
+from formulations.transcription.build import build_model, load_plan, move_ball, open_goal
 from models.scene import Scene
 from models.trajectory import Trajectory
 

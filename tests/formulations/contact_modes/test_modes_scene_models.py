@@ -7,9 +7,9 @@ from typing import cast
 import pytest
 from example_scenes import example_scene
 
+import formulations.transcription.compiled
 from formulations.contact_modes.session import MpccSession
 from formulations.pipelines import load_method
-from formulations.transcription import workbench
 
 ARM = example_scene("two_link_arm")  # nonlinear: its modes are solved by Ipopt
 
@@ -22,8 +22,8 @@ def opened(**options: object) -> MpccSession:
 def compiled(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The models that were translated."""
     models: list[object] = []
-    compile_model = workbench.compile_model
-    monkeypatch.setattr(workbench, "compile_model", lambda model: (models.append(model), compile_model(model))[1])
+    compile_model = formulations.transcription.compiled.compile_model
+    monkeypatch.setattr(formulations.transcription.compiled, "compile_model", lambda model: (models.append(model), compile_model(model))[1])
     return models
 
 

@@ -15,7 +15,8 @@ from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.workbench import SolveBudget, Workbench
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.compiled import CompiledModel
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 
@@ -32,17 +33,17 @@ def _rosenbrock() -> pyo.ConcreteModel:
 def test_ipopt_stops_at_the_work_that_is_left() -> None:
     """Three nonzeros: the lower triangle of the Hessian."""
     free, bound = SolveBudget(60.0), SolveBudget(60.0)
-    Workbench(_rosenbrock()).run(free, {"max_iter": 100})
+    CompiledModel(_rosenbrock()).run(free, {"max_iter": 100})
     assert free.iterations > 10
     assert free.work == 3 * free.iterations
     bound.most_work = 3 * 7 + 1
-    bench = Workbench(_rosenbrock())
+    compiled = CompiledModel(_rosenbrock())
     assert not bound.is_over
-    result = bench.run(bound, {"max_iter": 100})
+    result = compiled.run(bound, {"max_iter": 100})
     assert bound.iterations == result.iterations == 8
-    assert bound.iterations_left(bench.problem(bound)) == 0
+    assert bound.iterations_left(compiled.problem(bound)) == 0
     assert not bound.is_late
-    assert bench.run(bound, {"max_iter": 100}).iterations == 0
+    assert compiled.run(bound, {"max_iter": 100}).iterations == 0
 
 
 class _Finder:

@@ -18,19 +18,19 @@ def at(x: float | None, y: float | None) -> str:
 
 
 def test_a_stationary_point_has_a_class():
-    assert at(0.0, 2.0).endswith("class S, B-stationary, 0 of 1 pairs biactive")
+    assert [part for part in ("class S", ", B-stationary", "0 of 1 pairs") if part not in at(0.0, 2.0)] == []
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "end"),
+    ("x", "y", "parts"),
     [
-        (5.0, 0.0, "; not feasible, most in least, so it is stationary in no class"),
-        (0.5, 0.5, "; not feasible, so it is stationary in no class"),
-        (None, None, "so it is stationary in no class"),
+        (5.0, 0.0, ["not feasible", "most in least", "in no class"]),
+        (0.5, 0.5, ["not feasible, so", "in no class"]),
+        (None, None, ["in no class"]),
     ],
 )
-def test_a_point_that_is_not_feasible_is_of_no_class(x, y, end):
-    assert at(x, y).endswith(end)
+def test_a_point_that_is_not_feasible_is_of_no_class(x, y, parts):
+    assert [part for part in parts if part not in at(x, y)] == []
     assert "B-stationar" not in at(x, y)
 
 

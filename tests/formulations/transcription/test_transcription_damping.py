@@ -9,10 +9,10 @@ import sympy as sp
 
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model
+from formulations.transcription.build import build_model, load_plan
+from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import ContactFormulation, pairs
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import load_plan, size_on_paper
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import SceneError

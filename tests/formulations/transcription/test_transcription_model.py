@@ -17,7 +17,7 @@ import pytest
 import sympy as sp
 from pyomo.mpec import Complementarity
 
-from formulations import ContactFormulation, ModelError, build_block, build_model, load_plan, read_plan, relax, tighten
+from formulations import ContactFormulation, ModelError, build_block, build_model, load_plan, read_plan, relax, set_relaxation
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -164,13 +164,13 @@ def test_tightening_moves_the_bound_in_place() -> None:
     model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     row = model.complementarity_contact[1, "right"].ccon
     assert pyo.value(row.upper) == 1e-2
-    tighten(model, 1e-5)
+    set_relaxation(model, 1e-5)
     assert model.complementarity_contact[1, "right"].ccon is row
     assert pyo.value(row.upper) == 1e-5
-    tighten(model, 0.0)
+    set_relaxation(model, 0.0)
     assert pyo.value(row.upper) == 0.0
     soft = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=3)
-    tighten(soft, 1e-7)
+    set_relaxation(soft, 1e-7)
     assert pyo.value(soft.parameter_sharpness) == pytest.approx(7 * np.log(10))
 
 
@@ -188,10 +188,10 @@ def test_relaxing_twice_is_refused_and_a_clone_keeps_the_original() -> None:
     relax(relaxed, 1e-2)
     assert isinstance(model.complementarity_contact, Complementarity)
     assert model.component("mpec_bound") is None
-    with pytest.raises(ModelError, match="tighten"):
+    with pytest.raises(ModelError, match="set_relaxation"):
         relax(relaxed, 1e-3)
     with pytest.raises(ModelError, match="relax"):
-        tighten(model, 1e-3)
+        set_relaxation(model, 1e-3)
     with pytest.raises(ModelError, match="complementarity"):
         relax(build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-2, steps=3), 1e-2)
 
@@ -247,7 +247,7 @@ def test_two_blocks_live_in_one_model() -> None:
     model.first, model.second = pyo.Block(), pyo.Block()
     build_block(model.first, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     build_block(model.second, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-3, steps=3)
-    tighten(model.first, 1e-6)
+    set_relaxation(model.first, 1e-6)
     bounds = [pyo.value(block.complementarity_contact[0, "left"].ccon.upper) for block in (model.first, model.second)]
     assert bounds == [1e-6, 1e-3]
     assert next(model.component_data_objects(pyo.Objective, active=True), None) is None

@@ -13,11 +13,12 @@ from formulations.ipopt import Iteration, compile_model
 from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.contact import tighten
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.compiled import CompiledModel
+from formulations.transcription.contact import set_relaxation
 from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from tests.formulations.transcription.rollouts import rolled_out
@@ -54,13 +55,13 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
 
 def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):
     """Ipopt's word is local; here it is put into its mouth once, so that the test does not hang on its version. The second start has a plan."""
-    run, runs = Workbench.run, []
+    run, runs = CompiledModel.run, []
 
     def denied_once(self, *arguments, **options):
         runs.append(run(self, *arguments, **options))
         return replace(runs[-1], outcome=Outcome.INFEASIBLE) if len(runs) == 1 else runs[-1]
 
-    monkeypatch.setattr(Workbench, "run", denied_once)
+    monkeypatch.setattr(CompiledModel, "run", denied_once)
     with load_method("softplus_dc").open(load_scene("cart_pole_walls")) as session:
         solution = session.solve(eps=EPS, warm_start=None, time_limit=300.0)
     assert solution.outcome is Outcome.SOLVED
@@ -164,7 +165,7 @@ def test_one_eps_is_one_law_everywhere(length: float):
     assert found["regularised_friction"] < 1e-12
     assert found["dynamics_defect"] < 1e-12
     model = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
-    tighten(model, EPS)
+    set_relaxation(model, EPS)
     load_plan(model, plan)
     for family in ("contact_softplus", "friction_regularised", "velocity_step"):
         rows = model.component(f"constraint_{family}").values()

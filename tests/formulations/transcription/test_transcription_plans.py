@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from formulations import ContactFormulation, PlanResiduals, build_model, load_plan, read_plan
+from formulations.transcription.build import load_first_guess
 from formulations.transcription.contact import hold_modes, release_modes
-from formulations.transcription.workbench import load_first_guess
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError

@@ -10,8 +10,9 @@ import pytest
 from formulations.ipopt import Iteration
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
+from formulations.transcription.budget import SolveBudget
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.feasibility import RestorationMonitor, nearest
-from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.scene import Scene
 
@@ -88,14 +89,14 @@ def test_the_nearest_plan_says_what_it_misses() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ipopt's `infeasible` is local: where the goal can be reached, the search goes on from a plan that does."""
-    run, runs = Workbench.run, []
+    run, runs = CompiledModel.run, []
 
-    def denied_once(self: Workbench, *args: object, **options: object):
+    def denied_once(self: CompiledModel, *args: object, **options: object):
         result = run(self, *args, **options)  # type: ignore[arg-type] - passed on as it came
         runs.append(result)
         return replace(result, outcome=Outcome.INFEASIBLE) if len(runs) == 1 else result
 
-    monkeypatch.setattr(Workbench, "run", denied_once)
+    monkeypatch.setattr(CompiledModel, "run", denied_once)
     assert solved(method, POSSIBLE["two seconds"]).outcome is Outcome.SOLVED
     assert len(runs) > 1
 
@@ -103,12 +104,12 @@ def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.Mon
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = Workbench.run
+    run = CompiledModel.run
 
-    def denied(self: Workbench, *args: object, **options: object):
+    def denied(self: CompiledModel, *args: object, **options: object):
         return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)  # type: ignore[arg-type] - passed on as it came
 
-    monkeypatch.setattr(Workbench, "run", denied)
+    monkeypatch.setattr(CompiledModel, "run", denied)
     solution = solved(method, POSSIBLE["two seconds"])
     assert solution.outcome is Outcome.STALLED
     assert "can be reached" in solution.message

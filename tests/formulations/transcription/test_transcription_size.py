@@ -8,8 +8,8 @@ from formulations import build_model
 from formulations.ipopt import compile_model
 from formulations.pipelines import load_method
 from formulations.solution import ModelSize
+from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import ContactFormulation
-from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene, scene_names
 
 

@@ -308,3 +308,61 @@ def test_a_cosimulation_that_does_not_heed_its_step_is_not_resolved(command: Com
     assert (code, told["verdict"]) == (1, "undecided")
     assert told["replay"]["error"]["estimate"] is None
     assert "Half the communication step changes nothing" in told["replay"]["message"]
+
+
+def test_html_is_the_page_of_a_run_for_a_plan_on_a_scene(command: Command, folder: Path):
+    scene = load_scene("three_cart")
+    rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 0.1, -0.1] for n in range(501)]
+    write(folder / "still.csv", "t,q1,q2,q3,v1,v2,v3,u1,u3\n" + "\n".join(",".join(map(str, row)) for row in rows))
+    code, out, _ = command("still.csv", "--scene", "three_cart", "--html", "pages/still.html")
+    page = (folder / "pages/still.html").read_text(encoding="utf-8")
+    assert (code, out.splitlines()[-1].partition(":")[0]) == (1, "violates")
+    for part in (
+        "still.csv",
+        scene.title,
+        "data-player",
+        "violates",
+        "replay_error",
+        "Contact force, left",
+        "replay still.csv --scene three_cart --html",
+    ):
+        assert part in page, part
+    assert "src=" not in page, "it needs nothing else"
+    assert len(page.encode()) <= 300_000
+
+
+def test_html_of_somebodys_fmu_shows_what_the_map_names(command: Command, folder: Path):
+    """Under names of contacts and columns that files cannot have, too."""
+    named = FULL_MAP.replace("[contacts.stop]", '[contacts."stop/end"]\ncolumn = "lam_stop"').replace("[goal]", "depth = 0.2\n[goal]")
+    code, _, err = command("plan.csv", "--fmu", "cart.fmu", "--map", write(folder / "named.toml", named), "--html", "cart.html")
+    page = (folder / "cart.html").read_text(encoding="utf-8")
+    assert code == 0, err
+    assert "<canvas" not in page, "of an FMU nobody knows the bodies"
+    for part in (
+        "plan.csv",
+        "Positions: plan dotted, replay solid",
+        "Position error",
+        "Contact force, stop_end",
+        "Gap, stop_end",
+        "Inputs of the plan",
+        "for what this FMU shows",
+    ):
+        assert part in page, part
+
+
+def test_html_draws_nothing_of_a_plan_that_it_does_not_say(command: Command, folder: Path):
+    inputs = "t,u1,u3\n" + "\n".join(f"{0.01 * n},0.1,-0.1" for n in range(501))
+    command(write(folder / "inputs.csv", inputs), "--scene", "three_cart", "--html", "inputs.html")
+    page = (folder / "inputs.html").read_text(encoding="utf-8")
+    assert "The replay ends at q1" in page
+    assert "The plan ends at" not in page
+    assert "Position error" not in page
+
+
+@pytest.mark.parametrize(("target", "words"), [("told", "told"), ("plan.csv/page.html", "plan.csv")])
+def test_a_page_that_cannot_be_written_is_one_sentence(command: Command, folder: Path, target: str, words: str):
+    (folder / "told").mkdir(exist_ok=True)
+    code, out, err = command("plan.csv", "--fmu", "cart.fmu", "--map", "map.toml", "--html", target)
+    assert code in (2, 3)
+    assert (out, err.count("\n")) == ("", 1)
+    assert words in err

@@ -59,11 +59,26 @@ def test_pages_or_one_file(folder: Path):
     told = _report(folder, "-j", "1")
     assert told.exception is None
     assert f"report:  {folder / 'report.html'}" in told.stdout
-    assert {path.name for path in (folder / "pages").iterdir()} == {"scene-three_cart.html", *(f"{key}.html" for key in keys)}
+    assert {path.name for path in (folder / "pages").iterdir()} == {
+        *("scene-three_cart.html", "runs.html", "errata.html", "time-spent.html", "provenance.html"),
+        *(f"{key[:16]}.html" for key in keys),
+    }
     shutil.rmtree(folder / "pages")
     assert f"report:  {folder / 'single.html'}" in _report(folder, "--single-file").stdout
     assert (folder / "single.html").read_text(encoding="utf-8").count('<article class="run"') == 2
     assert not (folder / "pages").exists()
+
+
+@pytest.mark.parametrize("text", ["{", '{"schema_version": 3}', "[]"], ids=range(3))
+def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(folder: Path, text: str):
+    (folder / "campaign.json").write_text(text)
+    told = _report(folder)
+    assert (told.exit_code, told.exception) == (0, None)
+    assert "campaign.json cannot be read: the report shows the 2 records that can" in told.stderr
+    assert "own record is missing or unreadable" in (folder / "report.html").read_text(encoding="utf-8")
+    shutil.rmtree(folder / "runs")
+    refused = _report(folder)
+    assert refused.exit_code != 0, "there is nothing to show"
 
 
 @pytest.mark.slow

@@ -26,10 +26,20 @@ NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
         ("(relaxed or strict) and three", True),
         ("not (relaxed or strict)", False),
         ("not not strict", True),
+        ("strict or relaxed", True),
+        ("relaxed or strict or relaxed", True),
+        ("=strict", False),
+        ("=strict_lcp", True),
+        ("=STRICT_LCP and not =strict", True),
+        ('="the ""title"" of it"', True),
+        ('="the title"', False),
+        ('="strict_lcp"', True),
+        ("title", False),
+        ('="', False),
     ],
 )
 def test_expressions(expression, expected):
-    assert matches(expression, NAMES) is expected
+    assert matches(expression, NAMES, 'The "title" of it') is expected
 
 
 @pytest.mark.parametrize("expression", ["", "and", "strict and", "not", "(strict", "strict)", "strict relaxed", "or strict", "()"])
@@ -45,7 +55,7 @@ def test_the_words_of_an_expression_are_its_names():
 
 @pytest.mark.parametrize(
     ("word", "nearest"),
-    [("strikt", "strict_lcp"), ("thre_cart", "three_cart"), ("=softplus_d", "softplus_dc"), ("SOFPLUS", "softplus_dc+strict")],
+    [("strikt", "strict_lcp"), ("thre_cart", "three_cart"), ("=softplus_d", "softplus_dc"), ("SOFPLUS", "softplus_dc")],
 )
 def test_near_a_misspelt_name_is_the_name(word, nearest):
     assert near(word, ("an FMU of three_cart, FMI 2.0", *NAMES))[0] == nearest
@@ -77,3 +87,18 @@ def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
     assert scene_cost(load_scene("push_box")) == 100 * 2 * 5 * 2, "steps, states, and a contact with friction"
     named = _scenes(CampaignSettings(out=tmp_path, scenes=("two_finger", "three_cart")))
     assert [reference.scene.name for reference in named] == ["two_finger", "three_cart"], "as they were typed"
+
+
+@pytest.mark.parametrize(
+    ("expression", "parts"),
+    [
+        ("strict and", ["a name is missing at its end"]),
+        ("or strict", ["a name is missing before 'or'"]),
+        ("(strict", ["a ')' is missing"]),
+        ("strict relaxed", ["'relaxed' was not expected"]),
+    ],
+)
+def test_a_mistake_names_its_place(expression, parts):
+    with pytest.raises(SelectionError) as caught:
+        matches(expression, NAMES)
+    assert all(part in str(caught.value) for part in (repr(expression), *parts))

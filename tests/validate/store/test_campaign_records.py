@@ -1,10 +1,8 @@
 """Scenes, plans and solutions as the report reads them."""
 
 import ast
-import math
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,13 +13,10 @@ from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import write_netcdf
-from reports.mathml import safe_mathml
 from reports.records.record import thin
 from validate.execution.process import ROOT
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
-from validate.tasks.records import _history, _plain, finite
-from validate.tasks.scene_record import presentation, scene_record
 
 SCENE = load_scene("three_cart")
 OSCILLATOR = Path(__file__).parents[2] / "scenes" / "oscillator.py"
@@ -31,50 +26,6 @@ def _plan(steps: int = 500) -> Trajectory:
     q = np.tile([2.0, 2.6, 3.0], (steps + 1, 1))  # gaps 0.1 and -0.1
     q[:, 0] += np.linspace(0.0, 0.05, steps + 1)
     return Trajectory(t=uniform_grid(0.01, steps), q=q, v=np.zeros_like(q), u=np.ones((steps, 2)), lam=np.full((steps, 2), 2.0))
-
-
-def test_equations_are_mathml_the_report_accepts():
-    record = scene_record(SCENE)
-    captions = [equation.caption for equation in record.equations]
-    assert captions[:3] == ["motion of q1", "motion of q2", "motion of q3"]
-    assert captions[-1].startswith("cost")
-    assert len(captions) == 3 + 2 * 2 + 2 * 3 + 1
-    for equation in record.equations:
-        assert safe_mathml(equation.mathml) is not None
-        assert ElementTree.fromstring(equation.mathml).tag.endswith("math")
-
-
-def test_less_than_stays_escaped():
-    x = sp.Symbol("x")
-    assert "&lt;" in presentation(x < 1)
-    assert safe_mathml(presentation(x < 1)) is not None
-
-
-def test_scene_record_says_what_is_absent_and_drawn():
-    record = scene_record(SCENE)
-    assert "friction" in record.absent
-    assert [(shape.name, shape.size) for shape in record.shapes] == [(name, (0.5, 0.5)) for name in ("left", "middle", "right")]
-    assert [contact.value for contact in record.contacts] == [30.0, 30.0]
-    assert [contact.bodies for contact in record.contacts] == [("left", "middle"), ("middle", "right")]
-
-
-@pytest.mark.parametrize("name", ["three_cart", "two_finger"])
-def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
-    scene = load_scene(name)
-    record = scene_record(scene)
-
-    def said(items):
-        return [(item.name, item.unit, item.description, item.value) for item in items]
-
-    assert said(record.coordinates) == [(item.name, item.unit, item.description, None) for item in scene.coordinates]
-    assert [(item.name, item.unit) for item in record.velocities] == [
-        (item.velocity_name, item.velocity_unit) for item in scene.coordinates
-    ]
-    assert said(record.inputs) == [(item.name, item.unit, item.description, None) for item in scene.inputs]
-    assert said(record.parameters) == [(item.name, item.unit, item.description, item.value) for item in scene.parameters]
-    assert said(record.answers) == [(item.quantity, "", item.source, item.value) for item in scene.answers]
-    assert [(item.name, item.unit) for item in record.frictions] == [(item.force_name, "1") for item in scene.frictions]
-    assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
 
 
 def test_files_of_plans_have_gaps_and_poses(tmp_path):
@@ -91,14 +42,6 @@ def test_thinned_points_keep_their_ends():
     assert thin(3).tolist() == [0, 1, 2]
     assert thin(20_001)[[0, -1]].tolist() == [0, 20_000]
     assert len(thin(20_001)) == 1500
-
-
-def test_numbers_that_are_none_never_reach_a_record():
-    assert finite(math.nan) is None
-    assert finite(math.inf) is None
-    assert _history({"loss": (1.0, math.nan, 3.0), "norm": (1.0, 2.0, 3.0)}) == {"loss": (1.0, 3.0), "norm": (1.0, 3.0)}
-    assert _plain((1, 2.5)) == [1.0, 2.5]
-    assert _plain(math.inf) == "inf"
 
 
 def test_a_key_is_content():
@@ -151,13 +94,6 @@ def test_whatever_writes_records_is_part_of_their_keys():
     # a cell's record holds columns of numbers and the paper's figures
     assert {"reports/records/record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
     assert "reports/records/check_record.py" not in source_digests(["strict_lcp"])
-
-
-def test_an_equation_of_motion_has_its_accelerations_on_the_left():
-    for equation in scene_record(SCENE).equations[:3]:
-        left, _, right = equation.mathml.partition("<mo>=</mo>")
-        assert ("mfrac" in left, "mfrac" in right) == (True, False)
-        assert ("&#955;" in left, "&#955;" in right) == (False, True)
 
 
 def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp_path):

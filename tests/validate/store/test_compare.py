@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from reports.records.load import load
-from reports.records.record import RunRecord
-from validate.store.compare import ChangeKind, Comparison, compare
-
-_FACTORY = importlib.util.spec_from_file_location("record_factory_of_compare", Path(__file__).parents[2] / "reports" / "record_factory.py")
-assert _FACTORY is not None
-assert _FACTORY.loader is not None
-factory = importlib.util.module_from_spec(_FACTORY)
-_FACTORY.loader.exec_module(factory)
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import Stored
+from reports.records.record import MetricRecord, RunRecord, SecondsRecord, StageRecord
+from tests.reports import record_factory as factory
+from validate.store.compare import Change, ChangeKind, Comparison, compare
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +29,12 @@ def changed_last(run: RunRecord, **changes) -> RunRecord:
     return run.model_copy(update={"stages": (*run.stages[:-1], last)})
 
 
-def compared(tmp_path: Path, before: list[RunRecord], after: list[RunRecord]) -> Comparison:
-    return compare(load(factory.store(tmp_path / "before", before)), load(factory.store(tmp_path / "after", after)))
+def stored(runs: Sequence[RunRecord] = (), examinations: Sequence[ExaminationRecord] = ()) -> Stored:
+    return Stored("all", None, tuple(runs), (), (), 0, tuple(examinations))
+
+
+def compared(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> Comparison:
+    return compare(stored(before), stored(after))
 
 
 def direct(runs: list[RunRecord]) -> RunRecord:
@@ -42,112 +42,177 @@ def direct(runs: list[RunRecord]) -> RunRecord:
     return next(run for run in runs if run.stages[-1].kind == "direct" and run.verdict == "holds" and run.stages[-1].outcome == "solved")
 
 
-@pytest.mark.slow
-def test_a_campaign_does_not_differ_from_itself(tmp_path, runs):
-    found = compared(tmp_path, runs, runs)
+def test_a_campaign_does_not_differ_from_itself(runs):
+    found = compared(runs, runs)
     assert found.changes == ()
     assert found.pairs == sum(len(run.stages) for run in runs)
 
 
+WHERE = "three_cart x strict, stage 1 strict_lcp"
+LADDER = ("no plan", "undecided", "violates", "holds with feedback", "holds")
+KINDS = [
+    ChangeKind.REGRESSION,
+    ChangeKind.GONE,
+    ChangeKind.SLOWER,
+    ChangeKind.OTHER,
+    ChangeKind.NEW,
+    ChangeKind.FASTER,
+    ChangeKind.IMPROVEMENT,
+]
+
+
+def changes(before: dict, after: dict, kind: str = "direct") -> list[Change]:
+    """What is said of a stage that had, and has, other values than this one."""
+
+    def run(values: dict) -> RunRecord:
+        stage = StageRecord(
+            index=0, method="strict_lcp", method_title="", kind=kind, eps=None, outcome="solved", advice="", cost=10.0, verdict="holds"
+        )  # type: ignore[arg-type]
+        return factory.run("strict", None, "strict_lcp", stages=(stage.model_copy(update=values),))
+
+    found = compared([run(before)], [run(after)])
+    assert found.pairs == 1
+    return list(found.changes)
+
+
+@pytest.mark.parametrize("worse", range(4))
+def test_each_verdict_is_worse_than_the_next(worse: int):
+    low, high = LADDER[worse : worse + 2]
+    (down,), (up,) = changes({"verdict": high}, {"verdict": low}), changes({"verdict": low}, {"verdict": high})
+    assert down == Change(kind=ChangeKind.REGRESSION, where=WHERE, what="verdict", before=high, after=low)
+    assert up == Change(kind=ChangeKind.IMPROVEMENT, where=WHERE, what="verdict", before=low, after=high)
+
+
 @pytest.mark.parametrize(
-    ("changes", "what"),
+    ("kind", "before", "after", "said"),
     [
-        ({"verdict": "violates"}, "verdict"),
-        ({"verdict": "no plan", "outcome": "crashed"}, "verdict"),
-        ({"outcome": "stalled"}, "outcome"),
+        ("direct", "holds", "consistent", ChangeKind.OTHER),
+        ("direct", "not applicable", "no plan", ChangeKind.OTHER),
+        ("indirect", "holds", "violates", ChangeKind.OTHER),
+        ("indirect", "violates", "holds with feedback", ChangeKind.OTHER),
+        ("indirect", "violates", "undecided", ChangeKind.REGRESSION),
+        ("indirect", "no plan", "violates", ChangeKind.IMPROVEMENT),
     ],
 )
-def test_a_plan_that_got_worse_is_a_regression_and_the_way_back_an_improvement(tmp_path, runs, changes, what):
-    run = direct(runs)
-    worse = changed_last(run, **changes)
-    there = compared(tmp_path / "there", [run], [worse])
-    assert what in {change.what for change in there.regressions}
-    assert there.changes[0].kind is ChangeKind.REGRESSION, "worst first"
-    back = compared(tmp_path / "back", [worse], [run])
-    assert back.regressions == ()
-    assert {change.kind for change in back.changes} == {ChangeKind.IMPROVEMENT}
+def test_what_is_no_step_of_the_ladder_is_neither_better_nor_worse(kind: str, before: str, after: str, said: ChangeKind):
+    (change,) = changes({"verdict": before}, {"verdict": after}, kind)
+    assert (change.kind, change.what) == (said, "verdict")
 
 
-@pytest.mark.parametrize(("factor", "kind"), [(1 + 1e-3, ChangeKind.REGRESSION), (1 - 1e-3, ChangeKind.IMPROVEMENT), (1 + 1e-9, None)])
-def test_costs_are_compared_beyond_rounding(tmp_path, runs, factor, kind):
-    run = direct(runs)
-    cost = run.stages[-1].cost or 1.0
-    found = compared(tmp_path, [changed_last(run, cost=cost)], [changed_last(run, cost=cost * factor)])
-    assert [change.kind for change in found.changes] == ([] if kind is None else [kind])
-
-
-def test_a_cheaper_plan_that_no_longer_holds_is_no_progress(tmp_path, runs):
-    run = direct(runs)
-    cost = run.stages[-1].cost or 1.0
-    found = compared(tmp_path, [changed_last(run, cost=cost)], [changed_last(run, cost=cost / 2, verdict="violates")])
-    assert {change.what for change in found.changes} == {"verdict"}
-
-
-def test_a_metric_that_left_its_limit_is_a_regression(tmp_path, runs):
-    run = direct(runs)
-    stage = run.stages[-1]
-    place, metric = next((place, metric) for place, metric in enumerate(stage.metrics) if metric.ok)
-    metrics = (*stage.metrics[:place], metric.model_copy(update={"ok": False}), *stage.metrics[place + 1 :])
-    (change,) = compared(tmp_path, [run], [changed_last(run, metrics=metrics)]).changes
-    assert (change.kind, change.what) == (ChangeKind.REGRESSION, metric.name)
-
-
-def test_rows_that_are_gone_and_new_ones(tmp_path, runs):
-    lost, kept = runs[0], runs[1]
-    found = compared(tmp_path, [lost, kept], [kept])
-    assert [change.kind for change in found.changes] == [ChangeKind.GONE] * len(lost.stages)
-    assert len(found.regressions) == len(lost.stages)
-    assert compared(tmp_path / "new", [kept], [lost, kept]).regressions == ()
-
-
-def test_the_worst_change_stands_first(tmp_path, runs):
-    """Of a change of each kind, whatever the names of their runs."""
-    run = direct(runs)
-    cost, cpu = run.stages[-1].cost or 1.0, run.stages[-1].seconds
-
-    def scened(run: RunRecord, name: str, **changes) -> RunRecord:
-        return changed_last(
-            run.model_copy(update={"scene": run.scene.model_copy(update={"name": name}), "key": f"{name}-{run.key}"}), **changes
-        )
-
-    def taking(seconds: float) -> dict:
-        return {"seconds": cpu.model_copy(update={"stage_cpu": seconds})}
-
-    before = [
-        scened(run, "u"),
-        scened(run, "z"),
-        scened(run, "y", **taking(10.0)),
-        scened(run, "x", **taking(20.0)),
-        scened(run, "w", cost=cost),
-    ]
-    after = [
-        scened(run, "t"),
-        scened(run, "z", verdict="violates"),
-        scened(run, "y", **taking(20.0)),
-        scened(run, "x", **taking(10.0)),
-        scened(run, "w", cost=cost / 2),
-    ]
-    kinds = [change.kind for change in compared(tmp_path, before, after).changes]
-    assert list(dict.fromkeys(kinds)) == [
-        ChangeKind.REGRESSION,
-        ChangeKind.GONE,
-        ChangeKind.SLOWER,
-        ChangeKind.NEW,
-        ChangeKind.FASTER,
-        ChangeKind.IMPROVEMENT,
+@pytest.mark.parametrize(
+    ("before", "after", "kind"),
+    [
+        ("solved", "stalled", ChangeKind.REGRESSION),
+        ("stalled", "solved", ChangeKind.IMPROVEMENT),
+        ("stalled", "time_limit", ChangeKind.OTHER),
+    ],
+)
+def test_an_outcome_is_better_if_it_solves(before: str, after: str, kind: ChangeKind):
+    """Its costs are then not compared."""
+    assert changes({"outcome": before, "cost": 1.0}, {"outcome": after, "cost": 2.0}) == [
+        Change(kind=kind, where=WHERE, what="outcome", before=before, after=after)
     ]
 
 
-def test_time_is_told_but_is_no_regression(tmp_path, runs):
-    run = direct(runs)
+@pytest.mark.parametrize(
+    ("before", "after", "kind"),
+    [
+        (10.0, 10.0 * (1 + 1.01e-6), ChangeKind.REGRESSION),
+        (10.0, 10.0 * (1 + 0.99e-6), None),
+        (-10.0, -10.0 * (1 + 1.01e-6), ChangeKind.IMPROVEMENT),
+        (10.0, 5.0, ChangeKind.IMPROVEMENT),
+        (0.0, 1.01e-9, ChangeKind.REGRESSION),
+        (0.0, 0.99e-9, None),
+        (None, 5.0, None),
+        (5.0, None, None),
+    ],
+)
+def test_costs_are_compared_beyond_rounding(before: float | None, after: float | None, kind: ChangeKind | None):
+    found = changes({"cost": before}, {"cost": after})
+    expected = [] if kind is None else [Change(kind=kind, where=WHERE, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")]
+    assert found == expected
 
-    def taking(seconds: float) -> RunRecord:
-        return changed_last(run, seconds=run.stages[-1].seconds.model_copy(update={"stage_cpu": seconds}))
 
-    (change,) = compared(tmp_path / "slow", [taking(10.0)], [taking(20.0)]).changes
-    assert change.kind is ChangeKind.SLOWER
-    assert compared(tmp_path / "noise", [taking(0.1)], [taking(0.9)]).changes == ()
-    assert compared(tmp_path / "alike", [taking(10.0)], [taking(14.0)]).changes == ()
+def test_a_cheaper_plan_that_no_longer_holds_is_no_progress():
+    assert [change.what for change in changes({"cost": 2.0}, {"cost": 1.0, "verdict": "violates"})] == ["verdict"]
+
+
+def metric(ok: bool | None, name: str = "defect") -> dict:
+    return {"metrics": (MetricRecord(name=name, value=1.0, unit="1", meaning="", ok=ok),)}
+
+
+@pytest.mark.parametrize("kind", ["direct", "indirect"])
+def test_a_metric_that_left_its_limit_is_a_regression_where_a_plan_must_hold(kind: str):
+    (down,), (up,) = changes(metric(True), metric(False), kind), changes(metric(False), metric(True), kind)
+    worse, better = (ChangeKind.REGRESSION, ChangeKind.IMPROVEMENT) if kind == "direct" else (ChangeKind.OTHER, ChangeKind.OTHER)
+    assert down == Change(kind=worse, where=WHERE, what="defect", before="within its limit", after="beyond its limit")
+    assert up == Change(kind=better, where=WHERE, what="defect", before="beyond its limit", after="within its limit")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(metric(None), metric(False)), (metric(True), metric(None)), (metric(True), metric(False, "other")), (metric(True), metric(True))],
+)
+def test_a_metric_that_was_or_is_open_is_not_compared(before: dict, after: dict):
+    assert changes(before, after) == []
+
+
+@pytest.mark.parametrize(
+    ("slow", "fast", "told"),
+    [(20.0, 10.0, True), (15.0, 10.0, False), (15.1, 10.0, True), (1.0, 0.0, False), (1.01, 0.0, True), (1.9, 1.0, False)],
+)
+def test_a_time_is_told_beyond_a_second_and_a_half_as_much_again(slow: float, fast: float, told: bool):
+    """It is no regression: machines are shared."""
+    first, second = ({"seconds": SecondsRecord(stage_cpu=seconds)} for seconds in (slow, fast))
+    said = {"where": WHERE, "what": "CPU seconds"}
+    up = Change(kind=ChangeKind.SLOWER, before=f"{fast:.3g}", after=f"{slow:.3g}", **said)
+    down = Change(kind=ChangeKind.FASTER, before=f"{slow:.3g}", after=f"{fast:.3g}", **said)
+    assert (changes(second, first), changes(first, second)) == (([up], [down]) if told else ([], []))
+
+
+def examination(passed: bool, name: str = "case", scene: str | None = None) -> ExaminationRecord:
+    return ExaminationRecord(
+        key=name, kind="stress", name=name, expected="", scene=scene, outcome="answered", passed=passed, wall_seconds=1.0, cpu_seconds=1.0,
+        provenance=factory.provenance(),
+    )  # fmt: skip
+
+
+def test_an_examination_that_no_longer_passes_is_a_regression():
+    good, bad = stored((), [examination(True, scene="push_box")]), stored((), [examination(False, scene="push_box")])
+    where = "stress case push_box"
+    down, up, same = compare(good, bad), compare(bad, good), compare(bad, bad)
+    assert down.changes == (Change(kind=ChangeKind.REGRESSION, where=where, what="examination", before="passed", after="failed"),)
+    assert up.changes == (Change(kind=ChangeKind.IMPROVEMENT, where=where, what="examination", before="failed", after="passed"),)
+    assert (down.pairs, same.changes, down.regressions, up.regressions) == (1, (), down.changes, ())
+
+
+def test_rows_that_are_gone_and_new_ones():
+    first, second = factory.run("strict", None, "strict_lcp"), factory.run("relu_gd", None, "relu_gd")
+    found = compare(stored([first], [examination(True, "one")]), stored([second], [examination(True, "two")]))
+    assert found.changes == (
+        Change(kind=ChangeKind.GONE, where="stress one", what="row", before="there", after="gone"),
+        Change(kind=ChangeKind.GONE, where=WHERE, what="row", before="there", after="gone"),
+        Change(kind=ChangeKind.NEW, where="stress two", what="row", before="not there", after="new"),
+        Change(kind=ChangeKind.NEW, where="three_cart x relu_gd, stage 1 relu_gd", what="row", before="not there", after="new"),
+    )
+    assert (found.pairs, found.regressions) == (0, found.changes[:2])
+
+
+def test_a_stage_is_named_by_its_part_its_place_and_its_eps(runs):
+    run = next(run for run in runs if run.pipeline == "relaxed+strict")
+    (gone, *_) = compared([run.model_copy(update={"part": 2, "parts": 3, "stages": run.stages[1:2]})], []).changes
+    assert gone.where == "three_cart x relaxed+strict part 2, stage 2 relaxed_lcp at 0.001"
+
+
+def test_the_worst_change_stands_first():
+    """Of a change of each kind, then by name; the kinds count from worst to best."""
+    found = changes(
+        {"verdict": "consistent", "cost": None, "seconds": SecondsRecord(stage_cpu=1.0)} | metric(True),
+        {"verdict": "holds", "cost": None, "seconds": SecondsRecord(stage_cpu=9.0)} | metric(False),
+    )
+    assert [change.kind for change in found] == [ChangeKind.REGRESSION, ChangeKind.SLOWER, ChangeKind.OTHER]
+    assert sorted(ChangeKind) == KINDS
+    assert len(set(KINDS)) == 7
 
 
 def command(*words: object) -> subprocess.CompletedProcess:

@@ -4,20 +4,46 @@ from __future__ import annotations
 
 import csv
 import io
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from reports.records.check_record import ExaminationRecord
-from reports.records.record import MetricRecord, ReplayRecord, RunRecord, SecondsRecord, StageRecord
+from reports.records.record import (
+    CertificateRecord,
+    FrontPointRecord,
+    MetricRecord,
+    ReplayRecord,
+    RunRecord,
+    SecondsRecord,
+    StageRecord,
+    StartRecord,
+    ViolationPoint,
+)
 from tests.reports import record_factory as factory
-from validate.store.results import COLUMNS, examinations_text, results_text, rows
+from validate.judge.score import metric_names
+from validate.store.results import (
+    COLUMNS,
+    EXAMINATIONS,
+    FRONT,
+    STARTS,
+    examinations_text,
+    results_text,
+    rows,
+    violation_text,
+    write_examinations,
+    write_results,
+    write_sweeps,
+    write_violation,
+)
 
-METRICS = (
+_FIRST = (
     "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error", "replay_terminal_position_error",
     "replay_terminal_velocity_error", "replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual",
     "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share",
 )  # fmt: skip
+METRICS = (*_FIRST, *(name for name in metric_names() if name not in (*_FIRST, "cost")))
 
 
 def metric(name: str, value: float | None) -> MetricRecord:
@@ -84,6 +110,8 @@ def test_what_is_not_known_is_empty(template: RunRecord):
     assert {name: value for name, value in first.items() if value} == known
     assert second["stage"] == "2"
     assert rows([run_of(template, refused)])[0]["iterations"] is None
+    brief = stage(seconds=SecondsRecord(stage=0.25), iterations=0)
+    assert rows([run_of(template, brief)])[0]["iterations"] == 0
 
 
 def test_an_examination_is_told_by_what_it_found_or_by_why_it_did_not():
@@ -99,3 +127,64 @@ def test_an_examination_is_told_by_what_it_found_or_by_why_it_did_not():
     }  # fmt: skip
     assert (found[1]["message"], found[1]["passed"]) == ("signal 11", "False")
     assert examinations_text([]) == ""
+
+
+CERTIFICATE = CertificateRecord(
+    holds=True, feasible=True, primal=0.5, complementarity=0.25, dual=0.125, letter="M", meaning="", pairs=9, biactive=8, sentence=""
+)
+
+
+def test_each_start_and_each_point_of_a_front_is_a_row(template: RunRecord, tmp_path: Path):
+    start = StartRecord(number=3, start="from rest", outcome="stalled", cost=4.5, windows=(("left", 0, 2), ("right", 10, 12)), seconds=1.5)
+    point = FrontPointRecord(
+        tolerance=0.01, outcome="solved", cost=6.5, terminal_error=0.005, windows=(("left", 1, 3),), certificate=CERTIFICATE
+    )
+    bare = FrontPointRecord(tolerance=0.02, outcome="infeasible")
+    run = run_of(
+        template, stage(), stage(index=1, starts=(start, start.model_copy(update={"cost": None, "windows": ()})), front=(point, bare))
+    )
+    write_sweeps(tmp_path, iter([run]))
+    of_run = {"scene": "three_cart", "pipeline": "relaxed+strict"}
+    starts, front = (read((tmp_path / name).read_text()) for name in (STARTS, FRONT))
+    first = {"start": "3", "from": "from rest", "outcome": "stalled", "cost": "4.5", "windows": "left:0-2 right:10-12", "cpu_s": "1.5"}
+    assert starts == [of_run | first, of_run | first | {"cost": "", "windows": ""}]
+    residuals = {"primal": "0.5", "complementarity": "0.25", "dual": "0.125", "class": "M"}
+    assert front == [
+        of_run | {"tolerance": "0.01", "outcome": "solved", "cost": "6.5", "terminal_error": "0.005", "windows": "left:1-3"} | residuals,
+        of_run
+        | {"tolerance": "0.02", "outcome": "infeasible", "cost": "", "terminal_error": "", "windows": ""}
+        | dict.fromkeys(residuals, ""),
+    ]
+    write_sweeps(tmp_path, [run_of(template, stage())])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_violation_stands_beside_its_closed_form(tmp_path: Path):
+    points = [ViolationPoint(law="softplus", eps=0.01, measured=measured, closed_form=4.0) for measured in (5.0, 3.0)]
+    for found in (violation_text(points), (write_violation(tmp_path / "v.csv", points), (tmp_path / "v.csv").read_text())[1]):
+        assert found.splitlines() == [
+            "law,eps,measured,closed_form,relative_difference",
+            "softplus,0.01,5.0,4.0,0.25",
+            "softplus,0.01,3.0,4.0,0.25",
+        ]
+
+
+def test_files_hold_the_texts(template: RunRecord, tmp_path: Path):
+    run = run_of(template, stage())
+    write_results(tmp_path / "r.csv", [run])
+    assert (tmp_path / "r.csv").read_text() == results_text([run])
+    check = ExaminationRecord(
+        key="k",
+        kind="fmu",
+        name="n",
+        outcome="passed",
+        passed=True,
+        wall_seconds=1.5,
+        cpu_seconds=2.5,
+        expected="",
+        provenance=factory.provenance(),
+    )
+    write_examinations(tmp_path / EXAMINATIONS, [check])
+    assert (tmp_path / EXAMINATIONS).read_text() == examinations_text([check])
+    write_examinations(tmp_path / EXAMINATIONS, [])
+    assert not (tmp_path / EXAMINATIONS).exists()

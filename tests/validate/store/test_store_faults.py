@@ -194,15 +194,6 @@ def test_what_is_put_back_stays_in_the_store(tmp_path, key):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_files_of_dead_campaigns_go_and_those_of_the_living_stay(tmp_path):
-    host = store_module.socket.gethostname()
-    dead, living = f".partial-file-t-{2**22 + 1}-{host}", f".partial-file-t-{os.getpid()}-{host}"
-    for name in (dead, living):
-        (tmp_path / name).write_text("half a tab")
-    Store(tmp_path).prepare()
-    assert {path.name for path in tmp_path.iterdir()} == {"runs", living}
-
-
 def test_many_may_store_the_same_cell_at_once(tmp_path, record):
     """Four threads stand for four campaigns; a fifth reads what is there."""
     store, runs = Store(tmp_path), [record(f"of campaign {number}") for number in range(4)]

@@ -169,10 +169,10 @@ def test_the_cases_are_run_and_pass(campaign):
 
 
 def test_the_report_has_their_rows(campaign):
-    text = (campaign[0] / "report.html").read_text(encoding="utf-8")
-    assert 'id="stability"' in text
+    text = (campaign[0] / "pages" / "stress-cases.html").read_text(encoding="utf-8")
+    assert 'id="stress-cases"' in text
     assert 'id="hard-case-12"' in text
-    assert "2 of 2 hard cases pass" in text
+    assert "2 of 2 stress cases pass" in text
 
 
 @pytest.mark.slow

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from formulations.method import Leg, Pipeline
-from formulations.mpec import certify_plan
 from formulations.pipelines import STARTS, cells_of, find_pipeline, pipeline_from_json, pipeline_to_json, stage_plan
-from formulations.solution import Attempt, FrontPoint, Outcome, Solution
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import PlannedCheck, PlannedRun
-from validate.store.provenance import gather
-from validate.store.results import FRONT, write_sweeps
-from validate.store.results import STARTS as STARTS_FILE
-from validate.tasks.records import certificate_record, front_records, start_records
 
 SCENE = load_scene("three_cart").with_task(steps=20)
 
@@ -98,70 +89,3 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
     every, _ = select(CampaignSettings(out=tmp_path))
     assert {entry.scene.name for entry in every if isinstance(entry, PlannedRun)} == set(scenes)
-
-
-def test_a_certificate_becomes_a_record() -> None:
-    record = certificate_record(certify_plan(SCENE, plan()))
-    assert record is not None
-    assert not record.holds
-    assert record.primal == pytest.approx(0.5)
-    assert record.worst.startswith("constraint_goal_position")
-    assert record.pairs == 40
-    assert certificate_record(None) is None
-
-
-def solution() -> Solution:
-    moved = replace(plan(), lam=np.where(np.arange(20)[:, None] % 10 < 3, 1.0, 0.0) * [1.0, 0.0])
-    inner = Solution(method="mpcc", outcome=Outcome.SOLVED, trajectory=moved, cost=4.0, residuals={"discrete_terminal_error": 0.01})
-    nothing = Solution(method="mpcc", outcome=Outcome.INFEASIBLE)
-    return replace(
-        inner,
-        starts=(
-            Attempt(number=0, start="here", outcome=Outcome.SOLVED, cost=4.0, windows=(("left", 0, 2),), seconds=0.5),
-            Attempt(number=1, start="there", outcome=Outcome.STALLED),
-        ),
-        front=(FrontPoint(tolerance=0.0, solution=nothing), FrontPoint(tolerance=0.01, solution=inner)),
-    )
-
-
-def test_starts_and_front_become_records_and_files(tmp_path, factory_run) -> None:
-    starts, front = start_records(solution()), front_records(SCENE, solution())
-    assert [(item.number, item.outcome, item.cost) for item in starts] == [(0, "solved", 4.0), (1, "stalled", None)]
-    assert front[1].windows == (("left", 0, 2), ("left", 10, 12))
-    assert front[1].terminal_error == 0.01
-    assert front[0].cost is None
-    record = factory_run(starts, front)
-    write_sweeps(tmp_path, [record])
-    with open(tmp_path / STARTS_FILE, encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["cost"] for row in rows] == ["4.0", ""]
-    assert rows[0]["windows"] == "left:0-2"
-    with open(tmp_path / FRONT, encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["tolerance"] for row in rows] == ["0.0", "0.01"]
-    assert rows[1]["windows"] == "left:0-2 left:10-12"
-    write_sweeps(tmp_path, [])
-    assert not (tmp_path / FRONT).exists()
-    assert not (tmp_path / STARTS_FILE).exists()
-
-
-@pytest.fixture
-def factory_run():
-    """A run record with these starts and front, from as little as the schema allows."""
-    from reports.records.record import RunRecord, SceneRecord, StageRecord
-
-    scene = SceneRecord(
-        name="three_cart", title="", source="", coordinates=(), velocities=(), inputs=(), contacts=(), parameters=(), start=(), goal=(), step=0.01,
-        steps=20,
-    )  # fmt: skip
-
-    def make(starts, front) -> RunRecord:
-        stage = StageRecord(
-            index=0, method="mpcc", method_title="", kind="direct", eps=None, outcome="solved", advice="", starts=starts, front=front
-        )
-        return RunRecord(
-            key="k", scene=scene, pipeline="p", pipeline_title="", stages=(stage,), outcome="solved", must_hold=True, wall_seconds=0.0,
-            cpu_seconds=0.0, provenance=gather("a test"),
-        )  # fmt: skip
-
-    return make

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from campaign_fakes import FakeMethod
@@ -11,12 +13,18 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
+from validate.tasks import stage as module
 from validate.tasks.leg import planned_stages
 from validate.tasks.stage import OpenLeg
 
 
-def run(answer):
+def planned_one(answer):
     (planned,) = planned_stages(Pipeline(name="p", title="p", legs=(Leg(method="m"),)), {"m": FakeMethod("m", lambda: answer)})
+    return planned
+
+
+def run(answer):
+    planned = planned_one(answer)
     with OpenLeg(load_scene("wall_pendulum"), planned) as leg:
         return leg.run(planned, None, 10.0).solution
 
@@ -44,3 +52,15 @@ def test_a_plan_that_takes_its_time_is_refused():
 def test_an_outcome_in_words_is_refused():
     with pytest.raises(TypeError, match="must be an Outcome, not str"):
         run(Solution(method="m", outcome="solved"))  # type: ignore[arg-type] - what a method of somebody else may hand back
+
+
+def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pytest.MonkeyPatch):
+    """With clocks that go on by 1 s and by 8 s whenever they are looked at: a stage takes one look, and so do opening and asking before it."""
+    walls, cpus = itertools.count(0.0, 1.0), itertools.count(0.0, 8.0)
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
+    monkeypatch.setattr(module.time, "process_time", lambda: next(cpus))
+    planned = planned_one(Solution(method="m", outcome=Outcome.SOLVED))
+    with OpenLeg(load_scene("wall_pendulum"), planned) as leg:
+        leg.leaves(None)
+        first, second, third = (leg.run(planned, None, 10.0) for _ in range(3))
+    assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [(3.0, 24.0), (1.0, 8.0), (1.0, 8.0)]

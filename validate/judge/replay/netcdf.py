@@ -84,17 +84,22 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "growth": None if replay.growth is None else asdict(replay.growth),
         "effort": None if replay.effort is None else asdict(replay.effort),
     }
-    columns = [*columns, *pose_columns(scene, replay.q, "time")] if isinstance(scene, Scene) else _storable(columns)
+    columns = [*columns, *pose_columns(scene, replay.q, "time")] if isinstance(scene, Scene) else storable(columns)
     attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
     write_columns(path, columns, attributes)
 
 
-def _storable(columns: list[Column]) -> list[Column]:
+def storable_name(name: str) -> str:
+    """The name as NetCDF allows it."""
+    return re.sub(r"[/\x00-\x1f\x7f]", "_", name).strip() or "_"
+
+
+def storable(columns: list[Column]) -> list[Column]:
     """Columns of somebody's FMU under names that NetCDF allows and that are there once; a name that had to be changed stands in the description."""
     taken: set[str] = {"time", "node", "step"}  # dimensions
     found = []
     for column in columns:
-        name = base = re.sub(r"[/\x00-\x1f\x7f]", "_", column.name).strip() or "_"
+        name = base = storable_name(column.name)
         count = 1
         while name in taken:
             count += 1

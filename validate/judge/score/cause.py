@@ -17,41 +17,10 @@ from models.schemes import Scheme, tableau
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
+from validate.judge.score.table import FEEDBACK, TABLE
 from validate.judge.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, Metric, Question, Verdict, is_of_feedback
 
-# What each metric says where it is quoted.
-_PHRASES = {
-    "start_error": "the plan starts {} away from the task's start",
-    "duration_error": "the plan and the task differ in duration by {}",
-    "bound_violation": "the inputs leave their bounds by {}",
-    "velocity_bound_violation": "the plan's velocities leave their bounds by {}",
-    "terminal_position_error": "the plan itself ends {} from the goal",
-    "terminal_velocity_error": "the plan itself ends with {} more or less than the goal's velocity",
-    "cost": "the plan itself costs {}",
-    "contact_law_error": "its contact forces are not those of its own motion: impulse {} outside what the contact law gives",
-    "physics_scaled": "its contact forces are not those of contact: complementarity violation {} (scaled)",
-    "force_sign_violation": "a planned contact force pulls with {}",
-    "friction_violation": "a planned friction force exceeds mu N by {}",
-    "friction_dissipation_error": "it slips without all of mu N holding it back, by {}",
-    "replay_error": "driven by its inputs the motion departs from the plan by {}",
-    "replay_terminal_position_error": "driven by its inputs the motion ends {} from the goal",
-    "replay_terminal_velocity_error": "driven by its inputs the motion ends with {} more or less than the goal's velocity",
-    "replay_cost": "driven by its inputs the motion costs {}",
-    "unexplained_force": "its own motion needs a force that neither inputs nor contact give, {} of the peak contact force",
-    "max_penetration": "the bodies penetrate by {}",
-    "ghost_impulse": "force at a distance: impulse {} that the replay does not have",
-    "missed_impulse": "contact that the plan does not have: impulse {}",
-    "replay_velocity_bound_violation": "driven by its inputs the velocities leave their bounds by {}",
-    "defect": "it does not satisfy its declared scheme (residual {})",
-    "law_error": "with exact contact on its own grid the motion departs from the plan by {}",
-    "discrete_terminal_position_error": "with exact contact on its own grid the motion ends {} from the goal",
-    "discrete_terminal_velocity_error": "with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
-    "answer_error": "the replay is {} tolerances off a closed form of the scene",
-    "energy_residual": "the replay's energy does not balance by {}",
-    "energy_residual_relative": "the replay's energy does not balance by {} of what is turned over",
-    EFFORT: "the RMS effort of the feedback is {} of the half-range of the inputs",
-    SHARE: "the RMS effort of the feedback is {} of that of the plan's own inputs",
-}  # fmt: skip
+_ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
 _UNSTABLE = 100.0
 # A step that the order of the scheme predicts is taken a little smaller.
@@ -148,7 +117,7 @@ def _undecided(scored: ScoredPlan) -> str:
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
     needed = "" if scored.replay is None or first.value is None else getattr(scored.replay.error, "would_decide", "")
-    return f"{text} What would decide it: {needed}" if needed else text
+    return f"{text} What would decide it: {needed}." if needed else text
 
 
 def _holds(scored: ScoredPlan) -> str:
@@ -249,7 +218,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
     if plan.scheme is None:
         if scored.fails("unexplained_force") and first.name != "unexplained_force":
-            return f": {_PHRASES['unexplained_force'].format(percent(scored.value('unexplained_force') or 0.0))}"
+            return f": {_ENTRIES['unexplained_force'].quote(percent(scored.value('unexplained_force') or 0.0))}"
         return unstable
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
@@ -285,7 +254,7 @@ def _quote(metric: Metric) -> str:
         return f"{metric.name}: {metric.reason.rstrip('.')}"
     value = percent(metric.value) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.value, metric.unit)
     limit = percent(metric.limit or 0.0) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.limit or 0.0, metric.unit)
-    phrase = _PHRASES[name].format(value)
+    phrase = _ENTRIES[name].quote(value)
     if name != metric.name:
         phrase = "with feedback " + phrase.replace("driven by its inputs ", "")
     return f"{phrase}, limit {limit}" if metric.is_judged else phrase

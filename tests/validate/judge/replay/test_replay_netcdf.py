@@ -15,12 +15,12 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError, TrajectoryError
 from models.fmu import build_fmu
-from models.netcdf import read_columns
+from models.netcdf import Column, read_columns
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf, write_netcdf
 from validate.judge.replay import Replay
-from validate.judge.replay.netcdf import write_replay
+from validate.judge.replay.netcdf import _storable, write_replay
 from validate.judge.replay.run import replay
 
 STEPS = 40
@@ -178,3 +178,16 @@ def test_a_plan_of_other_size_is_not_written(tmp_path: Path, scene: Scene, plan:
     with pytest.raises(TrajectoryError, match="q has 2 columns"):
         write_netcdf(tmp_path / "plan.nc", small, scene)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_names_that_netcdf_does_not_allow_are_changed_and_said():
+    given = [("a_b", ""), ("a/b", "gap"), ("a\x00b", "force"), ("time", "of another"), (" ", "")]
+    found = _storable([Column(name=name, dimension="time", values=np.zeros(1), unit="m", description=text) for name, text in given])
+    assert [(item.name, item.description) for item in found] == [
+        ("a_b", ""),
+        ("a_b_2", "a/b: gap"),
+        ("a_b_3", "a\x00b: force"),
+        ("time_2", "time: of another"),
+        ("_", ""),
+    ]
+    assert {(item.dimension, item.unit) for item in found} == {("time", "m")}

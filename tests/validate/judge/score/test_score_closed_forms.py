@@ -1,6 +1,7 @@
 """Replays held against closed forms: they meet them to the stated digits, and a wrong form is found."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.run import replay
 from validate.judge.score import Verdict, score
 from validate.judge.score.equations import MEASURES
+from validate.judge.score.evidence import Evidence
 
 
 def judged(scene: Scene):
@@ -60,3 +62,20 @@ def test_an_unknown_measure_is_named():
     unknown = replace(scene, answers=(replace(scene.answers[0], measure="colour"),))
     with pytest.raises(SceneError, match="measured by 'colour', but the measures are closing time"):
         judged(unknown)
+
+
+def test_contact_forces_change_by_penetration_and_by_its_rate():
+    """Kelvin-Voigt: k and c. Hunt-Crossley, F = b phi (1 + d phi'): at most b times the largest share F / (b phi), and b d times the largest depth."""
+    scene = load_scene("damped_collision")
+    values = {symbol.name: value for symbol, value in scene.parameter_values.items()}
+    k, c, b, d = (values[name] for name in "kcbd")
+    gap = np.array([[-0.1, -0.2], [0.3, -0.4], [-0.5, 0.0]])
+    lam = np.array([[9.0, 1.5 * b * 0.2], [0.0, 0.5 * b * 0.4], [9.0, 7.0]])
+    case = SimpleNamespace(equations=scene, k=np.array([k, b]), replay_gap=gap, replay=SimpleNamespace(lam=lam))
+    by_depth, by_rate = Evidence.slopes.func(case)  # type: ignore[arg-type]
+    assert by_depth == pytest.approx([k, 1.5 * b])
+    assert by_rate == pytest.approx([c, d * b * 0.4])
+    lam[0, 1] = 0.0  # no share is above 1 then
+    assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])  # type: ignore[arg-type]
+    case = SimpleNamespace(equations=load_scene("three_cart"), k=np.array([30.0, 31.0]))
+    assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ The exact motions are SciPy's, of equations written down here once more.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge.judgement import judge
 from validate.judge.replay.run import replay
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.unexplained import LIMIT, unexplained_force
+from validate.judge.score.unexplained import LIMIT, _without_inertia, unexplained_force
 
 # Carts of 1 kg with c = 2 N s/m and contacts of 30 N/m; 0.5 m long.
 K, C, LENGTH, SECONDS = 30.0, 2.0, 0.5, 1.0
@@ -190,3 +191,24 @@ def test_the_share_is_one_of_the_replays_peak_force(exact):
     shaken = replace(plan, v=plan.v + np.where(np.arange(101)[:, None] == 50, 0.01, 0.0))
     replayed = replay(scene, build_fmu(scene), plan)
     assert unexplained_force(Evidence(scene, shaken, replayed)) == pytest.approx(unexplained_force(Evidence(scene, shaken, None)), rel=0.02)
+
+
+def test_a_scene_without_inertia_is_forgiven_what_was_printed():
+    """Two steps of 1/2 and 1/4 s, M = diag(4, 9), tau = 1/2: a miss of (0.3, 0) and of (0, -0.2), by hand."""
+    told = {"q": 0.01, "t": 0.005}
+    q = np.array([[0.0, 0.0], [1.3, 1.0], [2.0, 1.8]])
+    ends = np.array([[1.0, 1.0, 9.0, 9.0], [2.0, 2.0, 9.0, 9.0]])
+    asked: list[np.ndarray] = []
+    case = SimpleNamespace(
+        q=q, masses=np.array([np.diag([4.0, 9.0])] * 3), scene=SimpleNamespace(nq=2), printing=told.get, printing_acceleration=0.02,
+        own_steps=lambda v: asked.append(v) or SimpleNamespace(ends=ends),
+        equations=SimpleNamespace(relaxation_index=1, parameters=[SimpleNamespace(value=7.0), SimpleNamespace(value=0.5)]),
+    )  # fmt: skip
+    h, v = np.array([0.5, 0.25]), np.array([[2.0, -3.0], [1.0, 0.5]])
+    unit = np.sqrt(13.0)  # of a speed of 1 in both
+    first = 2.0 * 0.3 / 0.5 - ((0.02 + 0.01 * 3.0) / 0.5 + 0.5 * 0.02) * unit
+    second = 3.0 * 0.2 / 0.25 - ((0.02 + 0.01 * 1.0) / 0.25 + 0.25 * 0.02) * unit
+    assert _without_inertia(case, h, v) == pytest.approx([first / 0.5, second / 0.5])  # type: ignore[arg-type]
+    assert asked[0] is v
+    told["q"] = 1.0
+    assert _without_inertia(case, h, v).tolist() == [0.0, 0.0]  # type: ignore[arg-type]

@@ -1,0 +1,82 @@
+"""What failed, by cause: each cause once with its runs by scene, the campaign's own failures marked, and what cannot be read."""
+
+from __future__ import annotations
+
+import html
+import re
+
+from reports.pages import failures
+from reports.pages.section import Report
+from reports.records.load import Stored, load
+from reports.render import render
+
+
+def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solved", **changes):
+    run = factory.run("strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, outcome=outcome)
+    metrics = tuple(
+        item.model_copy(update={"value": 0.43, "limit": 0.05, "ok": False}) if item.name == "replay_terminal_position_error" else item
+        for item in run.stages[0].metrics
+    )
+    said = {"verdict": verdict, "outcome": outcome, "paper": {}, "metrics": metrics if verdict == "violates" else (), **changes}
+    return run.model_copy(update={"scene": factory.scene(scene), "pipeline": pipeline, "stages": (run.stages[0].model_copy(update=said),)})
+
+
+def section(*runs):
+    return failures.build(Report(Stored("x", None, runs, (), (), 0)))
+
+
+def words(text: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", text)).split())
+
+
+def test_a_cause_stands_once_with_its_runs_by_scene(factory):
+    runs = [
+        ended(factory, "bank", "a", "violates"),
+        ended(factory, "hill", "b", "no plan", "infeasible"),
+        ended(factory, "hill", "a", "violates"),
+    ]
+    runs += [ended(factory, "bank", "b", "violates"), ended(factory, "bank", "c", "holds")]
+    motion, none = section(*runs).values["groups"]
+    assert (motion.amount, none.amount) == (3, 1)
+    assert [(name, limit, [item.run.pipeline for item in mine]) for name, _, limit, mine in motion.scenes] == [
+        ("bank", "0.050 m", ["a", "b"]),
+        ("hill", "0.050 m", ["a"]),
+    ]
+    assert motion.scenes[0][3][0].by == "0.43 m"
+    assert none.scenes[0][3][0].by == ""
+    assert section(*runs).values["total"] == 4
+
+
+def test_runs_that_fail_the_campaign_are_marked_and_others_are_not(factory, tmp_path):
+    runs = [
+        ended(factory, "bank", "broke", "violates"),
+        ended(factory, "bank", "stopped", "violates", "stalled"),
+        ended(factory, "bank", "good", "holds"),
+    ]
+    (group,) = section(*runs).values["groups"]
+    assert [(item.run.pipeline, item.must) for _, _, _, mine in group.scenes for item in mine] == [("broke", True), ("stopped", False)]
+    text = words(render(factory.store(tmp_path / "all", runs)))
+    assert "The campaign fails: bank x broke: violates" in text
+    assert "bank (limit 0.050 m): ✗ fails the campaign: broke 0.43 m, stopped 0.43 m" in text
+    sound = words(render(factory.store(tmp_path / "sound", runs[1:])))
+    assert "✓ All required checks passed. What fails below is a result of its method, not a failure of the campaign." in sound
+
+
+def test_where_all_holds_nothing_is_listed(factory, tmp_path):
+    text = words(render(factory.store(tmp_path / "all", [ended(factory, "bank", "a", "holds")])))
+    assert "All required checks passed." in text
+    assert "does not hold" not in text.partition("When a campaign fails")[0]
+    assert section().values["asked"] is False
+
+
+def test_many_files_of_one_reason_are_folded_and_few_are_named(factory, tmp_path):
+    runs = [ended(factory, f"scene_{place}", "a", "holds") for place in range(14)]
+    folder = factory.store(tmp_path / "all", runs)
+    for run in runs[:13]:
+        (folder / "runs" / run.key / "record.json").write_text("{}")
+    (folder / "runs" / runs[13].key / "record.json").write_text("[")
+    values = failures.build(Report(load(folder), folder)).values
+    assert [len(files) for _, files in values["unreadable"]] == [13, 1]
+    text = render(folder)
+    assert re.search(r"<details><summary>13 files: ", text)
+    assert f"<code>runs/{runs[13].key}/record.json</code>: it is not complete JSON" in text

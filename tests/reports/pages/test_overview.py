@@ -1,0 +1,138 @@
+"""The first screen: cells of the matrix, families of marks, and what is there of a folder with little in it."""
+
+from __future__ import annotations
+
+import html
+import re
+from pathlib import Path
+
+import pytest
+
+from reports.pages import overview
+from reports.pages.section import Report
+from reports.records.load import Stored, load
+from reports.records.record import HOLD
+from reports.render import render
+
+
+def ended(factory, scene: str, pipeline: str, verdict: str, cost: float | None = 100.0, **changes):
+    """A run of one direct stage."""
+    run = factory.run("strict", None, "strict_lcp", key=f"{scene}-{pipeline}", verdict=verdict, **changes)
+    stage = run.stages[0].model_copy(update={"verdict": verdict, "cost": cost, "paper": {}})
+    return run.model_copy(update={"scene": factory.scene(scene), "pipeline": pipeline, "stages": (stage,)})
+
+
+def section(*runs, folder: Path = Path()):
+    return overview.build(Report(Stored("x", None, runs, (), (), 0), folder))
+
+
+def cells(text: str) -> list[list[tuple[str, str, str]]]:
+    """Of each row of the matrix (class, what is shown, tip); empty strings where there is no run."""
+    table = re.search(r'<table class="grid-of-runs".*?</table>', text, re.DOTALL)
+    assert table is not None
+    rows = re.findall(r"<tr><th scope=\"row\">.*?</tr>", table[0], re.DOTALL)
+    found = []
+    for row in rows:
+        inside = [re.search(r'class="(\w*)"><a href="[^"]*" title="([^"]*)">(.*?)</a>', cell) for cell in re.findall(r"<td.*?</td>", row)]
+        found.append([(one[1], re.sub(r"<[^>]*>", " ", one[3]).strip(), html.unescape(one[2])) if one else ("", "", "") for one in inside])
+    return found
+
+
+def test_a_cell_is_a_symbol_and_the_cost_over_the_cheapest_plan_that_holds(factory, tmp_path):
+    runs = [
+        ended(factory, "bank", "a", "holds", 150.0),
+        ended(factory, "bank", "b", "holds with feedback", 100.0),
+        ended(factory, "bank", "c", "violates", 1.0),
+        ended(factory, "hill", "a", "not applicable", None, outcome="refused", message="strict_lcp: scene hill has no inputs."),
+        ended(factory, "hill", "b", "undecided"),
+        ended(factory, "hill", "c", "no plan", None, outcome="infeasible"),
+        ended(factory, "moor", "a", "consistent", 0.0),
+    ]
+    bank, hill, moor = cells(render(factory.store(tmp_path / "all", runs)))
+    assert [shown[:2] for shown in bank] == [("holds", "✓ 1.50"), ("feedback", "↻ 1"), ("violates", "✗")]
+    assert [shown[:2] for shown in hill] == [("noplan", "⊘"), ("undecided", "?"), ("noplan", "○")]
+    assert [shown[:2] for shown in moor] == [("consistent", "≈"), ("", ""), ("", "")], "what was not run is empty"
+    tips = [shown[2] for shown in (*bank, *hill)]
+    assert tips[0] == "a on bank: holds, cost 150.00, 1.5 times the cheapest"
+    assert tips[1] == "b on bank: holds with feedback, cost 100.00, the cheapest"
+    assert tips[2].startswith("c on bank: violates. ")
+    assert tips[3] == "a on hill: not applicable. Has no inputs."
+    assert tips[5] == "c on hill: no plan. No plan: infeasible"
+
+
+def test_where_no_plan_holds_there_is_no_ratio_and_no_film(factory):
+    found = section(ended(factory, "bank", "a", "violates"), ended(factory, "bank", "b", "no plan", None))
+    assert [place.ratio for place in found.values["places"].values()] == [None, None]
+    assert found.values["strip"] is None
+    assert found.values["findings"][-1] == "No pipeline found a plan that holds."
+
+
+def test_equal_costs_are_both_the_cheapest(factory):
+    found = section(ended(factory, "bank", "a", "holds"), ended(factory, "bank", "b", "holds"))
+    assert [place.ratio for place in found.values["places"].values()] == [1.0, 1.0]
+    assert all(place.words.endswith("the cheapest") for place in found.values["places"].values())
+
+
+def test_marks_are_coloured_by_family_and_filled_where_the_plan_holds(factory):
+    families = {"relaxed_lcp": "c1", "softplus_dc": "c1", "softplus_gd": "c3", "relu_gd": "c3", "strict_lcp": "c0", "mpcc": "c2"}
+    for method, style in families.items():
+        for verdict in ("holds", "violates"):
+            run = ended(factory, "bank", "a", verdict)
+            run = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"method": method}),)})
+            plot = section(run).values["plot"]
+            (mark,) = re.findall(r'class="pt ([^"]*)"[^>]*><title>([^<]*)', str(plot.markup(hidden=False)))
+            assert mark[0] == (f"{style} full" if verdict in HOLD else style)
+            assert mark[1] == f"{method} on bank: {verdict}; 0.71 CPU s, error 0.0090"
+
+
+def test_of_a_relaxation_the_tightest_eps_is_drawn(factory):
+    plot = section(factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")).values["plot"]
+    tips = re.findall(r"<title>([^<]*)", str(plot.markup(hidden=False)))
+    assert [tip.split(" on ")[0] for tip in tips] == ["softplus_dc ε = 10⁻⁷", "strict_lcp after softplus_dc"]
+    assert "1 of 2 plans violate" in plot.words
+
+
+def test_the_film_is_of_the_cheapest_plan_on_the_papers_scene(factory, tmp_path):
+    dear, cheap = factory.run("strict", None, "strict_lcp"), factory.run("relu_gd", None, "relu_gd")
+    cheap = cheap.model_copy(update={"stages": (cheap.stages[0].model_copy(update={"cost": 400.0}),)})
+    other = ended(factory, "another", "strict", "holds", 1.0)
+    folder = factory.store(tmp_path / "all", [other, dear, cheap])
+    drawn, _, run = overview.build(Report(load(folder), folder)).values["strip"]
+    assert (run.scene.name, run.pipeline) == ("three_cart", "relu_gd")
+    assert drawn.words == "6 moments of the plan, from 0 s to 5 s."
+    for path in folder.glob("runs/relu_gd*/trajectory.nc"):
+        path.unlink()
+    assert overview.build(Report(load(folder), folder)).values["strip"][2].pipeline == "strict", "what cannot be drawn is passed over"
+
+
+def test_a_folder_without_runs_says_so(factory, tmp_path):
+    text = render(factory.store(tmp_path / "none", []))
+    assert "No run is stored here yet; there is nothing to judge." in text
+    assert "grid-of-runs" not in text.partition("<body>")[2]
+
+
+@pytest.mark.slow
+def test_markup_in_names_stays_text_on_the_first_screen(factory, hostile_folder):
+    first = re.search(r'<section id="overview".*?</section>', render(hostile_folder), re.DOTALL)
+    assert first is not None
+    assert not re.search(r"<(img|b|script|iframe)[ >]", first[0])
+    assert first[0].count("&lt;img src=x onerror=") >= 4, "names of scene and pipeline, the command and the sentences are shown"
+
+
+def test_what_is_damaged_or_of_another_version_is_told_first_and_the_rest_is_shown(factory, tmp_path):
+    runs = factory.runs()[:3]
+    folder = factory.store(tmp_path / "all", runs, factory.campaign(runs, quick=True, keys=(*(run.key for run in runs), "gone")))
+    cut = folder / "runs" / runs[0].key / "record.json"
+    cut.write_text(cut.read_text()[:2000])
+    old = folder / "runs" / runs[1].key / "record.json"
+    old.write_text(old.read_text().replace('"schema_version":4', '"schema_version":3'))
+    notices = overview.build(Report(load(folder), folder)).values["notices"]
+    assert notices[0] == "1 run of the campaign has no stored record yet; the same command runs them."
+    assert notices[1].startswith("2 files could not be read: of 1 of them ")
+    assert notices[2].startswith("This was a quick campaign")
+    text = render(folder)
+    assert "another version&#39;s record schema" in text
+    assert "not complete JSON" in text
+    assert len(cells(text)[0]) == 1, "the run that can be read is shown"
+    (folder / "campaign.json").write_text("{}")
+    assert "The campaign&#39;s own record is missing or unreadable" in render(folder)

@@ -1,0 +1,205 @@
+"""Records as they are written and read: columns of numbers, names of files, order, and a folder of them with what is broken in it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import struct
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+from pydantic import ValidationError
+
+from reports.records import load as module
+from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, divided, record_of
+from reports.records.load import LARGEST_BYTES, load, record_files
+from reports.records.record import LONGEST, LegRecord, MetricRecord, StageRecord, stage_files, thin
+from tests.reports import record_factory as factory
+
+
+def stage(**changes) -> StageRecord:
+    said = {"index": 0, "method": "m", "method_title": "", "kind": "direct", "eps": None, "outcome": "solved", "advice": ""}
+    return StageRecord(**(said | changes))
+
+
+def check(name: str = "h01", kind: str = "stress", **changes) -> ExaminationRecord:
+    said = {
+        "key": f"{kind}-{name}", "kind": kind, "name": name, "expected": "", "outcome": "answered", "passed": True, "wall_seconds": 1.0,
+        "cpu_seconds": 1.0, "provenance": factory.provenance(),
+    }  # fmt: skip
+    return ExaminationRecord(**(said | changes))
+
+
+@pytest.mark.parametrize(
+    ("points", "longest", "found"),
+    [
+        (0, 5, []), (1, 5, [0]), (2, 5, [0, 1]), (5, 5, [0, 1, 2, 3, 4]), (6, 5, [0, 1, 2, 4, 5]), (9, 5, [0, 2, 4, 6, 8]), (9, 2, [0, 8]),
+    ],
+)  # fmt: skip
+def test_points_are_thinned_evenly_with_both_ends(points: int, longest: int, found: list[int]):
+    assert thin(points, longest).tolist() == found
+
+
+def test_nothing_is_thinned_up_to_what_a_plot_can_show():
+    assert LONGEST == 1500
+    assert len(thin(1500)) == len(thin(1501)) == len(thin(40_000)) == 1500
+    assert thin(40_000)[[0, -1]].tolist() == [0, 39_999]
+
+
+def test_columns_are_the_base64_of_their_bytes():
+    values = (1.0, -2.5, 1e-300)
+    found = stage(history={"loss": values})
+    text = json.loads(found.model_dump_json())["history"]["loss"]
+    assert base64.b64decode(text) == struct.pack("<3d", *values)
+    assert found.model_dump()["history"]["loss"] == values
+    assert StageRecord.model_validate_json(found.model_dump_json()) == found
+    assert stage(history={"loss": [1.0, 2.0]}).history["loss"] == (1.0, 2.0)
+    nan = base64.b64encode(struct.pack("<d", float("nan"))).decode()
+    for broken in ("###", base64.b64encode(b"123").decode(), nan, [float("inf")]):
+        with pytest.raises(ValidationError):
+            stage(history={"loss": broken})
+
+
+def test_files_of_the_last_stage_have_no_number():
+    assert stage_files(0, 1) == stage_files(2, 3) == {"trajectory": "trajectory.nc", "replay": "replay.nc", "tracked": "tracked.nc"}
+    assert stage_files(1, 3) == {"trajectory": "trajectory_2.nc", "replay": "replay_2.nc", "tracked": "tracked_2.nc"}
+
+
+def test_a_metric_is_found_by_its_name():
+    first, second = (MetricRecord(name=name, value=1.0, unit="", meaning="") for name in ("a", "b"))
+    found = stage(metrics=(first, second))
+    assert (found.metric("b"), found.metric("c")) == (second, None)
+
+
+@pytest.mark.parametrize("places", [(), (1,), (0, 2), (1, 0), (0, 0)])
+def test_a_leg_has_its_stages_in_order(places: tuple[int, ...]):
+    LegRecord(key="", pipeline="", stages=(stage(), stage(index=1)), files={})
+    with pytest.raises(ValidationError):
+        LegRecord(key="", pipeline="", stages=tuple(stage(index=place) for place in places), files={})
+
+
+def test_what_a_run_and_a_check_are_called():
+    run = factory.runs()[0]
+    assert (run.title, check().title) == ("three_cart x strict", "stress: h01")
+    assert run.model_copy(update={"part": 2, "parts": 3}).title == "three_cart x strict (2 of 3)"
+
+
+def test_a_record_says_itself_what_it_is():
+    run = factory.runs()[0]
+    for record in (run, check()):
+        assert record_of(record.model_dump_json().encode()) == record
+    assert divided([check("b"), run, check("a")]) == ((run,), (check("b"), check("a")))
+    with pytest.raises(ValidationError) as caught:
+        record_of(b"{}")
+    assert ("examination", "kind") in {error["loc"] for error in caught.value.errors()}
+
+
+def test_checks_of_an_fmu_are_counted_by_how_they_ended():
+    ends = ("failed", "passed", "not offered", "failed", "passed", "passed")
+    rows = tuple(CheckRow(name=f"{n}", type="ME", claim="", status=status, sentence="", seconds=0.0) for n, status in enumerate(ends))
+    fmu = FmuRecord(version="2.0", types=("ME",), bytes=1, sha256="", export_seconds=0.0, check_seconds=0.0, rows=rows)
+    assert [fmu.count(status) for status in ("passed", "failed", "not offered")] == [3, 2, 1]
+    assert [row.name for row in fmu.failed] == ["0", "3"]
+
+
+def test_records_lie_in_folders_that_are_finished(tmp_path: Path):
+    assert record_files(tmp_path) == []
+    for name in ("b", "a", ".partial", "c.tmp"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+    (tmp_path / "runs" / "file").write_text("x")
+    assert record_files(tmp_path) == [tmp_path / "runs" / name / "record.json" for name in ("a", "b")]
+
+
+def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
+    """Runs by scene, pipeline and key; checks by kind and name; all that is there."""
+    base = factory.runs()[0]
+
+    def run(scene: str, pipeline: str, key: str):
+        return base.model_copy(update={"scene": base.scene.model_copy(update={"name": scene}), "pipeline": pipeline, "key": key})
+
+    runs = [run("a", "z", "5"), run("a", "y", "4"), run("a", "y", "3"), run("b", "x", "1")]
+    checks = [check("b", "fmu"), check("a", "stress"), check("a", "fmu")]
+    folder = factory.store(tmp_path / "all", [*reversed(runs), *checks])  # type: ignore[list-item]
+    (folder / "campaign.json").unlink()
+    stored = load(folder)
+    assert [item.key for item in stored.runs] == ["3", "4", "5", "1"]
+    assert [item.key for item in stored.examinations] == ["fmu-a", "fmu-b", "stress-a"]
+    assert (stored.folder, stored.campaign, stored.missing, stored.foreign) == ("all", None, (), 0)
+    assert [[item.key for item in group] for group in stored.parts] == [["3"], ["4"], ["5"], ["1"]]
+    (item,) = stored.unreadable
+    assert (item.path, "not there" in item.sentence) == ("campaign.json", True)
+
+
+def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
+    runs = factory.runs()[:4]
+    keys = ("stress-h01", runs[2].key, "lost", runs[0].key, runs[1].key, runs[0].key)
+    folder = factory.store(tmp_path / "all", [*runs, check(), check("h02")], factory.campaign(runs, keys=keys))  # type: ignore[list-item]
+    (folder / "runs" / runs[1].key / "record.json").write_text("{")
+    stored = load(folder)
+    assert [item.key for item in stored.runs] == [runs[2].key, runs[0].key]
+    assert [item.key for item in stored.examinations] == ["stress-h01"]
+    assert stored.missing == ("lost",), "what is broken is not missing"
+    assert stored.foreign == 2
+    assert (stored.folder, stored.campaign) == ("all", factory.campaign(runs, keys=keys))
+    assert [group[0].key for group in stored.parts] == [runs[2].key, runs[0].key]
+    assert [item.path for item in stored.unreadable] == [f"runs/{runs[1].key}/record.json"]
+
+
+def sentence_of(tmp_path: Path, text: str | None) -> str:
+    """What is said of a run's record that holds this, or is not there."""
+    run = factory.runs()[0]
+    folder = factory.store(tmp_path / "all", [run])
+    path = folder / "runs" / run.key / "record.json"
+    if text is None:
+        path.unlink()
+    else:
+        path.write_text(text)
+    (item,) = load(folder).unreadable
+    return item.sentence
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (None, ["not there", "run the campaign again"]),
+        ("{", ["not complete JSON", "run it again"]),
+        ("{}", ["record schema 4", "at examination.key: Field required", "and 8 more"]),
+        ("1", ["record schema 4", "Input should be"]),
+    ],
+)
+def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):
+    said = sentence_of(tmp_path, text)
+    assert [part for part in parts if part not in said] == [], said
+
+
+def test_one_field_that_does_not_fit_is_named_alone(tmp_path: Path):
+    data = json.loads(factory.runs()[0].model_dump_json())
+    said = sentence_of(tmp_path, json.dumps(data | {"wall_seconds": "soon"}))
+    assert "at run.wall_seconds: " in said
+    assert "more" not in said
+    said = sentence_of(tmp_path, json.dumps(data | {"profile": {"p" * 200: "soon"}}))
+    assert f"at run.profile.{'p' * (120 - len('run.profile.'))}: " in said
+    key = "k" * 39 + "xyz"
+    said = sentence_of(tmp_path, json.dumps(data | {"key": key}))
+    assert repr(key[:40]) in said
+
+
+def test_what_is_larger_than_any_record_is_not_read(tmp_path: Path):
+    run = factory.runs()[0]
+    folder = factory.store(tmp_path / "all", [run])
+    path = folder / "runs" / run.key / "record.json"
+    for size, said in ((LARGEST_BYTES + 1, "larger than 64 MB"), (LARGEST_BYTES, "not complete JSON")):
+        os.truncate(path, size)
+        (item,) = load(folder).unreadable
+        assert said in item.sentence
+    assert LARGEST_BYTES == 64 * 2**20
+
+
+def test_a_file_that_refuses_is_told_by_the_systems_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    found: list = []
+    for error, words in ((PermissionError(13, "Permission denied"), "Permission denied"), (TimeoutError(), "TimeoutError")):
+        monkeypatch.setattr(module, "_text", Mock(side_effect=error))
+        assert module.read_record(tmp_path / "file", tmp_path, record_of, found) is None
+        assert (found[-1].path, words in found[-1].sentence) == ("file", True)

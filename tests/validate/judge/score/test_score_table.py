@@ -1,0 +1,263 @@
+"""The table of metrics row by row, and how a row becomes a metric: limits of the scene, of the table, waived, out of bounds, not measured."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.errors import TrajectoryError
+from models.scene import Limit, Scene
+from validate.judge.replay.result import Growth
+from validate.judge.replay.wiring import Effort
+from validate.judge.score import _check_belongs, _metric, _not_asked, _worst
+from validate.judge.score import table as module
+from validate.judge.score.measures import Measured
+from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries, limit_name
+from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured
+
+# name: question, unit on `transport`, what the plan must say, default limit, whether it is of the replay, and which of the scenes below it is of.
+ROWS = """
+    start_error 1 [m, m/s] q 1e-06 - abcd
+    duration_error 1 [s] - 0.5 - abcd
+    bound_violation 1 [N] - 1e-06 - acd
+    velocity_bound_violation 1 [m/s] v 1e-06 - d
+    terminal_position_error 2 [m] q - - ac
+    terminal_velocity_error 2 [m/s] v - - ac
+    cost 2 [1] q,v - - abcd
+    contact_law_error 3 [N s] lam,q,no scheme 0.01 - abcd
+    physics_scaled 3 [s] lam,q,scheme 2e-06 - abcd
+    force_sign_violation 3 [N] lam 1e-06 - abcd
+    friction_violation 3 [N] friction,q,pressing 0.0001 - a
+    friction_dissipation_error 3 [W] friction,v,pressing 0.0001 - a
+    replay_error 4 [m] q 0.01 replay abcd
+    replay_terminal_position_error 4 [m] - - replay ac
+    replay_terminal_velocity_error 4 [m/s] - - replay ac
+    replay_cost 4 [1] - - replay abcd
+    unexplained_force 4 [1] q,no defect 0.1 - abcd
+    max_penetration 5 [m] - 1.0 replay abcd
+    ghost_impulse 5 [N s] lam 0.01 replay abcd
+    missed_impulse 5 [N s] lam 0.01 replay abcd
+    replay_velocity_bound_violation 5 [m/s] - 0.01 replay d
+    defect 6 [m, m/s] q,v,lam,friction,scheme 1e-06 - abcd
+    law_error 6 [m] q,v,scheme 10.0 - abcd
+    discrete_terminal_position_error 6 [m] q,v,scheme 10.0 - ac
+    discrete_terminal_velocity_error 6 [m/s] q,v,scheme 10.0 - ac
+    answer_error None [1] - 1.0 - b
+    energy_residual_relative None [1] - 1e-06 replay abcd
+    physics None [N^2] lam,q - - abcd
+    terminal_error None [m, m/s] q - - ac
+    discrete_terminal_error None [m, m/s] q,v - - ac
+    replay_terminal_error None [m, m/s] - - replay ac
+    replay_error_time None [s] q - - abcd
+    grid_error None [m] q,v,scheme - - abcd
+    grid_order None [1] q,v,scheme - - abcd
+    friction_impulse_error None [N s] friction - replay a
+    energy_residual None [J] - - replay abcd
+    feedback_effort 4 [1] - 0.25 - acd
+    feedback_share 4 [1] - 0.5 - abcd
+    feedback_peak None [1] - - - abcd
+    feedback_saturated None [1] - - - abcd
+    amplification None [1] - - - abcd
+    growth_rate None [1/s] - - - abcd"""
+SCENES = {"a": "transport", "b": "bouncing_mass", "c": "hopper", "d": "wall_pendulum"}
+
+
+def test_every_row_of_the_table_stands_as_it_was_decided():
+    """Apart from what is measured, and the words."""
+    scenes = {letter: load_scene(name) for letter, name in SCENES.items()}
+    found = [
+        f"{row.name} {row.question.number} [{row.unit(scenes['a'])}] {','.join(row.needs) or '-'} {row.default[0] if row.default else '-'} "
+        f"{'replay' if row.of_replay else '-'} {''.join(letter for letter, scene in scenes.items() if row.applies(scene))}"
+        for row in (*TABLE, *FEEDBACK, *GROWTH)
+    ]
+    assert found == [line.strip() for line in ROWS.strip().splitlines()]
+
+
+def test_each_row_measures_what_it_is_called():
+    special = {"answer_error", "unexplained_force", "discrete_terminal_position_error", "discrete_terminal_velocity_error"}
+    for row in TABLE:
+        if row.name not in special:
+            assert row.measure is getattr(module.measures, row.name)
+        assert row.meaning != ""
+
+
+def test_what_is_judged_and_what_is_shown_of_the_judge():
+    assert [row.name for row in TABLE if row.question is Question.JUDGE] == ["answer_error", "energy_residual_relative", "energy_residual"]
+    assert {row.question.number for row in TABLE if row.default is not None} == {1, 3, 4, 5, 6, None}
+
+
+EFFORT = Effort(rms=(1.0,), peak=(2.0,), rms_share=0.125, peak_share=0.25, plan_share=0.5, saturated=0.75)
+
+
+def test_feedback_is_measured_by_its_effort():
+    def case(effort: Effort | None, **bounds: float) -> Any:
+        given = {"lower": -1.0, "upper": 1.0} | bounds
+        tracked = None if effort is None else SimpleNamespace(effort=effort)
+        return SimpleNamespace(opened=SimpleNamespace(tracked=tracked), scene=SimpleNamespace(inputs=[SimpleNamespace(**given)]))
+
+    assert [row.measure(case(EFFORT)) for row in FEEDBACK] == [0.125, 0.5, 0.25, 0.75]
+    for row in FEEDBACK:
+        with pytest.raises(Unmeasured):
+            row.measure(case(None))
+    with pytest.raises(Unmeasured, match="no bounds"):
+        FEEDBACK[0].measure(case(EFFORT, upper=math.inf))
+    still = Effort(rms=(1.0,), peak=(2.0,), rms_share=0.125, peak_share=0.25, plan_share=None, saturated=0.0)
+    with pytest.raises(LeavesBounds):
+        FEEDBACK[1].measure(case(still))
+
+
+def test_growth_is_measured_where_there_is_one():
+    growth = Growth(amplification=math.exp(6.0), begin=0.0, end=1.0, duration=2.0)
+    case: Any = SimpleNamespace(opened=SimpleNamespace(growth=growth))
+    assert [row.measure(case) for row in GROWTH] == pytest.approx([math.exp(6.0), 3.0])
+    for row in GROWTH:
+        with pytest.raises(Unmeasured):
+            row.measure(SimpleNamespace(opened=SimpleNamespace(growth=None)))  # type: ignore[arg-type]
+
+
+def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
+    assert feedback_entries(None) == []
+    twins = feedback_entries(EFFORT)
+    originals = [row for row in TABLE if row.of_replay]
+    assert twins[len(originals) :] == list(FEEDBACK)
+    for twin, row in zip(twins, originals, strict=False):
+        assert (twin.name, limit_name(twin.name), twin.meaning) == (f"tracked_{row.name}", row.name, f"with feedback: {row.meaning}")
+        assert (twin.question, twin.unit, twin.applies, twin.needs, twin.default, twin.of_replay) == (
+            row.question, row.unit, row.applies, row.needs, row.default, False,
+        )  # fmt: skip
+    one = MetricEntry(name="x", question=Question.MOTION, unit=lambda scene: "m", meaning="", measure=lambda case: case, of_replay=True)  # type: ignore[arg-type,return-value]
+    assert module._twin(one).measure(SimpleNamespace(tracked=7.0)) == 7.0  # type: ignore[arg-type]
+
+
+def metric_of(measured: Any, *, question: Question = Question.MOTION, default: tuple[float, str] | None = (0.5, "of the table"),
+              limit: Limit | None = None, needs: tuple[str, ...] = (), missing: frozenset[str] = frozenset(), scheme: Any = None) -> Metric:  # fmt: skip
+    """What becomes of a measurement, or of what it raises."""
+
+    def measure(case: Any) -> Any:
+        if isinstance(measured, Exception):
+            raise measured
+        return measured
+
+    entry = MetricEntry(name="x", question=question, unit=lambda scene: "m", meaning="far", measure=measure, default=default, needs=needs)
+    scene = SimpleNamespace(limit=lambda name: limit if name == "x" else None, nf=1, nc=1, frictions=())
+    return _metric(entry, SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=missing, scheme=scheme)))  # type: ignore[arg-type]
+
+
+def said(metric: Metric) -> tuple[Any, ...]:
+    return (metric.value, metric.error, metric.limit, metric.reason, metric.ok, metric.default)
+
+
+SCENES_OWN, WAIVED = Limit(metric="x", value=2.0, reason="of the scene"), Limit(metric="x", value=None, reason="waived")
+
+
+@pytest.mark.parametrize(
+    ("measured", "options", "expected"),
+    [
+        (0.5, {}, (0.5, 0.0, 0.5, "of the table", True, True)),
+        (0.51, {}, (0.51, 0.0, 0.5, "of the table", False, True)),
+        ((0.4, 0.011), {}, (0.4, 0.011, 0.5, "of the table", None, True)),
+        ((0.4, 0.011), {"question": Question.JUDGE}, (0.4, 0.011, 0.5, "of the table", True, True)),
+        (1.5, {"limit": SCENES_OWN}, (1.5, 0.0, 2.0, "of the scene", True, False)),
+        (2.5, {"limit": SCENES_OWN, "default": None}, (2.5, 0.0, 2.0, "of the scene", False, False)),
+        (2.5, {"limit": WAIVED}, (2.5, 0.0, None, "waived", None, True)),
+        (2.5, {"default": None}, (2.5, 0.0, None, "", None, True)),
+        (2.5, {"question": Question.SHOWN, "limit": SCENES_OWN}, (2.5, 0.0, None, "", None, True)),
+        (2.5, {"default": (math.inf, "none")}, (2.5, 0.0, None, "", None, True)),
+        (math.inf, {}, (None, 0.0, 0.5, "the metric is too large to be a number.", False, True)),
+        (LeavesBounds("far out"), {}, (None, 0.0, 0.5, "far out", False, True)),
+        (LeavesBounds("far out"), {"limit": SCENES_OWN}, (None, 0.0, 2.0, "far out", False, False)),
+        (LeavesBounds("far out"), {"limit": WAIVED}, (None, 0.0, None, "far out", None, True)),
+        (LeavesBounds("far out"), {"default": None}, (None, 0.0, None, "far out", None, True)),
+        (Unmeasured("unseen"), {}, (None, 0.0, None, "unseen", None, True)),
+        (Contradicted("no"), {}, (None, 0.0, 0.5, "no", None, True)),
+        (Contradicted("no"), {"limit": SCENES_OWN}, (None, 0.0, 2.0, "no", None, False)),
+        (Contradicted("no"), {"limit": WAIVED}, (None, 0.0, None, "no", None, True)),
+        (1.0, {"needs": ("q",), "missing": frozenset({"q"})}, (None, 0.0, None, "the plan does not say its positions.", None, True)),
+        (1.0, {"needs": ("v",), "missing": frozenset({"q"})}, (1.0, 0.0, 0.5, "of the table", False, True)),
+        (1.0, {"needs": ("scheme",)}, (None, 0.0, None, "the plan declares no scheme.", None, True)),
+    ],
+)
+def test_a_measurement_becomes_a_metric(measured: Any, options: dict[str, Any], expected: tuple[Any, ...]):
+    found = metric_of(measured, **options)
+    assert said(found) == expected
+    assert (found.name, found.unit, found.meaning) == ("x", "m", "far")
+
+
+@pytest.mark.parametrize(
+    ("need", "missing", "scheme", "words"),
+    [
+        ("v", {"v"}, None, "velocities"), ("lam", {"lam"}, None, "contact forces"), ("friction", {"friction"}, None, "friction forces"),
+        ("no scheme", (), "s", "declares a scheme"), ("no defect", (), "s", "declares a scheme"), ("no defect", {"q"}, "s", ""), ("no defect", (), None, ""),
+        ("no scheme", (), None, ""), ("scheme", (), "s", ""), ("pressing", {"lam"}, None, ""),
+    ],
+)  # fmt: skip
+def test_what_a_plan_does_not_say_is_not_asked(need: str, missing: Any, scheme: Any, words: str):
+    found = metric_of(1.0, needs=(need,), missing=frozenset(missing), scheme=scheme)
+    assert (found.value is None) is bool(words)
+    assert words in found.reason
+
+
+def test_what_presses_on_a_friction_must_be_said():
+    scene = load_scene("two_finger_lift")
+    entry = next(row for row in TABLE if row.name == "friction_violation")
+    case: Any = SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=frozenset({"lam"}), scheme=None))
+    assert "press on its frictions" in _metric(entry, case).reason
+    free = load_scene("three_cart")
+    for name, need in (("friction", free.nf), ("lam", free.nc)):
+        row = MetricEntry(name="x", question=Question.TASK, unit=lambda scene: "m", meaning="", measure=lambda case: 1.0, needs=(name,))
+        case = SimpleNamespace(scene=free, trajectory=SimpleNamespace(missing=frozenset({"friction", "lam"}), scheme=None))
+        assert (_metric(row, case).value is None) is bool(need), "without any there is nothing to say"
+    assert isinstance(free, Scene)
+
+
+def test_the_component_that_decides_is_the_worst_against_its_own_limit():
+    measured = Measured(values=(5.0, 3.0), error=(0.5, 0.25), scales=(10.0, 1.0), allowed=(1.0, 2.0), units=("m", "rad"), base=0.125)  # type: ignore[arg-type]
+    found = _worst(measured, limited=False)
+    assert (found.value, found.error, found.scale, found.allowed, found.base, found.unit) == (3.0, 0.25, 1.0, 2.0, 0.125, "rad")
+    found = _worst(measured, limited=True)
+    assert (found.value, found.error, found.scale, found.allowed, found.base, found.unit) == (5.0, 0.5, 10.0, 1.0, 0.125, "m")
+    assert [(item.value, item.error, item.scale, item.allowed, item.base, item.unit) for item in (_worst(2.0, False), _worst((2.0, 3.0), True))] == [
+        (2.0, 0.0, 1.0, 0.0, 0.0, None), (2.0, 3.0, 1.0, 0.0, 0.0, None),
+    ]  # fmt: skip
+    assert said(metric_of(measured, default=(0.5, "r"))) == (3.0, 0.25, 0.5 * 1.0 + 2.0 + 0.125, "r", None, True)
+    assert said(metric_of(measured, limit=SCENES_OWN)) == (5.0, 0.5, 3.0, "of the scene", None, False)
+    assert metric_of(measured).unit == "rad"
+
+
+def test_what_is_not_asked_is_told_once_for_each_reason():
+    def row(name: str, question: Question, **changes: Any) -> tuple[MetricEntry, Metric]:
+        given = {"value": None, "reason": "unseen."} | changes
+        entry = MetricEntry(name=name, question=question, unit=lambda scene: "m", meaning="", measure=lambda case: 0.0)
+        return entry, Metric(name=name, question=question, unit="m", meaning="", **given)
+
+    rows = [
+        row("a", Question.TASK), row("b", Question.GOAL, reason="dark."), row("c", Question.GOAL), row("d", Question.SHOWN), row("e", Question.JUDGE),
+        row("f", Question.GOAL, value=1.0), row("g", Question.GOAL, limit=1.0), row("h", Question.GOAL, reason=""),
+        row("i", Question.GOAL, reason="the plan declares a scheme, whose own equations are asked instead."),
+    ]  # fmt: skip
+    entries, metrics = [item for item, _ in rows], tuple(item for _, item in rows)
+    scene: Any = SimpleNamespace(not_asked=("of the FMU",))
+    assert _not_asked(scene, entries, metrics) == ("a, c: unseen.", "b: dark.", "of the FMU")
+    assert _not_asked(load_scene("three_cart"), entries[:1], metrics[:1]) == ("a: unseen.",)
+
+
+def test_a_replay_belongs_to_the_nodes_of_its_plan():
+    scene, plan = SimpleNamespace(name="s"), SimpleNamespace(t=np.array([0.0, 1.0, 2.0]))
+
+    def replay(**changes: Any) -> Any:
+        return SimpleNamespace(**({"scene": "s", "ok": True, "knots": np.array([0, 2, 3]), "t": np.array([0.0, 0.5, 1.0, 2.0])} | changes))
+
+    _check_belongs(scene, plan, replay())  # type: ignore[arg-type]
+    _check_belongs(scene, plan, replay(ok=False, knots=np.array([0])))  # type: ignore[arg-type]
+    for changes, part in (
+        ({"scene": "other"}, "scene other"),
+        ({"knots": np.array([0, 1])}, "2 nodes"),
+        ({"knots": np.array([0, 1, 3])}, "3 nodes"),
+    ):
+        with pytest.raises(TrajectoryError, match=part):
+            _check_belongs(scene, plan, replay(**changes))  # type: ignore[arg-type]

@@ -1,0 +1,221 @@
+"""The store piece by piece: who is at work on what is unfinished, files that are not as they were stored, marks, requests, names."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from reports.records.check_record import ExaminationRecord
+from tests.reports import record_factory as factory
+from validate.store import store as module
+from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_of, identity, stored_campaign, stored_names, title_of
+
+HOST = socket.gethostname()
+
+
+@pytest.fixture(scope="module")
+def dead() -> int:
+    """The number of a process that has ended."""
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    return child.pid
+
+
+def test_who_is_at_work(dead: int, monkeypatch: pytest.MonkeyPatch):
+    lives = {
+        f".partial-a-token-{os.getpid()}-{HOST}": True, f".partial-a-token-{os.getpid()}-{HOST}-old": True, f".partial-a-token-{dead}-{HOST}": False,
+        f".partial-a-token-{dead}-{HOST}-old": False, f".partial-a-token-{dead}-another-host": True, f".partial-a-token-{dead}": False,
+        ".partial-a-token-x1-another-host": False, ".partial-": False,
+    }  # fmt: skip
+    assert {name: _owner_lives(name) for name in lives} == lives
+
+    def refuse(pid: int, signal: int) -> None:
+        assert (pid, signal) == (dead, 0)
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    assert _owner_lives(f".partial-a-token-{dead}-{HOST}"), "it is another user's"
+
+
+def test_a_machine_may_have_a_name_of_several_parts(dead: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(socket, "gethostname", lambda: "my-own-host")
+    assert [_owner_lives(f".partial-a-token-{dead}-{host}") for host in ("my-own-host", "my-own-host-old", "my-host")] == [
+        False,
+        False,
+        True,
+    ]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    found = Store(tmp_path / "all")
+    found.prepare()
+    return found
+
+
+def put(store: Store, name: str, record: object = None, cell: object = None, files: object = None) -> Path:
+    folder = store.runs / name
+    folder.mkdir()
+    if record is not None:
+        (folder / RECORD).write_text(record.model_dump_json())  # type: ignore[attr-defined]
+    if cell is not None:
+        (folder / REQUEST).write_text(json.dumps({"cell": cell}))
+    if files is not None:
+        (folder / FILES).write_text(json.dumps(files))
+    return folder
+
+
+def test_a_file_of_another_size_is_damaged(store: Store):
+    folder = put(store, "key", files={"first.nc": 3, "second.nc": 4})
+    (folder / "first.nc").write_bytes(b"123")
+    (folder / "second.nc").write_bytes(b"1234")
+    assert store.damaged_file("key") == ""
+    (folder / "second.nc").write_bytes(b"123")
+    assert store.damaged_file("key") == "second.nc"
+    (folder / "first.nc").unlink()
+    assert store.damaged_file("key") == "first.nc"
+    (folder / FILES).write_text("[]")
+    assert store.damaged_file("key") == store.damaged_file("nowhere") == FILES
+
+
+def test_a_list_of_files_names_none_outside_of_its_folder(store: Store, tmp_path: Path):
+    (tmp_path / "outside.nc").write_bytes(b"123")
+    put(store, "key", files={"../../../outside.nc": 3})
+    assert store.damaged_file("key") == "../../../outside.nc"
+
+
+def test_a_record_of_another_key_is_not_the_tasks(store: Store):
+    run = factory.runs()[0]
+    put(store, run.key, run)
+    put(store, "other", run)
+    assert store.read(run.key) == run
+    record = put(store, "damaged", run.model_copy(update={"key": "damaged"})) / RECORD
+    record.write_text(record.read_text()[:-10])
+    assert store.read("damaged") is None
+    assert store.read("other") is store.read("nowhere") is store.read("\0") is None
+
+
+def test_a_mark_stays_until_it_is_taken_back(store: Store):
+    run = factory.runs()[0]
+    put(store, run.key, run)
+    put(store, "without a record")
+    assert store.mark_for_rerun([run.key, "without a record", "nowhere"]) == [run.key]
+    assert [store.needs_rerun(key) for key in (run.key, "without a record", "nowhere")] == [True, False, False]
+    store.unmark([run.key, "nowhere"])
+    assert not store.needs_rerun(run.key)
+
+
+def test_what_was_asked_for_is_read_where_it_can_be(store: Store):
+    put(store, "b", cell={"name": "second"})
+    put(store, "a", cell={"name": "first"})
+    put(store, "c", cell=[1])
+    put(store, ".partial-d", cell={"name": "unfinished"})
+    (put(store, "e") / REQUEST).write_text("[1]")
+    assert list(store.requests()) == [{"name": "first"}, {"name": "second"}]
+    assert (store.request("a"), store.request("c"), store.request("nowhere")) == ({"name": "first"}, {}, {})
+
+
+def test_a_task_is_stored_under_its_key_with_the_sizes_of_its_files(store: Store):
+    for text in ("one", "another"):
+        partial = store.open_partial("0123456789abcdef", "token")
+        assert partial.name == f".partial-0123456789ab-token-{os.getpid()}-{HOST}"
+        assert Store.of_partial(partial).folder == store.folder
+        (partial / "plan.nc").write_text(text)
+        progress(partial, "halfway")
+        assert (partial / PROGRESS).read_text() == "halfway"
+        target = store.commit(partial, "0123456789abcdef")
+        assert target == store.runs / "0123456789abcdef"
+        assert json.loads((target / FILES).read_text()) == {"plan.nc": len(text)}
+        assert (target / "plan.nc").read_text() == text
+        assert [path.name for path in store.runs.iterdir()] == ["0123456789abcdef"]
+
+
+def test_preparing_removes_what_the_dead_left_and_nothing_else(store: Store, dead: int):
+    """Unfinished runs, and files that were being written in the folder or its report; a run that was to be replaced is put back."""
+    run = factory.runs()[0]
+    mine = put(store, f".partial-a-token-{os.getpid()}-{HOST}")
+    put(store, f".partial-b-token-{dead}-{HOST}")
+    put(store, f".partial-c-token-{dead}-{HOST}-old", run)
+    put(store, f".partial-d-token-{dead}-{HOST}", factory.runs()[1])
+    (store.folder / "report").mkdir()
+    kept = [store.folder / "results.csv", store.folder / "report" / f".partial-file-token-{os.getpid()}-{HOST}"]
+    gone = [store.folder / f".partial-file-token-{dead}-{HOST}", store.folder / "report" / f".partial-file-token-{dead}-{HOST}"]
+    for path in (*kept, *gone):
+        path.write_text("x")
+    store.prepare()
+    assert sorted(path.name for path in store.runs.iterdir()) == sorted([mine.name, run.key])
+    assert [path.exists() for path in (*kept, *gone)] == [True, True, False, False]
+
+
+def test_a_file_is_no_folder_of_a_campaign(tmp_path: Path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StoreError, match="a campaign needs a folder") as caught:
+        Store(tmp_path / "file").prepare()
+    assert str(tmp_path / "file") in str(caught.value)
+
+
+RUN = {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}
+PART = {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": [2, 3]}}
+CHECK = {"kind": "stress", "name": "h01", "scene": "push_box"}
+
+
+def test_what_tasks_are_called():
+    assert [title_of(task) for task in (RUN, PART, CHECK)] == ["three_cart x strict", "three_cart x strict (2 of 3)", "stress: h01"]
+    assert (
+        len({identity(task) for task in (RUN, PART, CHECK, {**CHECK, "scene": None}, {**CHECK, "kind": "FMU"}, {**CHECK, "name": "h02"})})
+        == 6
+    )
+    assert (
+        identity({**RUN, "key": "other"})
+        == identity(RUN)
+        == identity({**RUN, "pipeline": {"name": "strict"}})
+        == identity({**RUN, "pipeline": {"name": "strict", "part": []}})
+    )
+    assert len({identity(RUN), identity({**RUN, "scene_name": "x"}), identity({**RUN, "pipeline": {"name": "x"}})}) == 3
+    assert identity({"pipeline": "damaged", **CHECK}) == identity(CHECK)
+
+
+def test_names_come_from_what_was_asked_or_from_the_record(store: Store, monkeypatch: pytest.MonkeyPatch):
+    first, second = factory.runs()[:2]
+    put(store, first.key, first, cell=PART)
+    put(store, second.key, second, cell={"pipeline": "damaged"})
+    put(store, "nothing")
+    assert stored_names(store, [first.key, second.key, "nothing"]) == {first.key: "three_cart x strict (2 of 3)", second.key: second.title}
+    monkeypatch.setattr(module, "record_of", None)
+    assert stored_names(store, [first.key]) == {first.key: "three_cart x strict (2 of 3)"}, "the record was not read"
+
+
+def test_a_campaign_has_its_tasks_in_its_order(tmp_path: Path):
+    runs = factory.runs()[:3]
+    check = ExaminationRecord(
+        key="check", kind="stress", name="h01", expected="", outcome="answered", passed=True, wall_seconds=1.0, cpu_seconds=1.0,
+        provenance=factory.provenance(),
+    )  # fmt: skip
+    campaign = factory.campaign(runs, keys=(runs[2].key, "check", "lost", runs[0].key))
+    found, records = stored_campaign(factory.store(tmp_path / "all", [*runs, check], campaign))  # type: ignore[list-item]
+    assert found == campaign
+    assert [record.key for record in records] == [runs[2].key, "check", runs[0].key]
+    assert check.title == "stress: h01"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (None, ("no campaign in this folder", "--out")),
+        ("{}", ("damaged, or of another version", "(5 fields do not fit)", "run the campaign again")),
+        ('{"schema_version": 3}', ("schema 3", "run the campaign again")),
+    ],
+)
+def test_what_is_no_campaign_is_refused_with_its_place(tmp_path: Path, text: str | None, parts: tuple[str, ...]):
+    if text is not None:
+        (tmp_path / CAMPAIGN).write_text(text)
+    with pytest.raises(CampaignError) as caught:
+        campaign_of(tmp_path)
+    assert all(part in str(caught.value) for part in (str(tmp_path), *parts))

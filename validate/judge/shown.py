@@ -1,0 +1,283 @@
+"""What is shown of one plan: in a notebook, and as the page that `replay --html` writes, which is that of a run in the report.
+
+    plan = SolvedPlan.of(solution, scene, "softplus_dc+strict")      # a Solution that knows its scene
+    verdict = JudgedPlan.of(judgement, "plan.csv")                   # a Judgement that knows what its plan is called
+    verdict.page("python -m validate replay plan.csv --scene three_cart")
+
+The judge knows neither methods nor reports; this stands above both, and `touchstone` hands these out as `Solution` and `Judgement`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from formulations.pipelines import load_method
+from formulations.solution import Solution
+from models.errors import TrajectoryError
+from models.kinematics import gap_columns, pose_columns
+from models.netcdf import Column, write_columns
+from models.scene import Scene
+from models.trajectory import Trajectory, data_frame
+from reports.records.record import ContactRecord, QuantityRecord, RunRecord, SceneRecord, StageRecord, stage_files
+from reports.render import render_run
+from validate.judge.judgement import Judgement
+from validate.judge.replay.netcdf import storable, storable_name, write_replay
+from validate.judge.replay.result import Replay
+from validate.judge.replay.subject import ForeignModel, Subject
+from validate.store.provenance import gather
+from validate.tasks.leg import Planned
+from validate.tasks.records import Judged, given_stage, stage_record
+from validate.tasks.scene_record import scene_record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_KEY = "plan"
+_NOT_JUDGED = Judged(problem="nobody judged it yet: touchstone.judge(scene, plan) replays it and says whether it holds.")
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SolvedPlan(Solution):
+    """A Solution with its scene and with what found it: a pipeline or a method, and the eps where one was given.
+
+    >>> plan = ts.solve("three_cart", "softplus_dc", eps=1e-3)
+    >>> plan
+    Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
+    """
+
+    scene: Scene
+    pipeline: str
+    eps: float | None = None
+
+    @classmethod
+    def of(cls, solution: Solution, scene: Scene, pipeline: str, eps: float | None = None) -> SolvedPlan:
+        """The same Solution, of this scene."""
+        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)}, scene=scene, pipeline=pipeline, eps=eps)
+
+    @property
+    def title(self) -> str:
+        """What found it: the pipeline, or the method and its eps."""
+        return self.pipeline if self.eps is None else f"{self.pipeline}, eps {self.eps:g}"
+
+    def __repr__(self) -> str:
+        found = [self.outcome.name.lower().replace("_", " ")]
+        found += [] if self.cost is None else [f"cost {self.cost:.4g}"]
+        found += ["no plan"] if self.trajectory is None else [f"{self.trajectory.steps} steps"]
+        return f"Solution({self.scene.name} by {self.title}: {', '.join(found)})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The plan, a row a node, columns by their names in the scene (`Trajectory.to_dataframe`). Raises MachineError, TrajectoryError."""
+        return self._found().to_dataframe(self.scene)
+
+    def plot(self) -> np.ndarray:
+        """Draw the plan (`Trajectory.plot`).
+
+        Returns
+        -------
+        np.ndarray
+            (panels,) matplotlib Axes, time in [s].
+
+        Raises
+        ------
+        MachineError : matplotlib is not installed. TrajectoryError : no plan was found.
+        """
+        return self._found().plot(self.scene)
+
+    def _found(self) -> Trajectory:
+        if self.trajectory is None:
+            raise TrajectoryError(f"{self.title} on {self.scene.name}: no plan was found. {self.message or self.outcome.value}")
+        return self.trajectory
+
+    def stage(self, judged: Judged) -> StageRecord:
+        """The record of its last stage, with what the judge said."""
+        method = load_method(self.method)
+        planned = Planned(index=0, name=self.method, method=method, eps=self.eps, options=method.read_options({}))
+        seconds = self.seconds
+        return stage_record(self.scene, planned, self, 0, wall=seconds.wall, cpu=seconds.cpu, before=0.0, judged=judged)
+
+    def _repr_html_(self) -> str:
+        command = f"touchstone.solve({self.scene.name!r}, {self.pipeline!r}{'' if self.eps is None else f', eps={self.eps!r}'})"
+        return _framed(_page(self.scene, self.trajectory, None, _brief(self.stage(_NOT_JUDGED)), self.title, command))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JudgedPlan(Judgement):
+    """A Judgement that knows what its plan is called: the pipeline that found it, or the file it was read from.
+
+    >>> ts.judge("three_cart", plan)
+    Judgement(three_cart, softplus_dc, eps 0.001: violates, cost 197.9, replay error 0.3546 m)
+    """
+
+    name: str = "plan"
+    solution: SolvedPlan | None = None
+
+    @classmethod
+    def of(cls, judgement: Judgement, plan: Any) -> JudgedPlan:
+        """The same Judgement, of a plan in any form that `judge` takes."""
+        solution = plan if isinstance(plan, SolvedPlan) else None
+        name = solution.title if solution is not None else Path(plan).name if isinstance(plan, (str, Path)) else "plan"
+        return cls(**{item.name: getattr(judgement, item.name) for item in fields(Judgement)}, name=name, solution=solution)
+
+    def __repr__(self) -> str:
+        found = [self.verdict.value]
+        for name in ("cost", "replay_error"):
+            metric = self.score.metric(name)
+            if metric is not None and metric.value is not None:
+                found.append(f"{name.replace('_', ' ')} {metric.value:.4g}{'' if metric.unit == '1' else f' {metric.unit}'}")
+        return f"Judgement({self.scene.name}, {self.name}: {', '.join(found)})"
+
+    def __str__(self) -> str:
+        return super().__repr__()
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The metrics, a row each: question, metric, value, error, unit, limit, ok (None: undecided), meaning, reason. Raises MachineError."""
+        return data_frame(
+            {
+                "question": [metric.question.number for metric in self.score.metrics],
+                "metric": [metric.name for metric in self.score.metrics],
+                **{name: [getattr(metric, name) for metric in self.score.metrics] for name in _COLUMNS},
+            }
+        )
+
+    def plot(self) -> np.ndarray:
+        """Draw the plan beside its replay, that with feedback where the verdict is of it (`Trajectory.plot`).
+
+        Returns
+        -------
+        np.ndarray
+            (panels,) matplotlib Axes, time in [s].
+
+        Raises
+        ------
+        MachineError : matplotlib is not installed. TrajectoryError : there is no plan.
+        """
+        if self.plan is None:
+            raise TrajectoryError(f"{self.name} on {self.scene.name}: there is no plan to draw.")
+        replay = self.replay.tracked if self.replay is not None and self.score.judged == "feedback" else self.replay
+        # A foreign model answers in the same words as a scene.
+        return self.plan.plot(cast(Scene, self.scene), replay)
+
+    def page(self, command: str, warnings: Sequence[str] = ()) -> str:
+        """The page of a run for this plan: one HTML file that needs nothing else. command: what repeats it; warnings: sentences shown with it."""
+        return _page(self.scene, self.plan, self.replay, self._stage(warnings), self.name, command)
+
+    def _repr_html_(self) -> str:
+        command = f"touchstone.judge({self.scene.name!r}, plan)"
+        return _framed(_page(self.scene, self.plan, self.replay, _brief(self._stage()), self.name, command))
+
+    def _stage(self, warnings: Sequence[str] = ()) -> StageRecord:
+        judged = Judged(replay=self.replay, score=self.score, seconds=_seconds(self.replay))
+        return given_stage(self.name, judged, " ".join(warnings)) if self.solution is None else self.solution.stage(judged)
+
+
+# Of a metric in a data frame, beside its question and name.
+_COLUMNS = ("value", "error", "unit", "limit", "ok", "meaning", "reason")
+
+
+def _seconds(replay: Replay | None) -> float:
+    """CPU seconds of the replays [s]."""
+    return 0.0 if replay is None else replay.seconds_reference + replay.seconds_everyday + _seconds(replay.tracked)
+
+
+def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str) -> str:
+    """The page of a run of one stage, drawn from files as a campaign's are."""
+    drawn = subject if isinstance(subject, Scene) else _with_common_names(subject)
+    run = RunRecord(
+        key=_KEY,
+        scene=scene_record(drawn) if isinstance(drawn, Scene) else _foreign_record(drawn, plan),
+        pipeline=name,
+        pipeline_title="" if stage.kind == "given" else stage.method_title,
+        stages=(stage,),
+        outcome=stage.outcome,
+        message=stage.message,
+        verdict=stage.verdict,
+        must_hold=stage.kind != "indirect",
+        wall_seconds=stage.seconds.stage + stage.seconds.replay,
+        cpu_seconds=stage.seconds.stage_cpu + stage.seconds.replay,
+        provenance=gather(command),
+    )
+    with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
+        folder, files = Path(place) / "runs" / _KEY, stage_files(0, 1)
+        folder.mkdir(parents=True)
+        if plan is not None:
+            _write_plan(folder / files["trajectory"], plan, drawn)
+        for what, motion in (("replay", replay), ("tracked", None if replay is None else replay.tracked)):
+            if motion is not None and len(motion.t):
+                write_replay(folder / files[what], motion, drawn)
+        return render_run(run, Path(place))
+
+
+def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
+    """What of a plan is drawn: what its author says, and where the bodies of a scene are then."""
+    forces = [f"lam_{item.name}" for item in subject.contacts] + [item.force_name for item in subject.frictions]
+    said = ["lam" not in plan.missing] * subject.nc + ["friction" not in plan.missing] * subject.nf
+    groups = [
+        ("node", ["t"], plan.t[:, None]),
+        ("node", [item.name for item in subject.coordinates] if plan.has_states else [], plan.q),
+        ("step", [item.name for item in subject.inputs], plan.u),
+        ("step", [name for name, is_said in zip(forces, said, strict=True) if is_said], plan.lam[:, said]),
+    ]
+    columns = [
+        Column(name=name, dimension=dimension, values=values[:, index], unit="", description="")
+        for dimension, names, values in groups
+        for index, name in enumerate(names)
+    ]
+    if isinstance(subject, Scene) and plan.has_states:
+        columns += [*gap_columns(subject, plan.q, "node"), *pose_columns(subject, plan.q, "node")]
+    write_columns(path, storable(columns), {})
+
+
+def _with_common_names(model: ForeignModel) -> ForeignModel:
+    """The model under names that files can have, its forces and gaps called as every report has them, whatever the map calls them."""
+    contacts = []
+    for item in model.contacts:
+        name = storable_name(item.name)
+        contacts.append(replace(item, name=name, force_name=f"lam_{name}", gap_name=f"gap_{name}"))
+    coordinates = tuple(replace(item, name=storable_name(item.name)) for item in model.coordinates)
+    inputs = tuple(replace(item, name=storable_name(item.name)) for item in model.inputs)
+    return replace(model, coordinates=coordinates, inputs=inputs, contacts=tuple(contacts))
+
+
+def _foreign_record(model: ForeignModel, plan: Trajectory | None) -> SceneRecord:
+    """What is known of somebody's FMU, as the record of a scene: names, units, start and goal."""
+    start = () if plan is None else tuple(plan.start.tolist())
+    return SceneRecord(
+        name=model.name,
+        title="Somebody's FMU: what its map names.",
+        source="",
+        coordinates=tuple(_quantity(item.name, item.unit, item.description) for item in model.coordinates),
+        velocities=tuple(_quantity(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in model.coordinates),
+        inputs=tuple(_quantity(item.name, item.unit, item.description) for item in model.inputs),
+        contacts=tuple(ContactRecord(name=item.name, unit="N/m", description=item.description) for item in model.contacts),
+        parameters=(),
+        start=start,
+        goal=model.task.goal,
+        step=model.task.step,
+        steps=0 if plan is None else plan.steps,
+        waived=tuple(f"{limit.metric}: {limit.reason}" for limit in model.limits if limit.value is None),
+    )
+
+
+def _quantity(name: str, unit: str, description: str) -> QuantityRecord:
+    return QuantityRecord(name=name, unit=unit, description=description)
+
+
+def _brief(stage: StageRecord) -> StageRecord:
+    """What a notebook shows of a stage: verdict, motion and what was judged; the rest is in the objects themselves. A frame must stay small in the file."""
+    judged = tuple(metric for metric in stage.metrics if metric.limit is not None)
+    return stage.model_copy(update={"metrics": judged, "history": {}, "options": {}, "residuals": {}})
+
+
+def _framed(page: str) -> str:
+    """A page in a frame of its own, so that its style and script meet nobody else's."""
+    inside = page.replace("&", "&amp;").replace("'", "&#39;")  # all that an attribute in single quotes needs: half of what html.escape adds
+    return (
+        f"<iframe srcdoc='{inside}' sandbox='allow-scripts allow-downloads' title='touchstone' "
+        "style='width: 100%; height: 45em; border: 1px solid #8888'></iframe>"
+    )
