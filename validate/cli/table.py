@@ -42,8 +42,7 @@ def terminal_width(stream: IO[str] | None = None) -> int | None:
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(_WIDE):
         return None
-    stream = sys.stdout if stream is None else stream
-    return shutil.get_terminal_size().columns if os.environ.get("COLUMNS") or stream.isatty() else None
+    return shutil.get_terminal_size().columns if os.environ.get("COLUMNS") or (stream or sys.stdout).isatty() else None
 
 
 def say(text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None) -> None:
