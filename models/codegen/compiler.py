@@ -57,7 +57,7 @@ def _find(cc: str, path: str) -> Compiler:
         if version is not None:
             return Compiler(command, version)
     raise MachineError(
-        "no C compiler was found; install one with: pip install 'touchstone-contact[compiler]' (or set CC to a compiler you have)."
+        "no C compiler was found; install one with: pip install ziglang (or set CC to a compiler you have)."
     )
 
 

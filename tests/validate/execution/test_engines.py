@@ -179,5 +179,5 @@ def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name
 @pytest.mark.slow
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MachineError, match=re.escape("pip install 'touchstone-contact[dask]'")):
+    with pytest.raises(MachineError, match=re.escape("pip install distributed")):
         check_engine("dask")
