@@ -26,8 +26,8 @@ _EPILOG = f"""{_RULE}
 \b
 What is stored is used again, except runs that crashed, ran out of a shorter
 time limit than they would have now, or were to be run anew (--fresh,
---last-failed) when that was interrupted. The key of a run is the hash of its content:
-scene, pipeline with all options, our sources, library versions.
+--last-failed) when that was interrupted. The key of a run is the hash of its
+content: scene, pipeline with all options, our sources, library versions.
 
 \b
 Examples:

@@ -130,12 +130,17 @@ def _stages(record: RunRecord) -> str:
     rows = [
         [
             str(stage.index + 1), stage.method, short(stage.eps, "g"), stage.outcome, short(stage.cost, ".4f"), str(stage.iterations),
-            stage.verdict, short(stage.seconds.stage, ".2f"), short(stage.seconds.replay, ".2f"),
+            stage.verdict, short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f"),
         ]
         for stage in record.stages
     ]  # fmt: skip
-    titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "seconds", "replay s"]
-    return table(titles, [[one_line(cell) for cell in row] for row in rows], ("stage", "eps", "cost", "iterations", "seconds", "replay s"))
+    titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
+    return table(
+        titles,
+        [[one_line(cell) for cell in row] for row in rows],
+        ("stage", "eps", "cost", "iterations", "CPU s", "wall s"),
+        drop=("wall s", "iterations", "CPU s", "stage"),
+    )
 
 
 def _tell_score(stage: StageRecord) -> None:
@@ -174,7 +179,12 @@ def _metrics(stage: StageRecord) -> str:
 
     rows = [row(question.number, view) for question in questions_of(stage) for view in question.metrics]
     titles = ["question", "metric", *values, "+-", "unit", "limit", "", "reason"]
-    return table(titles, [[one_line(cell) for cell in cells] for cells in rows], ("question", *values, "+-", "limit"))
+    return table(
+        titles,
+        [[one_line(cell) for cell in cells] for cells in rows],
+        ("question", *values, "+-", "limit"),
+        drop=("reason", "+-", "question", "limit", "unit", *values[:-1]),
+    )
 
 
 def _against(metric: MetricRecord) -> str:

@@ -22,7 +22,7 @@ _LARGE = 1e9
 _VERDICTS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
 _GAP = "  "
 # A column of sentences is no narrower than this [characters], before another column is left out.
-_SENTENCE = 22
+_SENTENCE = 20
 _WIDE = "touchstone.wide"
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
