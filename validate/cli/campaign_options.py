@@ -14,7 +14,7 @@ import click
 
 from validate.cli.options import scenes
 from validate.cli.table import wide_option
-from validate.tasks.plugins import DEFAULT_TOOLS
+from validate.tasks.plugins import DEFAULT_PLUGIN
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -69,10 +69,10 @@ _SELECTING = (
     ),
     click.option(
         "--plugin",
-        "tools",
-        default=DEFAULT_TOOLS,
+        "plugin",
+        default=DEFAULT_PLUGIN,
         metavar="MODULE[:NAME]",
-        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:TOOLS, which may replace the judge too (docs/extending.md).",
+        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),
 )
 _ENDING = (

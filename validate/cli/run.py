@@ -44,7 +44,7 @@ def command(
     schema: bool,
     as_json: bool,
     as_table: bool,
-    tools: str,
+    plugin: str,
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
@@ -62,9 +62,9 @@ def command(
     from validate.plan.runs import CampaignSettings
     from validate.store.provenance import command_line
 
-    campaign = read_campaign(file, tools)
+    campaign = read_campaign(file, plugin)
     settings = CampaignSettings(
-        out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings()
+        out=out or Path("runs") / file.stem, plugin=plugin, command=command_line(arguments), **options, **campaign.settings()
     )
     if only_plan:
         return tell_plan(settings, as_json=as_json, as_table=as_table)

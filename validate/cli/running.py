@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Words of a command that the same command, typed again to go on, does without.
 _ONCE = frozenset({"--fresh", "--lf", "--last-failed", "-x"})
-# So many runs are named in one sentence.
+# So many of what --quick left out are named.
 _NAMED = 6
 
 
@@ -115,7 +115,7 @@ def _grouped(outcome: CampaignResult) -> list[str]:
 
 def _shared(cause: Cause, sentences: Sequence[str]) -> str:
     names = [sentence.partition(": ")[0] for sentence in sentences]
-    return f"{len(names)} runs - {cause.sentence}. {cause.advice} ({_named(names)})"
+    return f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})"
 
 
 def _named(names: Sequence[str]) -> str:

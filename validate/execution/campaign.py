@@ -35,7 +35,7 @@ from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, of_content, stored_campaign, with_others
 from validate.tasks.leg import PlannedLeg, forget, must_wait
 from validate.tasks.paper import measure
-from validate.tasks.plugins import load_tools
+from validate.tasks.plugins import load_plugin
 from validate.tasks.run import RunTask
 from validate.tasks.task import Task, TaskRecord
 
@@ -160,7 +160,7 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
                 narrator.finished(record)
             narrator.ends()
             told = write()
-    report = load_tools(settings.tools).write_report(settings.out)
+    report = load_plugin(settings.plugin).write_report(settings.out)
     done, examinations = divided(records[key] for key in selected if key in records)
     merged = collected(done)
     return CampaignResult(

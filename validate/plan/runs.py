@@ -28,7 +28,7 @@ from validate.store.stored import CampaignError, identity, stored_campaign
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
-from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
+from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
 from validate.tasks.run import RunTask
 
 NOTHING_STORED = "nothing is stored of it"
@@ -68,7 +68,7 @@ class CampaignSettings:
     engine: str = "local"
     fresh: bool = False
     time_limit: float = 240.0
-    tools: str = DEFAULT_TOOLS
+    plugin: str = DEFAULT_PLUGIN
     command: str = ""
     last_failed: bool = False
     stop_early: bool = False
@@ -111,7 +111,7 @@ class PlannedCheck:
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
     """The tasks asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
-    tools = load_tools(settings.tools)
+    plugin = load_plugin(settings.plugin)
     scenes = list(settings.chosen) or _scenes(settings)
     entries: list[PlannedRun | PlannedCheck] = []
     seen: list[str] = []
@@ -119,7 +119,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
     long: list[str] = []
     for reference in scenes:
         scene = reference.scene
-        pipelines = settings.pipelines or tools.pipelines_for(scene)
+        pipelines = settings.pipelines or plugin.pipelines_for(scene)
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
@@ -128,7 +128,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
             ):
                 if _is_too_long(settings, scene):
                     long.append(scene.name)
-                elif settings.quick and pipeline.name not in tools.quick_names():
+                elif settings.quick and pipeline.name not in plugin.quick_names():
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
@@ -137,14 +137,14 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                             scene=reference.where,
                             scene_name=scene.name,
                             pipeline=part,
-                            tools=settings.tools,
+                            plugin=settings.plugin,
                             time_limit=settings.time_limit,
                             variant=reference.variant,
                         )
-                        entries.append(_entry(task, scene, tools))
+                        entries.append(_entry(task, scene, plugin))
     long = list(dict.fromkeys(long))
     skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
-    examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
+    examined, unexamined = _examined(settings, plugin, settings.examined if settings.chosen else scenes, seen)
     skipped += unexamined
     if not entries and not examined:
         raise _nothing(settings, seen, skipped)
@@ -181,7 +181,7 @@ def scene_cost(scene: Scene) -> int:
 
 
 def _examined(
-    settings: CampaignSettings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
+    settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedCheck], tuple[str, ...]]:
     """The examinations asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
 
@@ -190,7 +190,7 @@ def _examined(
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
     examined: list[PlannedCheck] = []
     left_out: list[Examination] = []
-    for item in tools.examinations(scenes):
+    for item in plugin.examinations(scenes):
         if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
@@ -217,9 +217,9 @@ def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
 
 
-def _entry(task: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
-    plan = planned_stages(task.pipeline, tools.methods_of(task.pipeline))
-    source = tools_source(task.tools)
+def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedRun:
+    plan = planned_stages(task.pipeline, plugin.methods_of(task.pipeline))
+    source = plugin_source(task.plugin)
 
     def key_of(stages: Sequence[Planned], *named: str) -> str:
         return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)

@@ -18,8 +18,8 @@ from reports.rule_text import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
 
-TOOLS = ("--plugin", "campaign_fakes:TOOLS")
-FAKES = (*TOOLS, "--scene", "three_cart")
+PLUGIN = ("--plugin", "campaign_fakes:PLUGIN")
+FAKES = (*PLUGIN, "--scene", "three_cart")
 GOOD = (*FAKES, "-k", "only_good")
 
 
@@ -79,7 +79,7 @@ def test_list_imports_no_solver():
         (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
         (("all", "--retry", "-1"), "-1 is not in the range"),
         (("all", "--quik"), "Did you mean '--quick'?"),
-        (("all", "--tools", "campaign_fakes:TOOLS"), "--tools is called --plugin now."),
+        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."),
         (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"),
         (("all", "--time-limit", "-1"), "not a positive number of seconds"),
@@ -88,7 +88,7 @@ def test_list_imports_no_solver():
         (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
         (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
         (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
-        (("all", "--plugin", "no_such_module:TOOLS"), "cannot be imported"),
+        (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
         (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
         (("report", "nowhere/at_all"), "there is no campaign in this folder"),
         (("replay", "plan.csv"), "give either --scene or --fmu"),
@@ -202,7 +202,7 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
 def test_a_scene_of_ones_own_by_path(cli, tmp_path):
     source = Path(__file__).parents[2] / "scenes" / "oscillator.py"
     out = tmp_path / "out"
-    done = cli("all", *TOOLS, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out))
+    done = cli("all", *PLUGIN, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out))
     assert done.returncode == 0, done.stderr
     assert "oscillator" in done.stdout
     assert (out / "results.csv").read_text().splitlines()[1].startswith("oscillator,only_good,1,good,,solved,")
@@ -228,11 +228,11 @@ def test_quick_says_what_it_left_out(cli, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
+    ("plugin", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
 )
-def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
+def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, plugin, words):
     done = cli(
-        "all", "--plugin", f"campaign_fakes:{tools}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
+        "all", "--plugin", f"campaign_fakes:{plugin}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
     )
     assert done.returncode == 1
     failures = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 
 
 def told(cli, out: Path, *words: str) -> dict:
@@ -101,7 +101,7 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
         "    *CARTS.limits, Limit(metric='missed_impulse', value=None, reason='nothing is touched twice')))\n",
         encoding="utf-8",
     )
-    words = ("--plugin", "campaign_fakes:TOOLS", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
+    words = ("--plugin", "campaign_fakes:PLUGIN", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
     told = json.loads(cli("plan", *words, "--json").stdout)
     assert told["waived"] == {"waiving": ["missed_impulse: nothing is touched twice"]}
     assert told["unstable"] == {"waiving": "It falls over."}

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from validate.cli.report import command
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 NAMES = ("report.html", "results.csv", "violation.csv")
 
 

@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.process,
     pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)"),
 ]
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
 HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 

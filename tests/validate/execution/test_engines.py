@@ -20,7 +20,7 @@ from validate.execution.engine import EngineError, check_engine
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")

@@ -17,7 +17,7 @@ from validate.store.provenance import command_line
 from validate.store.store import Store
 
 FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
 
 
@@ -66,7 +66,7 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):

@@ -17,7 +17,7 @@ from validate.store.provenance import examination_key
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.plugins import DEFAULT
 
-FAKES = ("--plugin", "examination_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "examination_fakes:PLUGIN", "--scene", "three_cart")
 
 
 def _records(out: Path) -> dict[str, ExaminationRecord]:
@@ -99,7 +99,7 @@ def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
 
 
 def test_selection_by_words_and_scenes_and_quick():
-    settings = CampaignSettings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
+    settings = CampaignSettings(out=Path(), plugin="examination_fakes:PLUGIN", scenes=("three_cart",), expression="asked")
     entries, left_out = select(settings)
     assert [entry.task.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
@@ -111,7 +111,7 @@ def test_selection_by_words_and_scenes_and_quick():
     assert [entry.task.title for entry in everywhere][-1] == "question: yes of nothing"
     assert re.fullmatch(r"question: \d+ examinations", left_out[0])
     with pytest.raises(CampaignError, match="-k 'asked' selects no cell"):
-        select(replace(settings, tools="campaign_fakes:TOOLS"))
+        select(replace(settings, plugin="campaign_fakes:PLUGIN"))
 
 
 def _examination(**changes) -> Examination:
