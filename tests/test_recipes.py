@@ -102,7 +102,7 @@ def test_a_file_with_a_method_is_a_plugin(folder: Path):
         ("empty_plugin", "", ("empty_plugin has no METHOD",)),
         ("soft_plugin", FILES["smooth_gd.py"].replace("PIPELINE =", "OTHER ="), ("smooth_gd needs eps", "define PIPELINE")),
         ("odd_plugin", "METHOD = 1", ("no METHOD", "formulations.method.Method")),
-        ("odd_plugin", "PLUGIN = 1", ("odd_tools has no", "METHOD")),
+        ("odd_name", "PLUGIN = 1", ("odd_name has no", "METHOD")),
     ],
 )
 def test_a_plugin_that_is_none_is_refused(folder: Path, name: str, text: str, parts: tuple[str, ...]):

@@ -68,7 +68,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert len(failing) == 5
     assert "fails: question: no of three_cart: failed - it says no." in failing
     assert "fails: question: refuse of three_cart: failed - the examination says why it cannot." in failing
-    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s, it says yes\.", done.stderr)
+    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s wall\), it says yes\.", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
     assert "question" not in (out / "results.csv").read_text()
     assert not list(out.glob("runs/.partial-*"))
@@ -110,7 +110,7 @@ def test_selection_by_words_and_scenes_and_quick():
     everywhere, left_out = select(replace(settings, quick=True, scenes=()))
     assert [entry.task.title for entry in everywhere][-1] == "question: yes of nothing"
     assert re.fullmatch(r"question: \d+ examinations", left_out[0])
-    with pytest.raises(CampaignError, match="-k 'asked' selects no cell"):
+    with pytest.raises(CampaignError, match="-k 'asked' selects no run and no check"):
         select(replace(settings, plugin="campaign_fakes:PLUGIN"))
 
 
