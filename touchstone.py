@@ -139,7 +139,7 @@ def solve(
     name: str = "softplus_dc+strict",
     *,
     eps: float | None = None,
-    start: Solution | Trajectory | None = None,
+    start: Solution | Trajectory | Mapping[str, Any] | str | Path | None = None,
     time_limit: float = 600.0,
     **options: Any,
 ) -> Solution:
@@ -150,7 +150,7 @@ def solve(
     scene : Scene, or its name, or the path of its file
     name : a pipeline or a method. A pipeline has its own eps and options; where `eps` or options are given, the method of that name is meant.
     eps : the relaxation of a method that has one.
-    start : a plan on the scene's grid to start from; None for the scene's own first guess.
+    start : a plan on the scene's grid to start from, in any form that `judge` takes; None for the scene's own first guess.
     time_limit : of all stages [s].
     options : of the method, by name (`python -m validate list --json`).
 
@@ -166,10 +166,11 @@ def solve(
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
     from formulations.solve import solve_scene
+    from validate.judge.judgement import as_trajectory
     from validate.judge.shown import SolvedPlan
 
     wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
-    first: Any = getattr(start, "trajectory", start)
+    first = None if start is None else as_trajectory(start, wanted)
     found = solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
     return SolvedPlan.of(found, wanted, name, eps)
 

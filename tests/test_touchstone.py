@@ -100,6 +100,8 @@ def test_a_warm_start_and_options_reach_the_method(plan: ts.Solution):
         (lambda: ts.solve("three_cart", "nothing_like_it"), UnknownNameError, ("pipelines", "methods", "mpcc")),
         (lambda: ts.solve("three_cart", "softplus_dc+strict", eps=1e-3), OptionError, ("pipeline softplus_dc+strict", "leave them out")),
         (lambda: ts.solve("three_cart", "mpcc", wrong=1), OptionError, ("mpcc", "'wrong'")),
+        (lambda: ts.solve("three_cart", "mpcc", start="no_such.csv"), TouchstoneError, ("no_such.csv",)),
+        (lambda: ts.solve("three_cart", "mpcc", start=7), TouchstoneError, ("int is no plan", "CSV")),
         (lambda: ts.scene("three_carts"), TouchstoneError, ("three_carts", "three_cart")),
         (lambda: ts.judge("three_cart", "plan.csv", map="map.toml"), SceneError, ("map", "FMU")),
         (lambda: ts.read_plan("no_such.csv", "three_cart"), TouchstoneError, ("no_such.csv",)),

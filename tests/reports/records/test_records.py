@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from reports.records import load as module
 from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, divided, record_of
 from reports.records.load import LARGEST_BYTES, load, record_files
-from reports.records.record import LONGEST, LegRecord, MetricRecord, StageRecord, stage_files, thin
+from reports.records.record import LONGEST, SCHEMA_VERSION, LegRecord, MetricRecord, StageRecord, stage_files, thin
 from tests.reports import record_factory as factory
 
 
@@ -203,3 +203,10 @@ def test_a_file_that_refuses_is_told_by_the_systems_words(tmp_path: Path, monkey
         monkeypatch.setattr(module, "_text", Mock(side_effect=error))
         assert module.read_record(tmp_path / "file", tmp_path, record_of, found) is None
         assert (found[-1].path, words in found[-1].sentence) == ("file", True)
+
+
+def test_what_is_no_record_at_all_has_no_place_in_it(tmp_path: Path):
+    folder = factory.store(tmp_path / "all", factory.runs()[:1])
+    (folder / "campaign.json").write_text("1")
+    (item,) = load(folder).unreadable
+    assert f"record schema {SCHEMA_VERSION} (Input should be" in item.sentence

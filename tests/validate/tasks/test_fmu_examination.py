@@ -15,6 +15,7 @@ import validate.tasks.fmu_examination
 from models.catalog import load_scene, scene_names
 from reports.records.check_record import StoredRecord
 from validate.execution.campaign import CampaignSettings, select
+from validate.plan.runs import scene_cost
 from validate.tasks.examination import Course
 from validate.tasks.fmu_examination import VERSIONS, examine
 

@@ -56,7 +56,7 @@ def test_an_outcome_in_words_is_refused():
 
 def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pytest.MonkeyPatch):
     """With clocks that go on by 1 s and by 8 s whenever they are looked at: a stage takes one look, and so do opening and asking before it."""
-    walls, cpus = itertools.count(0.0, 1.0), itertools.count(0.0, 8.0)
+    walls, cpus = itertools.count(5.0, 1.0), itertools.count(70.0, 8.0)
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
     monkeypatch.setattr(module.time, "process_time", lambda: next(cpus))
     planned = planned_one(Solution(method="m", outcome=Outcome.SOLVED))

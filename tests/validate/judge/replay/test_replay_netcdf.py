@@ -20,7 +20,7 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf, write_netcdf
 from validate.judge.replay import Replay
-from validate.judge.replay.netcdf import _storable, write_replay
+from validate.judge.replay.netcdf import storable, write_replay
 from validate.judge.replay.run import replay
 
 STEPS = 40
@@ -182,7 +182,7 @@ def test_a_plan_of_other_size_is_not_written(tmp_path: Path, scene: Scene, plan:
 
 def test_names_that_netcdf_does_not_allow_are_changed_and_said():
     given = [("a_b", ""), ("a/b", "gap"), ("a\x00b", "force"), ("time", "of another"), (" ", "")]
-    found = _storable([Column(name=name, dimension="time", values=np.zeros(1), unit="m", description=text) for name, text in given])
+    found = storable([Column(name=name, dimension="time", values=np.zeros(1), unit="m", description=text) for name, text in given])
     assert [(item.name, item.description) for item in found] == [
         ("a_b", ""),
         ("a_b_2", "a/b: gap"),
