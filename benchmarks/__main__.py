@@ -3,4 +3,4 @@
 from validate.__main__ import main
 
 if __name__ == "__main__":
-    main("benchmarks.commands", "python -m benchmarks")
+    main("benchmarks.commands")

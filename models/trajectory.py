@@ -46,7 +46,7 @@ class Hold(Enum):
 HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
 # What the panels of a plot are called, by what they show.
 _TITLES = {"q": "position", "v": "velocity", "lam": "force", "u": "input"}
-_INSTALL = "pip install 'touchstone-contact[notebook]'"
+_INSTALL = "pip install matplotlib pandas"
 # What a plan's author may leave out.
 GROUPS = ("q", "v", "lam", "friction")
 

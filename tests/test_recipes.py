@@ -22,7 +22,7 @@ from models.errors import UnknownNameError
 from reports.records.load import load
 from tests.formulations import test_method_conformance as asked_of_methods
 from tests.models import test_scene_bank as asked_of_scenes
-from validate.tasks.plugins import DEFAULT, load_tools
+from validate.tasks.plugins import DEFAULT, load_plugin
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -86,13 +86,13 @@ def test_conformance_is_asked():
 
 
 def test_a_file_with_a_method_is_a_plugin(folder: Path):
-    tools = load_tools("steady")
-    first, *others = tools.pipelines_for(load_scene("three_cart"))
+    plugin = load_plugin("steady")
+    first, *others = plugin.pipelines_for(load_scene("three_cart"))
     assert (first.name, [leg.method for leg in first.legs]) == ("steady", ["steady"])
     assert others == [*DEFAULT.pipelines_for(load_scene("three_cart"))]
-    assert tools.load_method("steady").kind is Kind.DIRECT
-    assert tools.load_method("mpcc") is DEFAULT.load_method("mpcc")
-    smooth = load_tools("smooth_gd").pipelines_for(load_scene("three_cart"))[0]
+    assert plugin.load_method("steady").kind is Kind.DIRECT
+    assert plugin.load_method("mpcc") is DEFAULT.load_method("mpcc")
+    smooth = load_plugin("smooth_gd").pipelines_for(load_scene("three_cart"))[0]
     assert smooth == Pipeline(name="smooth_gd", title="Smooth inputs", legs=(Leg(method="smooth_gd", schedule=(1e-2,)),))
 
 
@@ -102,13 +102,13 @@ def test_a_file_with_a_method_is_a_plugin(folder: Path):
         ("empty_plugin", "", ("empty_plugin has no METHOD",)),
         ("soft_plugin", FILES["smooth_gd.py"].replace("PIPELINE =", "OTHER ="), ("smooth_gd needs eps", "define PIPELINE")),
         ("odd_plugin", "METHOD = 1", ("no METHOD", "formulations.method.Method")),
-        ("odd_tools", "TOOLS = 1", ("odd_tools has no", "METHOD")),
+        ("odd_name", "PLUGIN = 1", ("odd_name has no", "METHOD")),
     ],
 )
 def test_a_plugin_that_is_none_is_refused(folder: Path, name: str, text: str, parts: tuple[str, ...]):
     (folder / f"{name}.py").write_text(text, encoding="utf-8")
     with pytest.raises(UnknownNameError) as refused:
-        load_tools(name)
+        load_plugin(name)
     assert all(part in str(refused.value) for part in (f"--plugin {name}", *parts))
 
 

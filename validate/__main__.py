@@ -8,12 +8,13 @@ import importlib
 import os
 import signal
 import sys
+from pathlib import Path
 
 # New objects after which Python looks for cycles among them, instead of 700.
 _OBJECTS = 200_000
 
 
-def main(module: str = "validate.cli.group", program: str = "python -m validate") -> None:
+def main(module: str = "validate.cli.group") -> None:
     """The command line of a program, whose `group` of commands is in a module."""
     # Importing SymPy makes 10^5 objects that stay; looking for cycles among them again and again takes a quarter of its time (0.13 s of 0.53).
     gc.set_threshold(_OBJECTS)
@@ -26,12 +27,18 @@ def main(module: str = "validate.cli.group", program: str = "python -m validate"
     try:
         from validate.cli.group import run
 
-        code = run(sys.argv[1:], importlib.import_module(module).group, program)
+        code = run(sys.argv[1:], importlib.import_module(module).group, _typed(module))
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written and told, and the exit code stays what it is
     except KeyboardInterrupt:  # before there was anything that hears it
         code = 130
     codes.append(code)
     sys.exit(code)
+
+
+def _typed(module: str) -> str:
+    """The program as it was called: `python3 -m validate`, or `touchstone`."""
+    name = Path(sys.argv[0]).name
+    return name if name != "__main__.py" else f"{sys.orig_argv[0]} -m {module.partition('.')[0]}"
 
 
 def _refused(sentence: str) -> int:

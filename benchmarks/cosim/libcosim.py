@@ -33,7 +33,7 @@ _PATIENCE = 600.0
 def libcosim_refusal() -> str | None:
     """None, or why it cannot run here."""
     if importlib.util.find_spec("libcosimpy") is None:
-        return "libcosimpy is not installed; it comes with: pip install 'touchstone-contact[fmu-check]'"
+        return "libcosimpy is not installed; it comes with: pip install -e '.[fmu-check]'"
     return None
 
 

@@ -10,7 +10,7 @@ from benchmarks.measure import Size
 
 OURS = "touchstone"
 YARDSTICK = "yardstick"
-_BENCH = "pip install 'touchstone-contact[bench]'"
+_BENCH = "pip install -e '.[bench]'"
 _CASADI = {"casadi": _BENCH}
 _DRAKE = {"pydrake": "pip install drake"}
 _STAGES, _PEERS = "benchmarks.suite.stages", "benchmarks.suite.peers"

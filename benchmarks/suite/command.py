@@ -27,7 +27,7 @@ Examples:
 Every measurement is a child process with one thread; all stages and peers of a
 size take turns, round after round, beside a fixed piece of work that tells how
 fast the machine is. Peers are measured where they are installed:
-pip install 'touchstone-contact[bench]' drake
+pip install -e '.[bench]' drake
 
 \b
 --compare: worse is a median more than 15 % above the earlier one (memory: and

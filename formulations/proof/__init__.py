@@ -8,7 +8,7 @@
 2. `build_miqp`: one binary variable a remaining pair, big-M from these bounds, as a plain Pyomo model.
 3. `prove`: SCIP through Pyomo; its plan is rolled out through the true contact law and counts only as what that rollout costs.
 
-Two solvers do the work: SCIP for the mixed-integer program (`pip install 'touchstone-contact[global]'`), Clarabel for the convex ones.
+Two solvers do the work: SCIP for the mixed-integer program (`pip install pyscipopt`), Clarabel for the convex ones.
 Nothing is assumed beyond the scene itself: no symmetry, no limit on the number of contact intervals, no least time between two of them.
 """
 

@@ -55,7 +55,7 @@ def missing_solver() -> str | None:
     """None, or the sentence that says what is not installed and how to install it."""
     if importlib.util.find_spec("pyscipopt") is not None:
         return None
-    return "a proof needs pyscipopt (SCIP, for mixed-integer programs); install with: pip install 'touchstone-contact[global]'."
+    return "a proof needs pyscipopt (SCIP, for mixed-integer programs); install with: pip install pyscipopt."
 
 
 def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:

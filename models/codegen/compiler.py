@@ -56,9 +56,7 @@ def _find(cc: str, path: str) -> Compiler:
         version = _version(command)
         if version is not None:
             return Compiler(command, version)
-    raise MachineError(
-        "no C compiler was found; install one with: pip install 'touchstone-contact[compiler]' (or set CC to a compiler you have)."
-    )
+    raise MachineError("no C compiler was found; install one with: pip install ziglang (or set CC to a compiler you have).")
 
 
 def zig_compiler(target: str) -> Compiler:

@@ -85,4 +85,4 @@ def platform_compiler(platform: Platform) -> Compiler:
         return zig_compiler(platform.target)
     if own:
         return find_compiler()
-    raise MachineError(f"binaries for {platform.name} need a cross-compiler; install one with: pip install 'touchstone-contact[compiler]'")
+    raise MachineError(f"binaries for {platform.name} need a cross-compiler; install one with: pip install ziglang")

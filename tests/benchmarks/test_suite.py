@@ -32,7 +32,7 @@ def test_all_ways_through_a_stage_end_at_the_same_answer(stage: str, tmp_path: P
     """A faster way to another answer is no faster way: cost of the plan, norm of the gradient, position at the end."""
     cases = [case for case in CASES if case.stage == stage and not case.missing()]
     if len(cases) < 2:
-        pytest.skip("no peer is installed: pip install 'touchstone-contact[bench]'")
+        pytest.skip("no peer is installed: pip install -e '.[bench]'")
     values = {case.by: value_of(case, tmp_path, Size(3, 50)) for case in cases}
     loose = 1e-3 if "drake_snopt" in values else 1e-6  # SNOPT's feasibility of 1e-6 moves the cost
     assert values == pytest.approx(dict.fromkeys(values, values[OURS]), rel=loose)
@@ -79,10 +79,7 @@ def test_the_suite_selects_and_says_why_not(monkeypatch):
     assert any("--slow" in sentence for sentence in left_out)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     _, left_out = plan(Settings(sizes=(SIZE,), expression="cs_replay or softplus_chain"))
-    assert (
-        "softplus_chain by casadi is not measured: the module casadi is not installed (pip install 'touchstone-contact[bench]')."
-        in left_out
-    )
+    assert "softplus_chain by casadi is not measured: the module casadi is not installed (pip install -e '.[bench]')." in left_out
 
 
 def test_sizes_that_a_peer_is_not_for_are_said():

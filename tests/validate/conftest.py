@@ -20,7 +20,7 @@ def cli_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     base = tmp_path_factory.getbasetemp()
     cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     cache.mkdir(exist_ok=True)
-    return {**os.environ, "PYTHONPATH": str(FAKES_FOLDER), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1", "COLUMNS": "200"}
+    return {**os.environ, "PYTHONPATH": str(FAKES_FOLDER), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from reports.rule_text import RESULTS, RULE
-from validate.cli.campaign_options import running_options
+from validate.cli.campaign_options import result_options, running_options
 
 
 def _wrapped(text: str) -> str:
@@ -26,8 +26,8 @@ _EPILOG = f"""{_RULE}
 \b
 What is stored is used again, except runs that crashed, ran out of a shorter
 time limit than they would have now, or were to be run anew (--fresh,
---last-failed) when that was interrupted. The key of a run is the hash of its content:
-scene, pipeline with all options, our sources, library versions.
+--last-failed) when that was interrupted. The key of a run is the hash of its
+content: scene, pipeline with all options, our sources, library versions.
 
 \b
 Examples:
@@ -48,17 +48,20 @@ configuration or nothing selected; 3 a system requirement is missing;
 
 @click.command(epilog=_EPILOG)
 @running_options
-@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout instead of a table.")
+@result_options
 @click.pass_obj
-def command(arguments: tuple[str, ...], as_json: bool, **options: Any) -> int:
+def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options: Any) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
-    Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html with its pages,
-    results.csv (one row a stage), examinations.csv (one row a check, such as that of a scene's FMU), violation.csv,
+    Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report. DIR then holds report.html with its
+    pages, results.csv (one row a stage), examinations.csv (one row a check, such as that of a scene's FMU), violation.csv,
     starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
+
+    A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in the report.
     """
     from validate.cli.running import run_and_tell
     from validate.plan.runs import CampaignSettings
     from validate.store.provenance import command_line
 
-    return run_and_tell(CampaignSettings(command=command_line(arguments), **options), arguments, as_json)
+    settings = CampaignSettings(command=command_line(arguments), **options)
+    return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import click
 
 from validate.cli.options import scenes
-from validate.tasks.plugins import DEFAULT_TOOLS
+from validate.cli.table import wide_option
+from validate.tasks.plugins import DEFAULT_PLUGIN
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -68,10 +69,10 @@ _SELECTING = (
     ),
     click.option(
         "--plugin",
-        "tools",
-        default=DEFAULT_TOOLS,
+        "plugin",
+        default=DEFAULT_PLUGIN,
         metavar="MODULE[:NAME]",
-        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:TOOLS, which may replace the judge too (docs/extending.md).",
+        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),
 )
 _ENDING = (
@@ -91,6 +92,17 @@ _OUT = click.option(
 _OUT_OF_FILE = click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]"
 )
+
+
+def result_options(command: _Command) -> _Command:
+    """How results are printed."""
+    json_words, table_words = "As JSON on stdout, in full.", "A row for each stage of each run; of a plan, for each run."
+    options = (
+        click.option("--table", "as_table", is_flag=True, help=table_words),
+        wide_option,
+        click.option("--json", "as_json", is_flag=True, help=json_words),
+    )
+    return _decorated(command, options)
 
 
 def campaign_options(command: _Command) -> _Command:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from validate.cli.options import FiniteRange
-from validate.cli.table import one_line, use_colour
+from validate.cli.table import one_line, say, table, use_colour, wide_option
 
 if TYPE_CHECKING:
-    from validate.fmu_check import CheckReport, FmuCheckRow
+    from validate.fmu_check import CheckReport
 
 _EPILOG = """\b
 Examples:
@@ -35,6 +33,7 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
+@wide_option
 def command(file: Path, names: tuple[str, ...], time_limit: float, as_json: bool) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
 
@@ -46,10 +45,8 @@ def command(file: Path, names: tuple[str, ...], time_limit: float, as_json: bool
     report = check_fmu(file, names=names or None, seconds=time_limit)
     if as_json:
         click.echo(json.dumps(_data(report), indent=1, allow_nan=False))
-    elif sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
-        _print_rich(report)
     else:
-        _print_plain(report)
+        _print(report)
     return _code(report)
 
 
@@ -89,32 +86,12 @@ def _summary(report: CheckReport) -> str:
     return one_line(f"{report.path}{about}: {counts}{missing}")
 
 
-def _label(row: FmuCheckRow) -> str:
-    return f"{row.name} ({row.type})" if row.type else row.name
-
-
-def _print_plain(report: CheckReport) -> None:
-    """One line a check, for pipes and logs: status, name, sentence."""
-    width = max(len(_label(row)) for row in report.rows)
-    for row in report.rows:
-        click.echo(f"{row.status.value:11}  {_label(row):{width}}  {one_line(row.sentence)}")
+def _print(report: CheckReport) -> None:
+    rows = [
+        [f"{_SIGNS[row.status.value]} {row.status.value}", f"{row.name} ({row.type})" if row.type else row.name, one_line(row.sentence)]
+        for row in report.rows
+    ]
+    colours = {f"{_SIGNS[name]} {name}": colour for name, colour in _COLOURS.items()}
+    click.echo(table(["", "check", "what was found"], rows, colours=colours), color=use_colour())
     click.echo()
-    click.echo(_summary(report), color=use_colour())
-
-
-def _print_rich(report: CheckReport) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(no_color=use_colour() is False)
-    table = Table(show_edge=False, pad_edge=False, header_style="bold")
-    for title in ("", "check", "type", "what was found"):
-        table.add_column(title, no_wrap=title in ("", "type"))
-    for row in report.rows:
-        style = _COLOURS[row.status.value]
-        status = Text(f"{_SIGNS[row.status.value]} {row.status.value}", style=style)
-        table.add_row(status, Text(row.name), row.type, Text(one_line(row.sentence), style=style if row.status.value != "passed" else ""))
-    console.print(table)
-    console.print()
-    console.print(_summary(report), markup=False, highlight=False)
+    say(_summary(report))

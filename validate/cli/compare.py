@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from validate.cli.table import one_line, table, use_colour
+from validate.cli.table import one_line, say, table, use_colour, wide_option
 
 _EPILOG = """\b
 Examples:
@@ -38,6 +38,7 @@ _WORDS = {
 @click.argument("before", type=click.Path(path_type=Path), metavar="A")
 @click.argument("after", type=click.Path(path_type=Path), metavar="B")
 @click.option("--json", "as_json", is_flag=True, help="The differences as JSON on stdout.")
+@wide_option
 def command(before: Path, after: Path, as_json: bool) -> int:
     """What differs between the campaigns in the folders A (before) and B (after), regressions first."""
     from validate.store.compare import compare
@@ -62,10 +63,8 @@ def command(before: Path, after: Path, as_json: bool) -> int:
             [_WORDS[change.kind.name][0], *(one_line(text) for text in (change.where, change.what, change.before, change.after))]
             for change in comparison.changes
         ]
-        lines = table(["", "where", "what", str(before), str(after)], cells).splitlines()
-        for line, change in zip(lines, [None, None, *comparison.changes], strict=True):
-            colour = _WORDS[change.kind.name][1] if change is not None else None
-            click.echo(click.style(line, fg=colour) if colour else line, color=use_colour())
+        titles = ["", "where", "what", "before", "after"]
+        click.echo(table(titles, cells, drop=("before",), colours=dict(_WORDS.values())), color=use_colour())
         click.echo()
     counts = Counter(_WORDS[change.kind.name][0] for change in comparison.changes)
     told = ", ".join(f"{count} {word}" for word, count in counts.items()) or "none"
@@ -85,7 +84,7 @@ def _loaded(folder: Path):
         (why,) = (item.sentence for item in stored.unreadable if item.path == "campaign.json")
         raise click.UsageError(one_line(f"{folder / 'campaign.json'}: {why}"))
     for item in stored.unreadable:
-        click.echo(one_line(f"warning: {folder / item.path}: {item.sentence}"), err=True)
+        say(f"warning: {folder / item.path}: {item.sentence}", err=True)
     if not stored.runs and not stored.examinations:
         raise click.UsageError(f"{folder}: there is no readable record; give the folder of a campaign (it holds campaign.json and runs/).")
     return stored

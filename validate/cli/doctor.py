@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from validate.cli.table import one_line, use_colour
+from validate.cli.table import say
 
 _EPILOG = """\b
 Examples:
@@ -33,10 +33,10 @@ def command(out: Path, as_json: bool) -> int:
     for finding in examine_machine(out):
         findings.append(finding)
         if not as_json:
-            state = click.style(f"{finding.state.value:13}", fg=_COLOURS[finding.state.value])
-            click.echo(f"{state}  {finding.name}: {one_line(finding.sentence)}", color=use_colour())
+            begin, indent = f"{finding.state.value:13}  ", " " * 15
+            say(f"{finding.name}: {finding.sentence}", begin=begin, indent=indent, colour=_COLOURS[finding.state.value])
             if finding.remedy:
-                click.echo(f"{'':13}  to mend it: {finding.remedy}")
+                say(f"to mend it: {finding.remedy}", begin=indent, indent=indent)
     code = 3 if any(finding.state is State.BROKEN for finding in findings) else 0
     if as_json:
         rows = [
@@ -51,7 +51,7 @@ def command(out: Path, as_json: bool) -> int:
         ]
         click.echo(json.dumps({"findings": rows, "exit_code": code}, indent=1))
     elif code:
-        click.echo("\nthe main job will not work here until what is marked 'does not work' is mended")
+        say("`all` will not work here until what is marked 'does not work' is mended")
     else:
-        click.echo("\nthe main job works here: python -m validate all")
+        say("`all` works here: python -m validate all")
     return code

@@ -20,7 +20,7 @@ import click
 from click.shell_completion import shell_complete
 
 from models.errors import MachineError, TouchstoneError
-from validate.cli.table import one_line
+from validate.cli.table import say
 
 PROGRAM = "python -m validate"
 INSTALLED = "touchstone"  # the same as a program of its own, which shells can complete
@@ -143,7 +143,7 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
             return _say(str(error), error.exit_code)
         code = _say(f"{getattr(error, 'headline', error)}:", error.exit_code)
         for mistake in mistakes:
-            click.echo(f"  {one_line(mistake)}", err=True)
+            say(mistake, err=True, begin="  ", indent="    ")
         return code
     except BrokenPipeError:
         raise
@@ -182,7 +182,7 @@ def _reader_gone() -> int:
 
 
 def _say(sentence: str, code: int) -> int:
-    click.echo(f"error: {' '.join(sentence.split())}", err=True)
+    say(sentence, err=True, begin="error: ", indent="  ")
     return code
 
 

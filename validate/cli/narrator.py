@@ -9,9 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from validate.cli.table import one_line
+from validate.cli.table import one_line, say
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -37,13 +35,10 @@ class PlainNarrator:
         self.total = self.stored = self.done = self.anew = 0
 
     def begins(self, total: int, stored: int, anew: int) -> None:
-        """stored: runs whose records are used again; anew: others of which a record is stored too."""
+        """stored: runs and checks whose records are used; anew: others, of which a record is stored too."""
         self.total, self.stored, self.anew = total, stored, anew
-        self._line(
-            f"{stored} stored, {total - stored} to run"
-            if not anew
-            else f"{stored} used again, {total - stored} to run, {anew} of them anew"
-        )
+        again = f", {anew} of them again" if anew else ""
+        self._line(f"{stored} stored, {total - stored} to run{again}")
 
     def so_far(self, out: Path) -> str:
         """How many runs there is a result of, in words."""
@@ -51,6 +46,14 @@ class PlainNarrator:
             return f"{out} is gone, and what was stored in it with it"
         count = f"{self.stored + self.done} of {self.total} runs"
         return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
+
+    def notes(self, sentence: str) -> None:
+        """What is worth knowing."""
+        self._line(one_line(sentence))
+
+    def found(self, runs: Sequence[RunRecord]) -> None:
+        """All runs of a scene have ended: how many hold, and the cheapest plan."""
+        self._line(one_line(f"so far: {_on_scene(runs)}"))
 
     def warns(self, sentence: str) -> None:
         """What the user should know before anything runs."""
@@ -68,7 +71,7 @@ class PlainNarrator:
         """The last run finished, or the campaign was interrupted."""
 
     def _line(self, text: str) -> None:
-        click.echo(text, err=True)
+        say(text, err=True, indent="  ")
 
 
 class BarNarrator(PlainNarrator):
@@ -126,10 +129,29 @@ class BarNarrator(PlainNarrator):
         self._console.print(text, markup=False, highlight=False)
 
 
+def _on_scene(runs: Sequence[RunRecord]) -> str:
+    """`three_cart: 14 of 15 runs that end with exact contact hold; the cheapest is mpcc, cost 490.55, replayed to position 0.0023 m, ..`."""
+    from reports.findings import NOT_ASKED, last_cost
+    from reports.judged import end_of
+    from reports.records.record import HOLD
+
+    scene = runs[0].scene
+    asked = [run for run in runs if run.must_hold and run.verdict not in NOT_ASKED]
+    if not asked:
+        return f"{scene.name}: nothing is asked of its {len(runs)} runs"
+    holding = [run for run in asked if run.verdict in HOLD]
+    said = f"{scene.name}: {len(holding)} of {len(asked)} runs that end with exact contact hold"
+    cheapest = min((run for run in holding if last_cost(run) is not None), key=lambda run: last_cost(run) or 0.0, default=None)
+    if cheapest is None:
+        return said
+    end = end_of(cheapest.stages[-1], scene)
+    return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}" + (f", replayed to {end}" if end else "")
+
+
 def in_words(seconds: float) -> str:
     """A time as roughly as it is known."""
     if seconds < 60:
-        return f"{seconds:.0f} s"
+        return f"{seconds:.0f} s" if seconds >= 9.5 else f"{seconds:.2g} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
@@ -145,7 +167,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
         parts.append(record.verdict)
     if last.cost is not None:
         parts.append(f"cost {last.cost:.2f}")
-    parts.append(f"{record.wall_seconds:.1f} s")
+    parts.append(_times(record))
     if record.verdict in ("no plan", "not applicable") and record.message:
         parts.append(record.message)
     return one_line(", ".join(parts))
@@ -153,4 +175,8 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
 
 def _examined(record: ExaminationRecord) -> str:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
-    return one_line(f"{record.title}: {ended}, {record.wall_seconds:.1f} s, {record.found or record.message}")
+    return one_line(f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}")
+
+
+def _times(record: RunRecord | ExaminationRecord) -> str:
+    return f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from validate.cli.campaign_options import campaign_options
-from validate.cli.table import one_line, table
+from validate.cli.campaign_options import campaign_options, result_options
+from validate.cli.narrator import in_words
+from validate.cli.table import one_line, say, short, table
 from validate.cli.warnings import print_warnings
 
 if TYPE_CHECKING:
@@ -19,7 +22,7 @@ _EPILOG = """\b
 Examples:
   python -m validate plan
   python -m validate plan --quick --out runs/quick
-  python -m validate plan -k mpcc --json
+  python -m validate plan -k mpcc --table
 
 \b
 Exit codes: 0 told; 2 usage, or nothing selected.
@@ -28,20 +31,21 @@ Exit codes: 0 told; 2 usage, or nothing selected.
 
 @click.command(epilog=_EPILOG)
 @campaign_options
-@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
-def command(as_json: bool, **options: Any) -> int:
-    """What `all` with the same options would run, what of it is stored already, and why the rest is not; and which limits its scenes waive.
+@result_options
+def command(as_json: bool, as_table: bool, **options: Any) -> int:
+    """What `all` with the same options would run, how long that takes here, what of it is stored already, and why the rest is not.
 
-    Nothing is run or written.
+    --table names each run, and says what the scenes waive. Nothing is run or written.
     """
     from validate.plan.runs import CampaignSettings
 
-    return tell_plan(CampaignSettings(**options), as_json)
+    return tell_plan(CampaignSettings(**options), as_json=as_json, as_table=as_table)
 
 
-def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
+def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.plan.runs import PlannedRun, only_last_failed, reasons, select, with_stored
+    from validate.execution.process import usable_cores
+    from validate.plan.runs import PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
     from validate.store.store import Store
     from validate.store.stored import earlier_schema
 
@@ -49,41 +53,85 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
     print_warnings(scenes.values(), steps=True)
     if sentence := earlier_schema(settings.out):
-        click.echo(one_line(f"warning: {sentence}"), err=True)
+        say(f"warning: {sentence}", err=True)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
         entries = only_last_failed(entries, store)
-    told = list(zip(entries, reasons(entries, store), strict=True))
-    stored = sum(entry.stored is not None for entry in entries)
-    waived = {
-        name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None]
-        for name, scene in scenes.items()
-        if any(limit.value is None for limit in scene.limits)
-    }
+    told = [
+        _Line(entry.task.title, entry.scene.name if isinstance(entry, PlannedRun) else entry.task.kind, entry.task.key, why)
+        for entry, why in zip(entries, reasons(entries, store), strict=True)
+    ]
+    seconds = past_seconds(entries, store)
+    limits = {name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None] for name, scene in scenes.items()}
+    waived = {name: sentences for name, sentences in limits.items() if sentences}
     unstable = {name: scene.unstable for name, scene in scenes.items() if scene.unstable}
+    due = [line for line in told if line.why]
     if as_json:
-        cells = [{"cell": entry.task.title, "key": entry.task.key, "stored": entry.stored is not None, "why": why} for entry, why in told]
         data = {
-            "cells": cells,
-            "stored": stored,
-            "to_run": len(entries) - stored,
+            "runs": [{**asdict(line), "stored": not line.why, "past_cpu_seconds": seconds.get(line.key)} for line in told],
+            "stored": len(told) - len(due),
+            "to_run": len(due),
             "left_out": list(left_out),
             "waived": waived,
             "unstable": unstable,
         }
         click.echo(json.dumps(data, indent=1))
         return 0
-    click.echo(table(["cell", "", "why"], [[one_line(entry.task.title), "run" if why else "stored", why] for entry, why in told]))
+    click.echo(_by_run(told, seconds) if as_table else _by_group(told, seconds))
     click.echo()
     if left_out:
-        click.echo(f"left out by --quick: {', '.join(left_out)}")
-    for name, limits in waived.items():
-        for limit in limits:
-            click.echo(one_line(f"waived by {name}: {limit}"))
-    for name, reason in unstable.items():
-        click.echo(one_line(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}"))
-    for why, count in Counter(why for _, why in told if why).items():
-        click.echo(f"{count} to run: {why}")
-    click.echo(f"{stored} stored, {len(entries) - stored} to run")
+        say(f"left out by --quick: {', '.join(left_out)}")
+    if as_table:
+        _print_scenes(waived, unstable)
+    for why, count in Counter(line.why for line in due).items():
+        say(f"{count} to run: {why}", indent="  ")
+    say(
+        f"{len(told) - len(due)} stored, {len(due)} to run"
+        + (f"; {_duration(due, seconds, settings.jobs or usable_cores())}" if due else "")
+    )
     return 0
+
+
+def _print_scenes(waived: Mapping[str, Sequence[str]], unstable: Mapping[str, str]) -> None:
+    for name, sentences in waived.items():
+        for sentence in sentences:
+            say(f"waived by {name}: {sentence}", indent="  ")
+    for name, reason in unstable.items():
+        say(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}", indent="  ")
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A run or check. group: its scene, or the kind of the check; why: it is run, empty if it is stored."""
+
+    name: str
+    group: str
+    key: str
+    why: str
+
+
+def _by_run(told: Sequence[_Line], seconds: Mapping[str, float]) -> str:
+    rows = [[one_line(line.name), "run" if line.why else "stored", short(seconds.get(line.key), ".1f"), line.why] for line in told]
+    return table(["run or check", "", "CPU s before", "why"], rows, ("CPU s before",), drop=("CPU s before", "why"))
+
+
+def _by_group(told: Sequence[_Line], seconds: Mapping[str, float]) -> str:
+    rows = []
+    for group in dict.fromkeys(line.group for line in told):
+        mine = [line for line in told if line.group == group]
+        due = [line for line in mine if line.why]
+        known = [seconds[line.key] for line in due if line.key in seconds]
+        rows.append([group, str(len(mine)), str(len(mine) - len(due)), str(len(due)), f"{sum(known):.0f}" if known else ""])
+    numbers = ("in all", "stored", "to run", "CPU s before")
+    return table(["scene or check", *numbers], rows, numbers, drop=("CPU s before",))
+
+
+def _duration(due: Sequence[_Line], seconds: Mapping[str, float], jobs: int) -> str:
+    """How long it takes here, as far as the folder has seen it before."""
+    known = [seconds[line.key] for line in due if line.key in seconds]
+    if not known:
+        return "how long that takes is not known: nothing like it has run into this folder"
+    cores = f", about {in_words(sum(known) / jobs)} on {jobs} cores" if jobs > 1 else ""
+    rest = f", and nothing is known of {len(due) - len(known)}" if len(known) < len(due) else ""
+    return f"{len(known)} of them took {in_words(sum(known))} of CPU time when they ran last{cores}{rest}"

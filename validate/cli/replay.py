@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.options import FiniteRange, scenes
-from validate.cli.table import one_line, short, table, use_colour
+from validate.cli.table import one_line, say, short, table, use_colour, wide_option
 
 if TYPE_CHECKING:
     from validate.judge.judgement import Judgement
@@ -66,6 +66,7 @@ or FMU; 3 a system requirement is missing.
     help="What exit code 0 needs: `holds` is strict.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
+@wide_option
 @click.option(
     "--html",
     "html_file",
@@ -117,7 +118,7 @@ def command(
         click.echo(json.dumps(told, indent=1))
     else:
         for text in told["warnings"]:
-            click.echo(one_line(f"warning: {text}"), err=True)
+            say(f"warning: {text}", err=True)
         _print(judgement)
     return exit_code(judgement.verdict, require)
 
@@ -225,17 +226,18 @@ def _print(judgement: Judgement) -> None:
         meaning = one_line(judged.meaning if judged.value is not None else missing)
         number = "" if metric.question.number is None else str(metric.question.number)
         rows.append([number, metric.name, *values, judged.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
-    click.echo(table(["question", "metric", *names, "unit", "limit", "", "meaning"], rows, (*names, "limit")), color=use_colour())
+    titles, dropped = ["question", "metric", *names, "unit", "limit", "", "meaning"], ["meaning", "question", "limit", "unit", *names[:-1]]
+    click.echo(table(titles, rows, ("question", *names, "limit"), drop=dropped), color=use_colour())
     click.echo()
     if replay is not None:
-        click.echo(one_line(_own_error("The replay", replay)))
+        say(_own_error("The replay", replay))
         if replay.tracked is not None:
-            click.echo(one_line(_own_error("The replay with feedback", replay.tracked)))
+            say(_own_error("The replay with feedback", replay.tracked))
     for text in result.not_asked:
-        click.echo(one_line(f"Not asked: {text}"))
+        say(f"Not asked: {text}")
     for text in result.waived:
-        click.echo(one_line(f"Waived by the scene: {text}"))
-    click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
+        say(f"Waived by the scene: {text}")
+    say(f"{result.verdict.value}: {result.why}")
 
 
 def _own_error(what: str, replay: Replay) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from validate.cli.campaign_options import file_options
+from validate.cli.campaign_options import file_options, result_options
 
 _EPILOG = """\b
 Examples:
@@ -34,7 +34,7 @@ missing; 130 interrupted.
 @file_options
 @click.option("--plan", "only_plan", is_flag=True, help="Run nothing: say what would run, what is stored, and why the rest is not.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end.")
-@click.option("--json", "as_json", is_flag=True, help="The results (or the plan) as JSON on stdout instead of a table.")
+@result_options
 @click.pass_obj
 def command(
     arguments: tuple[str, ...],
@@ -43,7 +43,8 @@ def command(
     only_plan: bool,
     schema: bool,
     as_json: bool,
-    tools: str,
+    as_table: bool,
+    plugin: str,
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
@@ -61,8 +62,10 @@ def command(
     from validate.plan.runs import CampaignSettings
     from validate.store.provenance import command_line
 
-    campaign = read_campaign(file, tools)
+    campaign = read_campaign(file, plugin)
     settings = CampaignSettings(
-        out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings()
+        out=out or Path("runs") / file.stem, plugin=plugin, command=command_line(arguments), **options, **campaign.settings()
     )
-    return tell_plan(settings, as_json) if only_plan else run_and_tell(settings, arguments, as_json)
+    if only_plan:
+        return tell_plan(settings, as_json=as_json, as_table=as_table)
+    return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

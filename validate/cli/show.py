@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from validate.cli.table import one_line, short, table, use_colour
+from validate.cli.table import one_line, say, short, table, use_colour, wide_option
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -40,6 +40,7 @@ _LOG_LINES = 15
     help="The folder of the campaign.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
+@wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
     """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
     from reports.records.check_record import ExaminationRecord
@@ -100,10 +101,10 @@ def _hint(run: str, names: list[str], folder: Path) -> str:
 
 
 def _tell_run(record: RunRecord) -> None:
-    click.echo(one_line(f"{record.title}: {record.outcome}, {record.verdict}"))
-    click.echo(one_line(f"{record.scene.title}; {record.pipeline_title}"))
+    say(f"{record.title}: {record.outcome}, {record.verdict}")
+    say(f"{record.scene.title}; {record.pipeline_title}")
     if record.message:
-        click.echo(one_line(record.message))
+        say(record.message)
     click.echo()
     click.echo(_stages(record), color=use_colour())
     last = record.stages[-1] if record.stages else None
@@ -119,22 +120,27 @@ def _tell_run(record: RunRecord) -> None:
     _tell_scene(record)
     click.echo()
     if last.certificate is not None:
-        click.echo(one_line(f"certificate: {last.certificate.sentence}"))
+        say(f"certificate: {last.certificate.sentence}")
     for stage in record.stages:
         options = ", ".join(f"{name} = {value}" for name, value in stage.options.items())
-        click.echo(one_line(f"options of stage {stage.index + 1} ({stage.method}): {options or 'none'}"))
+        say(f"options of stage {stage.index + 1} ({stage.method}): {options or 'none'}")
 
 
 def _stages(record: RunRecord) -> str:
     rows = [
         [
             str(stage.index + 1), stage.method, short(stage.eps, "g"), stage.outcome, short(stage.cost, ".4f"), str(stage.iterations),
-            stage.verdict, short(stage.seconds.stage, ".2f"), short(stage.seconds.replay, ".2f"),
+            stage.verdict, short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f"),
         ]
         for stage in record.stages
     ]  # fmt: skip
-    titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "seconds", "replay s"]
-    return table(titles, [[one_line(cell) for cell in row] for row in rows], ("stage", "eps", "cost", "iterations", "seconds", "replay s"))
+    titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
+    return table(
+        titles,
+        [[one_line(cell) for cell in row] for row in rows],
+        ("stage", "eps", "cost", "iterations", "CPU s", "wall s"),
+        drop=("wall s", "iterations", "CPU s", "stage"),
+    )
 
 
 def _tell_score(stage: StageRecord) -> None:
@@ -151,7 +157,7 @@ def _tell_score(stage: StageRecord) -> None:
     click.echo()
     click.echo(_metrics(stage), color=use_colour())
     for sentence in stage.not_asked:
-        click.echo(one_line(f"not asked: {sentence}"))
+        say(f"not asked: {sentence}")
 
 
 def _metrics(stage: StageRecord) -> str:
@@ -173,7 +179,12 @@ def _metrics(stage: StageRecord) -> str:
 
     rows = [row(question.number, view) for question in questions_of(stage) for view in question.metrics]
     titles = ["question", "metric", *values, "+-", "unit", "limit", "", "reason"]
-    return table(titles, [[one_line(cell) for cell in cells] for cells in rows], ("question", *values, "+-", "limit"))
+    return table(
+        titles,
+        [[one_line(cell) for cell in cells] for cells in rows],
+        ("question", *values, "+-", "limit"),
+        drop=("reason", "+-", "question", "limit", "unit", *values[:-1]),
+    )
 
 
 def _against(metric: MetricRecord) -> str:
@@ -185,16 +196,16 @@ def _against(metric: MetricRecord) -> str:
 def _tell_scene(record: RunRecord) -> None:
     """What the scene itself leaves unasked, and why feedback is enough on it."""
     for sentence in record.scene.waived:
-        click.echo(one_line(f"waived by the scene: {sentence}"))
+        say(f"waived by the scene: {sentence}")
     if record.scene.unstable:
-        click.echo(one_line(f"the scene is unstable in the open loop: {record.scene.unstable}"))
+        say(f"the scene is unstable in the open loop: {record.scene.unstable}")
 
 
 def _tell_examination(record: ExaminationRecord) -> None:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
-    click.echo(one_line(f"{record.title}: {ended}"))
-    click.echo(one_line(f"expected: {record.expected}"))
-    click.echo(one_line(f"found: {record.found or record.message}"))
+    say(f"{record.title}: {ended}")
+    say(f"expected: {record.expected}")
+    say(f"found: {record.found or record.message}")
     if record.figures:
         rows = [[figure.name, short(figure.value, ".4g"), figure.unit, short(figure.limit, ".3g")] for figure in record.figures]
         click.echo()
@@ -211,5 +222,5 @@ def _tell_end(record: RunRecord | ExaminationRecord, folder: Path) -> None:
     where = folder / "runs" / record.key
     click.echo(f"\nfiles: {where}")
     provenance = record.provenance
-    click.echo(one_line(f"made by touchstone {provenance.touchstone} {provenance.commit[:12]}, {provenance.started}, {provenance.cpu}"))
+    say(f"made by touchstone {provenance.touchstone} {provenance.commit[:12]}, {provenance.started}, {provenance.cpu}")
     click.echo(f"again: {again(record)}")

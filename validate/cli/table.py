@@ -1,10 +1,16 @@
-"""Plain text tables for a terminal, and numbers as short as they can be read."""
+"""Plain text tables and sentences that fit a terminal, and numbers as short as they can be read.
+
+print(table(["scene", "cost", "why"], rows, ("cost",), drop=("cost",)))      # `why` breaks between words; `cost` goes where there is no room
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+import shutil
+import sys
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -13,7 +19,46 @@ if TYPE_CHECKING:
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
-_COLOURS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
+_VERDICTS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
+_GAP = "  "
+# A column of sentences is no narrower than this [characters], before another column is left out.
+_SENTENCE = 20
+_WIDE = "touchstone.wide"
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def _keep_wide(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    context.meta[_WIDE] = value
+
+
+def wide_option(command: _Command) -> _Command:
+    """`--wide`, for commands that print tables."""
+    words = "Tables with all columns, however wide."
+    return click.option("--wide", is_flag=True, expose_value=False, callback=_keep_wide, help=words)(command)
+
+
+def terminal_width(stream: IO[str] | None = None) -> int | None:
+    """Characters in a line of the terminal that a stream (stdout) is, or COLUMNS where that is set; None: no limit, in a file, a pipe and with --wide."""
+    context = click.get_current_context(silent=True)
+    if context is not None and context.meta.get(_WIDE):
+        return None
+    return shutil.get_terminal_size().columns if os.environ.get("COLUMNS") or (stream or sys.stdout).isatty() else None
+
+
+def say(text: str, *, err: bool = False, begin: str = "", indent: str = "", colour: str | None = None) -> None:
+    """Print a sentence, broken between words where the terminal ends.
+
+    err: to stderr; begin, indent: before the first line, and before each further one; colour: of `begin`.
+    """
+    lines = wrapped(begin + one_line(text), terminal_width(sys.stderr if err else None), indent)
+    click.echo(click.style(begin, fg=colour) + lines[len(begin) :] if colour else lines, err=err, color=use_colour())
+
+
+def wrapped(text: str, width: int | None, indent: str = "") -> str:
+    """Text in lines of at most `width` characters; a longer word stays whole. indent: of all lines but the first."""
+    if width is None or len(text) <= width:
+        return text
+    return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def use_colour() -> bool | None:
@@ -26,29 +71,70 @@ def one_line(text: str) -> str:
     return "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
 
 
-def table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> str:
-    """Columns as wide as their widest cell; those named in `right` are aligned to the right."""
-    widths = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
+def table(
+    titles: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    right: Sequence[str] = (),
+    *,
+    drop: Sequence[str] = (),
+    colours: Mapping[str, str | None] = _VERDICTS,
+) -> str:
+    """A table that fits the terminal.
+
+    titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to the right, and never broken; drop: titles of the
+    columns that are left out, in this order, where there is no room; colours: of cells with these words. The others break between words.
+    """
+    places, width, left_out = list(range(len(titles))), terminal_width(), []
+    natural = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
+    least = [natural[place] if title in right else _narrowest(title, [row[place] for row in rows]) for place, title in enumerate(titles)]
+
+    def excess(widths: Sequence[int]) -> int:
+        """By how many characters the columns are wider than the terminal."""
+        return 0 if width is None else sum(widths[place] for place in places) + len(_GAP) * (len(places) - 1) - width
+
+    for title in drop:
+        if excess(least) > 0:
+            places.remove(titles.index(title))
+            left_out.append(title)
+    widths = natural
+    while excess(widths) > 0 and (wider := [place for place in places if widths[place] > least[place]]):
+        widths[max(wider, key=lambda place: widths[place])] -= 1
 
     def line(cells: Sequence[str]) -> str:
-        padded = [
-            cell.rjust(width) if title in right else cell.ljust(width) for cell, width, title in zip(cells, widths, titles, strict=True)
-        ]
-        return "  ".join(padded).rstrip()
+        """A row, which is as many lines high as its highest cell."""
+        parts = [wrapped(cells[place], widths[place]).split("\n") for place in places]
+        high = range(max(map(len, parts)))
+        return "\n".join(
+            _GAP.join(
+                _padded(part[number] if number < len(part) else "", widths[place], colours.get(cells[place]), titles[place] in right)
+                for part, place in zip(parts, places, strict=True)
+            ).rstrip()
+            for number in high
+        )
 
-    return "\n".join([line(titles), line(["-" * width for width in widths]), *(_coloured(line(row), row) for row in rows)])
+    lines = [line(titles), line(["-" * width for width in widths]), *map(line, rows)]
+    if left_out := [title for title in left_out if title]:
+        lines.append(wrapped(f"(no room for: {', '.join(left_out)}; --wide shows all columns)", width))
+    return "\n".join(lines)
 
 
-def _coloured(text: str, row: Sequence[str]) -> str:
-    verdict = next((cell for cell in row if cell in _COLOURS), None)
-    return text if verdict is None else text.replace(verdict, click.style(verdict, fg=_COLOURS[verdict]))
+def _padded(text: str, width: int, colour: str | None, right: bool) -> str:
+    """Part of a cell at its width."""
+    blank = " " * (width - len(text))
+    coloured = click.style(text, fg=colour) if text and colour else text
+    return blank + coloured if right else coloured + blank
+
+
+def _narrowest(title: str, cells: Sequence[str]) -> int:
+    words = [word for cell in (title, *cells) for word in cell.split()]
+    return max(min(_SENTENCE, max(map(len, (title, *cells)))), *map(len, words), 0)
 
 
 def short(value: Any, pattern: str = ".4g") -> str:
     """A number in few digits; empty where nothing is known."""
     if pattern.endswith("f") and isinstance(value, float) and abs(value) >= _LARGE:
         pattern = ".4g"
-    return "" if value is None else format(value, pattern) if isinstance(value, float) else str(value)
+    return "" if value is None else format(value + 0.0, pattern) if isinstance(value, float) else str(value)  # + 0.0: a zero has no sign
 
 
 _TITLES = (
@@ -63,9 +149,11 @@ _TITLES = (
     ("replay_terminal_error", "replayed", ".2e"),
     ("physics", "physics", ".4g"),
     ("verdict", "verdict", ""),
-    ("stage_s", "seconds", ".2f"),
+    ("stage_cpu_s", "CPU s", ".2f"),
+    ("stage_s", "wall s", ".2f"),
 )
-_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "seconds")
+_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "CPU s", "wall s")
+_DROPPED = ("wall s", "stage", "physics", "terminal error", "outcome", "replayed", "method", "eps", "CPU s")
 
 
 def results_table(records: Sequence[RunRecord]) -> str:
@@ -81,4 +169,4 @@ def results_table(records: Sequence[RunRecord]) -> str:
     for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
         if stage.kind == "indirect" and stage.verdict == "violates":
             line[place] = "as expected: violates"
-    return table([title for _, title, _ in _TITLES], cells, _NUMBERS)
+    return table([title for _, title, _ in _TITLES], cells, _NUMBERS, drop=_DROPPED)

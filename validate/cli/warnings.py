@@ -6,9 +6,7 @@ import contextlib
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-import click
-
-from validate.cli.table import one_line
+from validate.cli.table import say
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
 def print_warnings(scenes: Iterable[Scene], *, steps: bool = False) -> None:
     """Print the warnings of `warnings_of`, one line each."""
     for sentence in warnings_of(scenes, steps=steps):
-        click.echo(one_line(f"warning: {sentence}"), err=True)
+        say(f"warning: {sentence}", err=True)
 
 
 def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:

@@ -57,7 +57,7 @@ class Trial:
 
 
 TRIALS = (
-    Trial(name="C compiler", function="compiler", remedy="pip install 'touchstone-contact[compiler]', or set CC to a compiler you have"),
+    Trial(name="C compiler", function="compiler", remedy="pip install ziglang, or set CC to a compiler you have"),
     Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
     Trial(name="Ipopt", function="ipopt", remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
     Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'", rests_on=("C compiler", "cache")),
@@ -70,7 +70,7 @@ TRIALS = (
     Trial(
         name="proofs (extra [global])",
         function="integer_programs",
-        remedy="pip install 'touchstone-contact[global]'",
+        remedy="pip install pyscipopt",
         needed=False,
         absent="method global will say that it cannot run",
     ),

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from models.codegen.compiler import find_compiler
+from reports.findings import three_findings
 from reports.records.check_record import ExaminationRecord, divided
 from reports.records.collected import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
@@ -31,10 +32,10 @@ from validate.store.disk import write_durably
 from validate.store.provenance import gather
 from validate.store.results import EXAMINATIONS, RESULTS, VIOLATION, write_examinations, write_results, write_sweeps, write_violation
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, of_content, stored_campaign
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, of_content, stored_campaign, with_others
 from validate.tasks.leg import PlannedLeg, forget, must_wait
 from validate.tasks.paper import measure
-from validate.tasks.plugins import load_tools
+from validate.tasks.plugins import load_plugin
 from validate.tasks.run import RunTask
 from validate.tasks.task import Task, TaskRecord
 
@@ -49,12 +50,17 @@ _SILENCE = 5.0
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What came of a campaign. findings: what the replay found that fails nothing (reports.rule); report: None where it was not written."""
+    """What came of a campaign.
+
+    records, examinations, failures, findings: of what was selected; findings are what the replay found that fails nothing (reports.rule). conclusions:
+    three sentences on all runs that the folder's campaign holds; report: None where it was not written.
+    """
 
     records: tuple[RunRecord, ...]
     examinations: tuple[ExaminationRecord, ...]
     failures: tuple[str, ...]
     findings: tuple[str, ...]
+    conclusions: tuple[str, ...]
     left_out: tuple[str, ...]
     report: Path | None
 
@@ -69,6 +75,12 @@ class Narrator(Protocol):
 
     def begins(self, total: int, stored: int, anew: int) -> None:
         """The campaign has so many tasks, of which so many are stored; so many stored ones are run anew."""
+
+    def notes(self, sentence: str) -> None:
+        """Something is worth knowing."""
+
+    def found(self, runs: Sequence[RunRecord]) -> None:
+        """All runs of a scene have ended; these are they, those that were split into parts as one."""
 
     def warns(self, sentence: str) -> None:
         """Something is unusual, but goes on."""
@@ -99,71 +111,110 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     for name, text in settings.files.items():
         write_durably(settings.out / name, text)
     provenance = gather(settings.command)
-    violation = _violation(entries)
-    steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
+    selected, scenes = [entry.task.key for entry in entries], {run.scene.name: run.scene for run in _runs(entries)}
+    earlier, keys = _with_others(settings, store, entries)
     records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
+    others = {key: record for key in set(keys).difference(selected) if (record := store.read(key)) is not None}
+    about = _about(settings, entries, left_out, earlier if others else None)
+    ran, before, other_schema = len(records) < len(entries), campaign_text(settings.out), earlier_schema(settings.out)
 
     def campaign() -> CampaignRecord:
-        return CampaignRecord(
-            title=settings.title or TITLE,
-            command=settings.command,
-            started=provenance.started,
-            quick=settings.quick,
-            left_out=left_out,
-            keys=tuple(entry.task.key for entry in entries),
-            violation=violation,
-            time_steps=steps,
-            provenance=provenance,
-        )
+        return CampaignRecord(**about, started=provenance.started, keys=keys, provenance=provenance)
 
-    def write() -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:
-        done, examinations = divided(records[entry.task.key] for entry in entries if entry.task.key in records)
+    def write() -> tuple[RunRecord, ...]:
+        """All that is told of the folder; the runs, those of one that was split into parts as one."""
+        done, examinations = divided({**others, **records}[key] for key in keys if key in others or key in records)
         text = campaign().model_dump_json(indent=1)
         if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
         write_results(settings.out / RESULTS, merged)
         write_examinations(settings.out / EXAMINATIONS, examinations)
-        write_violation(settings.out / VIOLATION, violation)
+        write_violation(settings.out / VIOLATION, about["violation"])
         write_sweeps(settings.out, merged)
-        return merged, examinations
+        return merged
 
-    before, ran, earlier = campaign_text(settings.out), len(records) < len(entries), earlier_schema(settings.out)
     waiting = [entry.task.key for entry in entries if entry.stored is None]
     anew = store.mark_for_rerun(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.needs_rerun(key)]
     if ran:  # before the first task ends: what is stored can be shown while the others run, and if they never end
         write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
     narrator.begins(len(entries), len(records), len(anew))
-    for sentence in (
-        *filter(None, [earlier]),
-        *(item.warning for item in steps if item.warning),
-        *doubts(run.scene for run in _runs(entries)),
-    ):
+    if others:
+        narrator.notes(f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report")
+    unstable = [item.warning for item in about["time_steps"] if item.warning and item.scene in scenes]
+    for sentence in (*filter(None, [other_schema]), *unstable, *doubts(scenes.values())):
         narrator.warns(sentence)
     try:
         with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
             for record in finished:
                 records[record.key] = record
                 narrator.finished(record)
+                _note_scene(record, entries, records, narrator)
                 if settings.stop_early and fails(record):
                     store.unmark(key for key in anew if key not in records)
                     break
     finally:
         with interrupts_wait():
-            for record in _unreported([entry.task.key for entry in entries if entry.task.key not in records], store, provenance):
+            for record in _unreported([key for key in selected if key not in records], store, provenance):
                 records[record.key] = record
                 narrator.finished(record)
             narrator.ends()
-            done, examinations = write()
-    report = load_tools(settings.tools).write_report(settings.out)
+            told = write()
+    report = load_plugin(settings.plugin).write_report(settings.out)
+    done, examinations = divided(records[key] for key in selected if key in records)
+    merged = collected(done)
     return CampaignResult(
-        records=done,
+        records=merged,
         examinations=examinations,
-        failures=failures(done, examinations),
-        findings=findings(done),
+        failures=failures(merged, examinations),
+        findings=findings(merged),
+        conclusions=three_findings(told),
         left_out=left_out,
         report=report,
     )
+
+
+def _with_others(
+    settings: CampaignSettings, store: Store, entries: Sequence[PlannedRun | PlannedCheck]
+) -> tuple[CampaignRecord | None, tuple[str, ...]]:
+    """The keys of the folder's campaign from now on, in order; and the campaign it holds until now, if this one is a part of it."""
+    selected = {identity(entry.task.to_json()): entry.task.key for entry in entries}
+    return with_others(store, selected) if settings.is_part else (None, tuple(selected.values()))
+
+
+def _about(
+    settings: CampaignSettings, entries: Sequence[PlannedRun | PlannedCheck], left_out: tuple[str, ...], earlier: CampaignRecord | None
+) -> dict[str, Any]:
+    """What campaign.json says of the campaign as a whole. earlier: the campaign of the folder whose other runs stay, if there are any."""
+    steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
+    if earlier is None:
+        return {
+            "title": settings.title or TITLE,
+            "command": settings.command,
+            "quick": settings.quick,
+            "left_out": left_out,
+            "violation": _violation(entries),
+            "time_steps": steps,
+        }
+    named = {item.scene for item in steps}
+    return {
+        "title": settings.title or earlier.title,
+        "command": earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else settings.command,
+        "quick": settings.quick and earlier.quick,
+        "left_out": left_out if settings.quick and earlier.quick else (),
+        "violation": earlier.violation or _violation(entries),
+        "time_steps": (*(item for item in earlier.time_steps if item.scene not in named), *steps),
+    }
+
+
+def _note_scene(
+    record: TaskRecord, entries: Sequence[PlannedRun | PlannedCheck], records: Mapping[str, TaskRecord], narrator: Narrator
+) -> None:
+    """Say what was found on a scene when the last of its runs has ended."""
+    if isinstance(record, RunRecord):
+        keys = [run.task.key for run in _runs(entries) if run.scene.name == record.scene.name]
+        if all(key in records for key in keys):
+            narrator.found(collected(divided(records[key] for key in keys)[0]))
 
 
 def _unreported(keys: Sequence[str], store: Store, provenance: ProvenanceRecord) -> Iterator[TaskRecord]:

@@ -98,7 +98,7 @@ def check_engine(name: str) -> None:
     if kind != DASK or (colon and not where):
         raise EngineError(f"--engine {name}: there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json.")
     if importlib.util.find_spec("distributed") is None:
-        raise MachineError(f"--engine {name} needs the package distributed: pip install 'touchstone-contact[dask]'.")
+        raise MachineError(f"--engine {name} needs the package distributed: pip install distributed.")
     if where.endswith(".json"):
         _check_scheduler_file(Path(where))
 

@@ -19,7 +19,7 @@ from validate.plan.scenes import references
 from validate.plan.schema import CampaignFile, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
 from validate.tasks.examination import SceneReference
-from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools
+from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
@@ -59,9 +59,9 @@ class Campaign:
         }
 
 
-def read_campaign(path: Path, tools: str = DEFAULT_TOOLS) -> Campaign:
-    """Read and check. Raises ConfigError with every mistake, UnknownNameError for `tools`."""
-    loaded = load_tools(tools)
+def read_campaign(path: Path, plugin: str = DEFAULT_PLUGIN) -> Campaign:
+    """Read and check. Raises ConfigError with every mistake, UnknownNameError for `plugin`."""
+    loaded = load_plugin(plugin)
     try:
         text, data = read_toml(path)
     except TomlError as error:
@@ -79,7 +79,7 @@ def read_campaign(path: Path, tools: str = DEFAULT_TOOLS) -> Campaign:
     return Campaign(file, text, resolved, tuple(scenes), tuple(bases), pipelines)
 
 
-def _known(tools: Tools, scenes: list[SceneReference]) -> list[Pipeline]:
+def _known(plugin: Plugin, scenes: list[SceneReference]) -> list[Pipeline]:
     """All pipelines there are for these scenes; all of ours where no scene can be read."""
-    found = {pipeline.name: pipeline for reference in scenes for pipeline in tools.pipelines_for(reference.scene)}
+    found = {pipeline.name: pipeline for reference in scenes for pipeline in plugin.pipelines_for(reference.scene)}
     return list(found.values()) or list(PIPELINES)

@@ -9,12 +9,17 @@ A quotation mark between quotation marks is written twice.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable
 
 from models.errors import TouchstoneError
 
 _TOKEN = re.compile(r'\s*(?:([()])|(="(?:[^"]|"")*"|[^\s()]+))')
+
+
+# Of the names that are near a word, so many are shown.
+_NEAR = 4
 
 
 class SelectionError(TouchstoneError):
@@ -24,6 +29,24 @@ class SelectionError(TouchstoneError):
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
     return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
+
+
+def words_of(expression: str) -> list[str]:
+    """The names in an expression, each as it is written, each once."""
+    return list(dict.fromkeys(word for _, word in _TOKEN.findall(expression) if word and word not in ("and", "or", "not")))
+
+
+def near(word: str, names: Iterable[str]) -> list[str]:
+    """The names of which a part is most like a word that is in none of them; the nearest first, at least one."""
+    wanted = _unquoted(word.removeprefix("=")).lower()
+
+    def likeness(name: str) -> float:
+        parts = [name, *re.split(r"[^a-z0-9]+", name.lower())]
+        return max(difflib.SequenceMatcher(None, wanted, part.lower()).ratio() for part in parts if part)
+
+    names = list(names)
+    ranked = sorted([name for name in names if " " not in name] or names, key=lambda name: (-likeness(name), len(name)))
+    return [name for name in ranked[:_NEAR] if likeness(name) >= 0.6] or ranked[:1]
 
 
 class _Parser:

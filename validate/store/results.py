@@ -37,7 +37,7 @@ _COLUMNS = (
     *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
     *_METRICS_FIRST,
     *_METRICS_LAST,
-    *("verdict", "iterations", "build_s", "solve_s", "stage_s", "total_s", "replay_s"),
+    *("verdict", "iterations", "build_s", "solve_s", "stage_s", "stage_cpu_s", "total_s", "replay_s"),
     *("judged", *_METRICS_FEEDBACK, "growth_rate"),
 )
 # Every other metric that can be limited, in the order of the table.
@@ -67,6 +67,7 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
         "solve_s": stage.seconds.solve if ran else None,
         "stage_s": stage.seconds.stage if ran else None,
+        "stage_cpu_s": stage.seconds.stage_cpu if ran else None,
         "total_s": stage.seconds.total if ran else None,
         "replay_s": stage.seconds.replay if ran else None,
         "judged": stage.replay.judged if stage.replay is not None else None,

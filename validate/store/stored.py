@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from models.errors import TouchstoneError
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
-from validate.store.store import Store
+from validate.store.store import RECORD, Store
 
 CAMPAIGN = "campaign.json"
 # What a campaign that ran nothing leaves as it was: the report says when its results were made.
@@ -84,6 +84,27 @@ def campaign_of(folder: Path) -> CampaignRecord:
         raise CampaignError(
             f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
         ) from error
+
+
+def with_others(store: Store, selected: Mapping[str, str]) -> tuple[CampaignRecord | None, tuple[str, ...]]:
+    """The campaign that a folder holds, and the keys of a part of it and of all its other runs that are stored, each behind what it stood behind.
+
+    selected: what a task of the part is called (`identity`) -> its key.
+    """
+    keys, place = list(selected.values()), 0
+    try:
+        earlier = campaign_of(store.folder)
+    except CampaignError:
+        return None, tuple(keys)
+    for key in earlier.keys:
+        task = store.request(key)
+        mine = key if key in keys else selected.get(identity(task))
+        if mine is None and task and (store.runs / key / RECORD).is_file():
+            keys.insert(place, key)
+            mine = key
+        if mine is not None:
+            place = keys.index(mine) + 1
+    return earlier, tuple(keys)
 
 
 def earlier_schema(folder: Path) -> str:

@@ -1,6 +1,6 @@
 """Hard cases as examinations of a campaign: which there are, and how one is measured in its child and recorded.
 
-tools.EXAMINATIONS = (..., "validate.stress.tasks:examinations")
+plugin.EXAMINATIONS = (..., "validate.stress.tasks:examinations")
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, Store, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, PlannedLeg, planned_stages
-from validate.tasks.plugins import load_tools
+from validate.tasks.plugins import load_plugin
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
@@ -57,13 +57,13 @@ class LoadedRun:
 def load_run(task: RunTask, profile: Profile | None = None) -> LoadedRun:
     """What a task names. profile: where the time goes. Raises UnknownNameError, SceneError, OptionError."""
     profile = profile or Profile(time.monotonic())
-    tools = load_tools(task.tools)
+    plugin = load_plugin(task.plugin)
     profile.lap("imports")
     scene = load_scene(task.scene)
     if task.variant is not None:
         scene = varied(scene, task.variant)
     profile.lap("scene")
-    plan = planned_stages(task.pipeline, tools.methods_of(task.pipeline))
+    plan = planned_stages(task.pipeline, plugin.methods_of(task.pipeline))
     profile.lap("imports")
     return LoadedRun(scene=scene, plan=plan)
 
@@ -156,9 +156,9 @@ class _Path:
 
     def __init__(self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float) -> None:
         self._task, self._scene, self._plan, self._folder, self._profile = task, loaded.scene, loaded.plan, folder, profile
-        self._tools, self._deadline = load_tools(task.tools), deadline
+        self._plugin, self._deadline = load_plugin(task.plugin), deadline
         self._stored = Store.of_partial(folder).legs
-        self._judge = Judge(self._tools, self._scene, profile)
+        self._judge = Judge(self._plugin, self._scene, profile)
         self._start: Trajectory | None = None
         self._is_prepared = False
         self._took = False  # a leg that another run made: the time left is then not what its maker would have
@@ -214,7 +214,7 @@ class _Path:
 
     def _prepare(self, leg: PlannedLeg) -> None:
         if not self._is_prepared:
-            prepare(self._tools, self._scene, self._plan[leg.first :], self._folder, self._profile)
+            prepare(self._plugin, self._scene, self._plan[leg.first :], self._folder, self._profile)
             self._is_prepared = True
 
     def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[SolvedStage], list[Unfinished]]:

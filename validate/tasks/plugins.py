@@ -1,9 +1,9 @@
 """What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
 
     python -m validate all --plugin my_method          # defines METHOD, and where that has eps or needs company PIPELINE
-    python -m validate all --plugin my_package.my_module:TOOLS
+    python -m validate all --plugin my_package.my_module:PLUGIN
 
-A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs before ours. `TOOLS` is a `Tools`, for whoever
+A module that defines `METHOD` is a method file like ours: its method is found and its pipeline runs before ours. `PLUGIN` is a `Plugin`, for whoever
 replaces more; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
 the module must be importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU, certificate, judge - is imported where it
 is called: the campaign's own process imports neither Pyomo nor FMPy for it.
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.tasks.examination import Examination, SceneReference
 
-DEFAULT_TOOLS = "validate.tasks.plugins:DEFAULT"
+DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
 # What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.tasks.examination.Examination.
 EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", "validate.stress.tasks:examinations")
 
@@ -82,7 +82,7 @@ def _write_report(folder: Path) -> Path:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tools:
+class Plugin:
     """See the module docstring. quick: the pipelines that `--quick` runs."""
 
     load_method: Callable[[str], Method] = load_method
@@ -105,11 +105,11 @@ class Tools:
         return QUICK if self.quick is None else self.quick
 
 
-DEFAULT = Tools()
+DEFAULT = Plugin()
 
 
-def load_tools(reference: str) -> Tools:
-    """The Tools of a dotted name: `module:NAME`, or of a `module` that defines TOOLS or METHOD. Raises UnknownNameError."""
+def load_plugin(reference: str) -> Plugin:
+    """The Plugin of a dotted name: `module:NAME`, or of a `module` that defines PLUGIN or METHOD. Raises UnknownNameError."""
     module_name, _, name = reference.partition(":")
     try:
         module = importlib.import_module(module_name)
@@ -117,16 +117,16 @@ def load_tools(reference: str) -> Tools:
         raise UnknownNameError(
             f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); its folder must be on PYTHONPATH."
         ) from error
-    tools = getattr(module, name or "TOOLS", None)
-    if tools is None and not name and isinstance(getattr(module, "METHOD", None), Method):
+    plugin = getattr(module, name or "PLUGIN", None)
+    if plugin is None and not name and isinstance(getattr(module, "METHOD", None), Method):
         return _of_method(reference, module.METHOD, getattr(module, "PIPELINE", None))
-    if not isinstance(tools, Tools):
-        wanted = f"{name} that is a validate.tasks.plugins.Tools" if name else "METHOD (a formulations.method.Method)"
+    if not isinstance(plugin, Plugin):
+        wanted = f"{name} that is a validate.tasks.plugins.Plugin" if name else "METHOD (a formulations.method.Method)"
         raise UnknownNameError(f"--plugin {reference}: {module_name} has no {wanted}.")
-    return tools
+    return plugin
 
 
-def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Tools:
+def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Plugin:
     """Ours, with a method and its pipeline (None: the method alone) before them."""
     if pipeline is None and method.needs_eps:
         raise UnknownNameError(
@@ -140,8 +140,8 @@ def _of_method(reference: str, method: Method, pipeline: Pipeline | None) -> Too
     )
 
 
-def tools_source(reference: str) -> str:
+def plugin_source(reference: str) -> str:
     """The source text of the module a reference names, for the key of a task; empty for our own (hashed with our sources)."""
-    if reference == DEFAULT_TOOLS:
+    if reference == DEFAULT_PLUGIN:
         return ""
     return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

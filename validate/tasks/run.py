@@ -16,7 +16,7 @@ from validate.tasks.variant import Variant
 class RunTask:
     """A scene by a pipeline.
 
-    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted name (validate.tasks.plugins); legs:
+    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; plugin: a dotted name (validate.tasks.plugins); legs:
     its path.
     """
 
@@ -24,7 +24,7 @@ class RunTask:
     scene: str
     scene_name: str
     pipeline: Pipeline
-    tools: str
+    plugin: str
     time_limit: float
     variant: Variant | None = None
     legs: tuple[PlannedLeg, ...] = ()
@@ -42,7 +42,7 @@ class RunTask:
             "scene": self.scene,
             "scene_name": self.scene_name,
             "pipeline": pipeline_to_json(self.pipeline),
-            "tools": self.tools,
+            "plugin": self.plugin,
             "time_limit": self.time_limit,
             "legs": [asdict(leg) for leg in self.legs],
             **({} if self.variant is None else {"variant": self.variant.to_json()}),

@@ -1,6 +1,6 @@
 """One stage of a run: solved in the session of its leg, replayed and scored, certified.
 
-prepare(tools, scene, plan, folder, profile)            # once, so that no stage pays for it
+prepare(plugin, scene, plan, folder, profile)            # once, so that no stage pays for it
 with OpenLeg(scene, planned) as leg:
     solved = leg.run(planned, start, time_limit)
 record = judge.record(solved, folder, index, before)
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import StageRecord
-    from validate.tasks.plugins import Tools
+    from validate.tasks.plugins import Plugin
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class SolvedStage:
         return self.planned.method.exact and any(solution.trajectory is not None for solution in found)
 
 
-def prepare(tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile) -> None:
+def prepare(plugin: Plugin, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile) -> None:
     """Compile the scene, and open and close every method once, so that neither that nor importing libraries counts in any stage's seconds."""
     progress(folder, "the compilation of the scene")
-    _tried(lambda: tools.compile(scene))
+    _tried(lambda: plugin.compile(scene))
     profile.lap("compile")
     for planned in {planned.name: planned for planned in plan}.values():
         progress(folder, f"the preparation of {planned.name}")
@@ -128,14 +128,14 @@ class OpenLeg:
 class Judge:
     """Replays and scores the plans of a run, certifies those of exact methods, and writes their files."""
 
-    def __init__(self, tools: Tools, scene: Scene, profile: Profile) -> None:
-        self._tools, self._scene, self._profile = tools, scene, profile
+    def __init__(self, plugin: Plugin, scene: Scene, profile: Profile) -> None:
+        self._plugin, self._scene, self._profile = plugin, scene, profile
         self._fmu: Path | None = None
 
     def record(self, item: SolvedStage, folder: Path, index: int, before: float) -> StageRecord:
         """The record of stage `index` (from 0) of a leg, without its certificate; its files in the folder. before [s]: of its leg's stages before it."""
         if self._fmu is None and item.solution.trajectory is not None:
-            self._fmu = self._tools.build_fmu(self._scene)
+            self._fmu = self._plugin.build_fmu(self._scene)
         self._profile.lap("fmu_build")
         judged = self._judged(item.solution.trajectory, folder, index + 1)
         record = stage_record(self._scene, item.planned, item.solution, index, wall=item.wall, cpu=item.cpu, before=before, judged=judged)
@@ -144,19 +144,19 @@ class Judge:
     def _judged(self, trajectory: Trajectory | None, folder: Path, number: int) -> Judged:
         if trajectory is None or self._fmu is None:
             return Judged()
-        tools, scene, profile, names = self._tools, self._scene, self._profile, leg_files(number)
+        plugin, scene, profile, names = self._plugin, self._scene, self._profile, leg_files(number)
         write_netcdf(folder / names["trajectory"], trajectory, scene)
         profile.lap("writing")
         began = time.perf_counter()
         try:
-            judgement = tools.judge(scene, self._fmu, trajectory)
+            judgement = plugin.judge(scene, self._fmu, trajectory)
             profile.lap("replay")
             seconds = time.perf_counter() - began
             replay = judgement.replay
-            tools.write_replay(folder / names["replay"], replay, scene)
+            plugin.write_replay(folder / names["replay"], replay, scene)
             tracked = getattr(replay, "tracked", None)
             if tracked is not None:
-                tools.write_replay(folder / names["tracked"], tracked, scene)
+                plugin.write_replay(folder / names["tracked"], tracked, scene)
                 write_netcdf(folder / names["trajectory"], trajectory, scene, tracked.feedback.gains)
             profile.lap("writing")
         except MachineError:
@@ -171,7 +171,7 @@ class Judge:
     def certified(self, record: StageRecord, item: SolvedStage) -> StageRecord:
         """The record with the certificate of its plan, and those of its front."""
         try:
-            solution = self._tools.certify(self._scene, item.solution)
+            solution = self._plugin.certify(self._scene, item.solution)
         except Exception as error:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
             raise_if_disk_ended(Path.cwd(), error)
             traceback.print_exc()

@@ -343,4 +343,4 @@ def test_a_scene_without_parameters_has_its_pairs_too():
 def test_what_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch):
     assert missing_solver() is None
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert "pip install 'touchstone-contact[global]'" in str(missing_solver())
+    assert "pip install pyscipopt" in str(missing_solver())

@@ -1,6 +1,6 @@
 """Other people's tools on the FMUs of every scene: no complaint, and our numbers. Each runs in a child process, because some of them crash.
 
-They come with `pip install 'touchstone-contact[fmu-check]'`; without them these tests are skipped. With `pytest -s` the largest difference
+They come with `pip install -e '.[fmu-check]'`; without them these tests are skipped. With `pytest -s` the largest difference
 of each scene and tool is printed as a table.
 """
 

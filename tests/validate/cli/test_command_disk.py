@@ -20,7 +20,7 @@ from models.codegen.compiler import find_compiler
 
 pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is for Linux")]
 _FOR_EVER = 2**62
-_FAKES = ("--plugin", "refused_commands:TOOLS", "--scene", "three_cart", "-k", "only_good or only_infeasible", "-j", "1")
+_FAKES = ("--plugin", "refused_commands:PLUGIN", "--scene", "three_cart", "-k", "only_good or only_infeasible", "-j", "1")
 _ERRORS = (errno.ENOSPC, errno.EROFS, errno.EIO)
 _ERRORS_ELSEWHERE = (errno.EACCES, errno.ENOSPC, errno.EROFS)
 # What follows --out, or stands beside it: {out} is the folder whose disk refuses.

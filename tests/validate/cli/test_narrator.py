@@ -40,13 +40,13 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(mon
     bar.ends()
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()))
     assert max(map(len, lines)) <= width
-    assert "4 used again, 26 to run, 2 of them anew" in lines
+    assert "4 stored, 26 to run, 2 of them again" in lines
     assert "[5/30] a cell: solved" in lines
     assert any(re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in lines), lines
     assert any("strict_lcp" in line for line in lines) == (width == 200)
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(3.2, "3 s"), (600, "10 min"), (9000, "2.5 h")])
+@pytest.mark.parametrize(("seconds", "words"), [(3.24, "3.2 s"), (0.456, "0.46 s"), (12.3, "12 s"), (600, "10 min"), (9000, "2.5 h")])
 def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
     assert narrator.in_words(seconds) == words
 

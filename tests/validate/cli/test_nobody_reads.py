@@ -13,7 +13,7 @@ from validate.cli.group import READER_GONE
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
     "list": ("list",),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 
 
 def told(cli, out: Path, *words: str) -> dict:
@@ -29,15 +29,15 @@ def test_nothing_is_written(cli, tmp_path):
     out = tmp_path / "never"
     plan = told(cli, out, "-k", "only_good")
     assert plan["stored"] == 0
-    assert plan["to_run"] == len(plan["cells"]) > 0
-    assert {cell["why"] for cell in plan["cells"]} == {"nothing is stored of it"}
+    assert plan["to_run"] == len(plan["runs"]) > 0
+    assert {run["why"] for run in plan["runs"]} == {"nothing is stored of it"}
     assert not out.exists()
 
 
 @pytest.mark.slow
 def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault")
-    why = {cell["cell"]: cell["why"] for cell in plan["cells"]}
+    why = {run["name"]: run["why"] for run in plan["runs"]}
     crashed = [cell for cell, reason in why.items() if reason == "stored, but it crashed"]
     assert len(crashed) == 1
     assert "segfault" in crashed[0]
@@ -59,7 +59,7 @@ def test_another_version_is_recognised(cli, ran):
         pytest.fail("the campaign left no good cell")
     try:
         plan = told(cli, ran, "-k", "only_good")
-        assert "stored for other code, options, libraries or another scene file" in {cell["why"] for cell in plan["cells"]}
+        assert "stored for other code, options, libraries or another scene file" in {run["why"] for run in plan["runs"]}
     finally:
         moved.rename(request.parent)
 
@@ -76,7 +76,7 @@ def test_damaged_requests_are_passed_over(cli, ran):
 
 @pytest.mark.slow
 def test_bad_words_are_one_sentence(cli, tmp_path):
-    for words in (("--time-limit", "nan"), ("-k", "nosuchpipeline"), ("--scene", "nosuchscene")):
+    for words in (("--time-limit", "nan"), ("--scene", "nosuchscene")):
         done = cli("plan", "--out", str(tmp_path), *words)
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1
@@ -85,7 +85,10 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
 @pytest.mark.slow
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
-    assert done.stdout.splitlines()[-2:] == ["2 to run: nothing is stored of it", "0 stored, 2 to run"]
+    assert done.stdout.splitlines()[-2:] == [
+        "2 to run: nothing is stored of it",
+        "0 stored, 2 to run; how long that takes is not known: nothing like it has run into this folder",
+    ]
 
 
 @pytest.mark.slow
@@ -98,11 +101,11 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
         "    *CARTS.limits, Limit(metric='missed_impulse', value=None, reason='nothing is touched twice')))\n",
         encoding="utf-8",
     )
-    words = ("--plugin", "campaign_fakes:TOOLS", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
+    words = ("--plugin", "campaign_fakes:PLUGIN", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
     told = json.loads(cli("plan", *words, "--json").stdout)
     assert told["waived"] == {"waiving": ["missed_impulse: nothing is touched twice"]}
     assert told["unstable"] == {"waiving": "It falls over."}
-    lines = cli("plan", *words).stdout.splitlines()
+    lines = cli("plan", *words, "--table").stdout.splitlines()
     assert "waived by waiving: missed_impulse: nothing is touched twice" in lines
     assert "waiving is unstable in the open loop, so that feedback is enough there: It falls over." in lines
 
@@ -120,3 +123,16 @@ def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     assert sentence in done.stderr
     assert "1 to run" in done.stderr
     assert sentence not in cli("plan", *FAKES, "--out", str(out), "-k", "only_good").stderr
+
+
+@pytest.mark.slow
+def test_what_ran_before_says_how_long_it_takes(cli, ran):
+    plan = told(cli, ran, "-k", "only_good or only_segfault", "--fresh")
+    assert all(run["past_cpu_seconds"] > 0 for run in plan["runs"])
+    words = ("plan", *FAKES, "--out", str(ran), "--fresh")
+    known = cli(*words, "-k", "only_good or only_segfault", "-j", "2").stdout.splitlines()[-1]
+    assert known.startswith("0 stored, 2 to run; 2 of them took ")
+    assert "of CPU time when they ran last, about " in known
+    assert known.endswith(" on 2 cores")
+    partly = cli(*words, "-k", "only_good or only_raises", "-j", "1").stdout.splitlines()[-1]
+    assert partly.endswith("when they ran last, and nothing is known of 1")

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from validate.cli.report import command
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 NAMES = ("report.html", "results.csv", "violation.csv")
 
 
@@ -97,6 +97,6 @@ def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli)
     done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")
     assert "2 stored, 0 to run" in done.stderr
     assert {path: path.read_bytes() for path in before} == before
-    fewer = cli("all", *FAKES, "--out", str(ran), "-k", "only_good")
-    assert fewer.returncode == 0
-    assert len(json.loads((ran / "campaign.json").read_bytes())["keys"]) == 1
+    part = cli("all", *FAKES, "--out", str(ran), "-k", "only_good")
+    assert part.returncode == 0
+    assert {path: path.read_bytes() for path in before} == before, "a part leaves the others where they are"

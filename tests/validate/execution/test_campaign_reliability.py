@@ -87,7 +87,7 @@ def test_another_order_gives_the_same_numbers(killed, tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "select", shuffled)
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     run_campaign(
-        CampaignSettings(out=tmp_path, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator()
+        CampaignSettings(out=tmp_path, plugin="campaign_fakes:PLUGIN", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator()
     )
     rows, expected = untimed(tmp_path), untimed(whole)
     assert rows != expected

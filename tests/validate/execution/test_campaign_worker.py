@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from validate.store.store import Store
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 KEPT = {"cell.json", "log.txt", "record.json", "files.json"}
 
 
@@ -109,7 +110,7 @@ def test_nothing_is_left_behind(misbehaved):
 def test_crashes_fail_the_campaign_and_honest_endings_do_not(misbehaved):
     _, done = misbehaved
     assert done.returncode == 1
-    failed = {line.split(" x ")[1].split(":")[0] for line in done.stdout.splitlines() if line.startswith("fails: ")}
+    failed = {name for line in done.stdout.splitlines() if line.startswith("fails: ") for name in re.findall(r"three_cart x (\w+)", line)}
     crashed = {"only_segfault", "only_abort", "only_exit_zero", "only_exit_seven", "only_spoiled", "only_raises", "only_bad_soft"}
     assert failed == {*crashed, "only_misfit", "only_no_solution", "only_quits"}
 
@@ -118,8 +119,9 @@ def test_progress_is_one_plain_line_a_cell(misbehaved):
     _, done = misbehaved
     lines = done.stderr.splitlines()
     assert lines[0] == "0 stored, 18 to run"
-    assert len(lines) == 19
-    assert all(line.startswith("[") for line in lines[1:])
+    assert len(lines) == 20
+    assert all(line.startswith("[") for line in lines[1:-1])
+    assert lines[-1].startswith("so far: three_cart: "), "all runs of the scene have ended"
     assert "\x1b" not in done.stderr + done.stdout
 
 
@@ -157,7 +159,7 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     _, told = process.communicate()
     assert process.returncode == 130
     assert "interrupted: 1 of 2 runs are stored" in told
-    assert f"resume with: python -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
+    assert f"resume with: {sys.executable} -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
     assert processes(tmp_path) == []
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [_records(tmp_path)["only_good"].key]
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 2
@@ -176,7 +178,7 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Store, "commit", interrupted)
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, heard)
     (record,) = _records(tmp_path).values()
@@ -251,7 +253,7 @@ class _Interrupting(PlainNarrator):
 @pytest.mark.slow
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, _Interrupting(ctrl_c))
     assert sorted(row["pipeline"] for row in untimed(tmp_path)) == ["only_good", "only_infeasible"]

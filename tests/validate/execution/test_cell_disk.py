@@ -39,7 +39,7 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     patch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     patch.setenv("LD_PRELOAD", str(library))
     patch.setenv("REFUSED", str(told))
-    (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", tools="refused_cells:WRITING"))
+    (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", plugin="refused_cells:WRITING"))
     provenance = gather("test")
     server = ForkServer(modules=(*MODULES, "refused_cells"), task="refused_cells:main")
     patch.undo()

@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.process,
     pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)"),
 ]
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
 HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 
@@ -88,7 +88,7 @@ def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli,
     assert process.returncode == 3, told
     (sentence,) = [line for line in told.splitlines() if line.startswith("error:")]
     assert sentence == "error: the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
-    assert f"stopped: 1 of 2 runs are stored in {out}; resume with: python -m validate all" in told
+    assert f"stopped: 1 of 2 runs are stored in {out}; resume with: {sys.executable} -m validate all" in told
     assert "Traceback" not in told
     assert [row["pipeline"] for row in untimed(out)] == ["only_good"]
     assert unfinished(out) == []

@@ -37,7 +37,7 @@ class Campaign:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
         settings = CampaignSettings(
-            out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
+            out=folder, plugin="campaign_fakes:PLUGIN", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )
         self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]
         self.tasks = [entry.task for entry in self.entries]

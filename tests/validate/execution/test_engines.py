@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from validate.execution.engine import EngineError, check_engine
 
 pytestmark = pytest.mark.process
 
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
@@ -91,7 +92,7 @@ def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tm
     assert process.returncode == 130, told
     assert "interrupted: 1 of 2 runs are stored" in told
     assert (
-        f"resume with: python -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
+        f"resume with: {sys.executable} -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
         in told
     )
     assert "Traceback" not in told
@@ -178,5 +179,5 @@ def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name
 @pytest.mark.slow
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MachineError, match=re.escape("pip install 'touchstone-contact[dask]'")):
+    with pytest.raises(MachineError, match=re.escape("pip install distributed")):
         check_engine("dask")

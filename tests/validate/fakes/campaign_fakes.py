@@ -1,6 +1,6 @@
 """Methods that behave and methods that misbehave in every way, and a judge that is quick, for tests of the campaign's machinery.
 
-python -m validate all --plugin campaign_fakes:TOOLS        # with this folder on PYTHONPATH
+python -m validate all --plugin campaign_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score.verdict import Question
-from validate.tasks.plugins import Tools
+from validate.tasks.plugins import Plugin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,8 +258,8 @@ def _write_report(folder: Path) -> Path:
     return folder / "report.html"
 
 
-def _fake_tools(score=_score) -> Tools:
-    return Tools(
+def _fake_plugin(score=_score) -> Plugin:
+    return Plugin(
         load_method=METHODS.__getitem__,
         pipelines_for=lambda scene: PIPELINES,
         quick=("soft+good",),
@@ -272,13 +272,13 @@ def _fake_tools(score=_score) -> Tools:
     )
 
 
-TOOLS = _fake_tools()
-STRICT = _fake_tools(_score_badly)
-STUMBLING = _fake_tools(_stumble)
+PLUGIN = _fake_plugin()
+STRICT = _fake_plugin(_score_badly)
+STUMBLING = _fake_plugin(_stumble)
 
 
 def _no_report(folder: Path) -> Path:
     raise RuntimeError("the report room is on fire")
 
 
-BROKEN = replace(TOOLS, write_report=_no_report)
+BROKEN = replace(PLUGIN, write_report=_no_report)

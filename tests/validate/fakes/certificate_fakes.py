@@ -56,4 +56,4 @@ def pipeline(last: str) -> Pipeline:
     )
 
 
-TOOLS = replace(campaign_fakes.TOOLS, load_method=METHODS.__getitem__, pipelines_for=lambda scene: (), certify=_certify)
+PLUGIN = replace(campaign_fakes.PLUGIN, load_method=METHODS.__getitem__, pipelines_for=lambda scene: (), certify=_certify)

@@ -12,7 +12,7 @@ import uuid
 from dataclasses import replace
 from pathlib import Path
 
-from campaign_fakes import TOOLS, FakeMethod
+from campaign_fakes import PLUGIN, FakeMethod
 
 from formulations.method import Leg, Pipeline
 from validate.execution.process import PARENT_VARIABLE
@@ -37,4 +37,4 @@ def _calm() -> None:
 
 METHODS = {method.name: method for method in (FakeMethod("fatal", _fatal), FakeMethod("calm", _calm))}
 PIPELINES = tuple(Pipeline(name=name, title=f"only {name}", legs=(Leg(method=name),)) for name in METHODS)
-LOSING = replace(TOOLS, load_method=METHODS.__getitem__, pipelines_for=lambda scene: PIPELINES)
+LOSING = replace(PLUGIN, load_method=METHODS.__getitem__, pipelines_for=lambda scene: PIPELINES)

@@ -1,6 +1,6 @@
 """Examinations that pass, fail and misbehave, beside the cells of campaign_fakes.py.
 
-python -m validate all --plugin examination_fakes:TOOLS        # with this folder on PYTHONPATH
+python -m validate all --plugin examination_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations
@@ -67,4 +67,4 @@ def _offered(scenes: Sequence[SceneReference]) -> list[Examination]:
     return [*about, *(question("maybe", scene, quick=False) for scene in scenes), question("yes", None)]
 
 
-TOOLS = replace(campaign_fakes.TOOLS, examinations=_offered)
+PLUGIN = replace(campaign_fakes.PLUGIN, examinations=_offered)

@@ -59,7 +59,7 @@ def _entry() -> Any:
     from validate.tasks.run import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
-    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
+    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)
     return PlannedRun(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
 
 

@@ -51,7 +51,7 @@ def family(out: Path) -> list[str]:
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    chosen = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart", "-k", cells)
+    chosen = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart", "-k", cells)
     command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
     with open(out.with_suffix(".log"), "ab") as log:
         return subprocess.Popen(
@@ -170,7 +170,7 @@ def _log(out: Path) -> str:
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
-_SAID = re.compile(r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: python -m validate all ", re.MULTILINE)
+_SAID = re.compile(r"^interrupted: (\d+) of \d+ runs are stored in \S+; resume with: \S+ -m validate all ", re.MULTILINE)
 
 
 def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:

@@ -14,7 +14,7 @@ import uuid
 from dataclasses import replace
 from pathlib import Path
 
-from campaign_fakes import TOOLS, FakeMethod, FakeOptions
+from campaign_fakes import PLUGIN, FakeMethod, FakeOptions
 
 from formulations.method import Clock, Kind, Leg, Pipeline, Session
 from formulations.solution import Outcome, Solution
@@ -107,4 +107,4 @@ def _pipelines(scene: Scene) -> tuple[Pipeline, ...]:
     return PIPELINES if only is None else tuple(every[name] for name in only.split())
 
 
-SHARING = replace(TOOLS, load_method=METHODS.__getitem__, pipelines_for=_pipelines)
+SHARING = replace(PLUGIN, load_method=METHODS.__getitem__, pipelines_for=_pipelines)

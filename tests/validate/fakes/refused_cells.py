@@ -25,7 +25,7 @@ def _write_replay(path: Path, replay: object, scene: object) -> None:
     write_columns(path, [Column(name="t", dimension="time", values=np.arange(3.0), unit="s")], {"content": "a fake replay"})
 
 
-WRITING = replace(campaign_fakes.TOOLS, write_replay=_write_replay)
+WRITING = replace(campaign_fakes.PLUGIN, write_replay=_write_replay)
 
 
 def main(folder: Path) -> int:

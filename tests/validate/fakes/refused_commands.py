@@ -30,7 +30,7 @@ from validate.execution.fork_server import MODULES
 from validate.execution.process import ChildProcess, child_environment
 from validate.tasks.plugins import DEFAULT
 
-TOOLS = replace(campaign_fakes.TOOLS, write_report=DEFAULT.write_report)
+PLUGIN = replace(campaign_fakes.PLUGIN, write_report=DEFAULT.write_report)
 
 
 class _Copied(ChildProcess):

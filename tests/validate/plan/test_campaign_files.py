@@ -224,7 +224,7 @@ def test_scene_files_are_looked_up_from_the_campaign_file(tmp_path, monkeypatch)
 @pytest.mark.slow
 def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, tmp_path):
     """In the children too: the record is of the changed scene."""
-    fakes = ("--plugin", "campaign_fakes:TOOLS", "--out", str(tmp_path / "out"))
+    fakes = ("--plugin", "campaign_fakes:PLUGIN", "--out", str(tmp_path / "out"))
     text = 'title = "Mine"\npipelines = ["only_good"]\n[[scenes]]\nscene = "three_cart"\nparameters = { k = [30, 300] }\nstart = { q1 = 2.25 }\n'
     path = written(tmp_path, text)
     first = cli("run", str(path), *fakes)
@@ -239,7 +239,7 @@ def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, tmp_path):
     resolved = cli("run", str(tmp_path / "out" / "resolved.toml"), *fakes, "--plan")
     assert resolved.stdout.splitlines()[-1] == "2 stored, 0 to run"
     written(tmp_path, text.replace("[30, 300]", "[30, 301]"))
-    assert cli("run", str(path), *fakes, "--plan").stdout.splitlines()[-1] == "1 stored, 1 to run"
+    assert cli("run", str(path), *fakes, "--plan").stdout.splitlines()[-1].startswith("1 stored, 1 to run; how long")
 
 
 @pytest.mark.slow

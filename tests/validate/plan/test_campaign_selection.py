@@ -1,8 +1,12 @@
 """`-k` reads as pytest's does."""
 
+from pathlib import Path
+
 import pytest
 
-from validate.plan.selection import SelectionError, matches
+from models.catalog import load_scene
+from validate.plan.runs import CampaignSettings, NothingSelectedError, _scenes, scene_cost
+from validate.plan.selection import SelectionError, matches, near, words_of
 
 NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
 
@@ -43,6 +47,46 @@ def test_mistakes_are_one_sentence(expression):
     with pytest.raises(SelectionError, match="-k") as caught:
         matches(expression, NAMES)
     assert "\n" not in str(caught.value)
+
+
+def test_the_words_of_an_expression_are_its_names():
+    assert words_of('(strict or not =mpcc) and ="a b" and strict') == ["strict", "=mpcc", '="a b"']
+
+
+@pytest.mark.parametrize(
+    ("word", "nearest"),
+    [("strikt", "strict_lcp"), ("thre_cart", "three_cart"), ("=softplus_d", "softplus_dc"), ("SOFPLUS", "softplus_dc")],
+)
+def test_near_a_misspelt_name_is_the_name(word, nearest):
+    assert near(word, ("an FMU of three_cart, FMI 2.0", *NAMES))[0] == nearest
+
+
+def test_something_is_near_whatever_was_typed():
+    assert len(near("zzz", NAMES)) == 1
+
+
+def test_of_several_words_those_that_are_in_no_name_are_answered():
+    error = NothingSelectedError("strict and sofplus and a1 and a2 and a3", NAMES)
+    assert "strict and sofplus" in error.headline
+    assert [sentence.partition(" is in no name")[0] for sentence in error.mistakes[:-1]] == ["'sofplus'", "'a1'", "'a2'"]
+    assert len(error.mistakes) + 1 == 5, "five lines at most"
+    (both, _) = NothingSelectedError("strict and three", NAMES).mistakes
+    assert "each of its words is in a name" in both
+
+
+def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
+    scenes = [reference.scene for reference in _scenes(CampaignSettings(out=tmp_path))]
+    assert scenes[0].name == "three_cart"
+    costs = [scene_cost(scene) for scene in scenes[1:]]
+    assert costs == sorted(costs)
+    assert [scene.name for scene, cost in zip(scenes[1:], costs, strict=True) if cost == 0] == [
+        "bouncing_mass",
+        "damped_collision",
+        "two_body_collision",
+    ]
+    assert scene_cost(load_scene("push_box")) == 100 * 2 * 5 * 2, "steps, states, and a contact with friction"
+    named = _scenes(CampaignSettings(out=tmp_path, scenes=("two_finger", "three_cart")))
+    assert [reference.scene.name for reference in named] == ["two_finger", "three_cart"], "as they were typed"
 
 
 @pytest.mark.parametrize(

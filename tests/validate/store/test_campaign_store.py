@@ -87,7 +87,7 @@ def test_results_have_the_columns_of_the_design(entry):
     design = (
         "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
         "replay_terminal_error, replay_terminal_position_error, replay_terminal_velocity_error, replay_error, max_penetration, ghost_impulse, "
-        "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, total_s, replay_s, judged, "
+        "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, stage_cpu_s, total_s, replay_s, judged, "
         "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
     )
     first = tuple(design.split(", "))

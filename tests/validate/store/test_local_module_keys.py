@@ -47,7 +47,7 @@ def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path,
 
     def settings(stiffness: float) -> CampaignSettings:
         parts.write_text(PARTS.format(stiffness=stiffness))
-        return CampaignSettings(out=out, tools="campaign_fakes:TOOLS", scenes=("scenes/own.py",), expression="=only_good")
+        return CampaignSettings(out=out, plugin="campaign_fakes:PLUGIN", scenes=("scenes/own.py",), expression="=only_good")
 
     (first,) = run_campaign(settings(1.0), PlainNarrator()).records
     assert first.outcome == "solved", first.log_tail

@@ -17,7 +17,7 @@ from validate.store.provenance import command_line
 from validate.store.store import Store
 
 FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
-FAKES = ("--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
 
 
@@ -38,10 +38,10 @@ def names(out: Path) -> list[str]:
 def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
     done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
     plan = json.loads(done.stdout)
-    why = {cell["cell"].split(" x ")[1]: cell["why"] for cell in plan["cells"]}
+    why = {run["name"].split(" x ")[1]: run["why"] for run in plan["runs"]}
     assert why == {"only_good": "", "only_raises": "it failed the last time", "only_exit_seven": "it failed the last time"}
     again = cli("all", *FAKES, "--out", str(ran), "--lf", "--json")
-    assert again.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
+    assert again.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
     assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
 
 
@@ -66,14 +66,14 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
+    settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):
         run_campaign(replace(settings, fresh=True), stopped)
     assert (stopped.stored, stopped.done, stopped.anew, stopped.total) == (0, 1, 2, 2)
     assert stopped.so_far(tmp_path) == f"1 of 2 runs are done, what {tmp_path} holds of the others is kept"
-    assert "0 used again, 2 to run, 2 of them anew" in capsys.readouterr().err
+    assert "0 stored, 2 to run, 2 of them again" in capsys.readouterr().err
     kept = {path.parent.name: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
     assert len(kept) == 2
     store, (chosen, _) = Store(tmp_path), select(settings)
@@ -90,10 +90,10 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
 @pytest.mark.slow
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
-    assert done.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
+    assert done.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
     assert f"stopped at the first failure (-x): 2 of 3 runs are done, what {ran} holds of the others is kept" in done.stderr
     plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
-    assert {cell["why"] for cell in plan["cells"]} == {"", "stored, but it crashed"}
+    assert {run["why"] for run in plan["runs"]} == {"", "stored, but it crashed"}
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_stop_at_the_first_failure(cli, tmp_path):
     assert done.returncode == 1
     assert f"stopped at the first failure (-x): 1 of 3 runs are stored in {tmp_path}" in done.stderr
     assert names(tmp_path) == ["only_exit_seven"]
-    assert "-x" not in done.stdout.splitlines()[-1]
+    assert done.stdout.splitlines()[-1].endswith(" -x -j 1"), "the command as it was typed"
 
 
 @pytest.mark.slow

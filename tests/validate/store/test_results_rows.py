@@ -87,7 +87,7 @@ def test_every_value_stands_in_its_own_column(template: RunRecord):
     assert found == {
         "scene": "three_cart", "pipeline": "relaxed+strict", "stage": "7", "method": "relaxed_lcp", "eps": "0.0001", "outcome": "stalled",
         "cost": "490.1234567890123", "verdict": "holds with feedback", "iterations": "77", "build_s": "0.5625", "solve_s": "3.375", "stage_s": "4.5",
-        "total_s": "6.75", "replay_s": "7.875", "judged": "feedback", "growth_rate": "11.5",
+        "stage_cpu_s": "5.5", "total_s": "6.75", "replay_s": "7.875", "judged": "feedback", "growth_rate": "11.5",
         **{name: repr(0.1 + number) for number, name in enumerate(METRICS)},
     }  # fmt: skip
     assert len(set(found.values())) == len(COLUMNS), "or an exchange would not show"

@@ -27,7 +27,7 @@ from validate.store.store import RECORD, Store
 from validate.tasks.records import run_record, unfinished_stage
 from validate.tasks.scene_record import scene_record
 
-FAKES = {"tools": "campaign_fakes:TOOLS", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
+FAKES = {"plugin": "campaign_fakes:PLUGIN", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
 _ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")
 
 
@@ -158,7 +158,7 @@ def test_a_text_is_the_old_one_or_the_new_one_whatever_is_refused(tmp_path, disk
 def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     """Everything is stored; each request of writing the campaign's own files is refused in turn."""
     settings = CampaignSettings(out=tmp_path / "out", **FAKES)
-    words = ("--plugin", settings.tools, "--scene", *settings.scenes, "-k", settings.expression)
+    words = ("--plugin", settings.plugin, "--scene", *settings.scenes, "-k", settings.expression)
     assert cli("all", *words, "--out", str(settings.out)).returncode == 0
     results = (settings.out / "results.csv").read_bytes()
     records = {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")}

@@ -11,7 +11,7 @@ import pytest
 from reports.records.record import SCHEMA_VERSION
 from validate.plan.runs import only_last_failed
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, with_others
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_stored", Path(__file__).parents[2] / "reports" / "record_factory.py")
 assert _FACTORY is not None
@@ -81,3 +81,37 @@ def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_pa
 def test_a_campaign_that_cannot_be_read_is_no_text(tmp_path: Path, text: str) -> None:
     (tmp_path / "campaign.json").write_text(text)
     assert campaign_text(tmp_path) == ""
+
+
+def _asked(pipeline: str) -> dict:
+    return {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": pipeline, "part": None, "legs": []}}
+
+
+@pytest.mark.parametrize(
+    ("part", "keys"),
+    [
+        (["b"], "abc"),
+        (["c", "a"], "cab"),
+        (["d"], "abcd"),
+        (["b", "d"], "abcd"),
+        (["B"], "aBc"),  # the same run, of other code
+        ([], "abc"),
+    ],
+)
+def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
+    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
+    for key in "abc":
+        (store.runs / key / "cell.json").write_text(json.dumps({"cell": _asked(key)}), encoding="utf-8")
+    earlier, found = with_others(store, {identity(_asked(key.lower())): key for key in part})
+    assert earlier is not None
+    assert "".join(found) == keys
+
+
+def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
+    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
+    for key in "ab":
+        (store.runs / key / "cell.json").write_text(json.dumps({"cell": _asked(key)}), encoding="utf-8")
+    (store.runs / "b" / "record.json").unlink()
+    assert with_others(store, {identity(_asked("d")): "d"})[1] == ("a", "d")
+    (store.folder / CAMPAIGN).unlink()
+    assert with_others(store, {identity(_asked("d")): "d"}) == (None, ("d",))

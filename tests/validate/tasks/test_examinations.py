@@ -17,7 +17,7 @@ from validate.store.provenance import examination_key
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.plugins import DEFAULT
 
-FAKES = ("--plugin", "examination_fakes:TOOLS", "--scene", "three_cart")
+FAKES = ("--plugin", "examination_fakes:PLUGIN", "--scene", "three_cart")
 
 
 def _records(out: Path) -> dict[str, ExaminationRecord]:
@@ -68,7 +68,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert len(failing) == 5
     assert "fails: question: no of three_cart: failed - it says no." in failing
     assert "fails: question: refuse of three_cart: failed - the examination says why it cannot." in failing
-    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s, it says yes\.", done.stderr)
+    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s wall\), it says yes\.", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
     assert "question" not in (out / "results.csv").read_text()
     assert not list(out.glob("runs/.partial-*"))
@@ -99,7 +99,7 @@ def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
 
 
 def test_selection_by_words_and_scenes_and_quick():
-    settings = CampaignSettings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
+    settings = CampaignSettings(out=Path(), plugin="examination_fakes:PLUGIN", scenes=("three_cart",), expression="asked")
     entries, left_out = select(settings)
     assert [entry.task.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
@@ -110,8 +110,8 @@ def test_selection_by_words_and_scenes_and_quick():
     everywhere, left_out = select(replace(settings, quick=True, scenes=()))
     assert [entry.task.title for entry in everywhere][-1] == "question: yes of nothing"
     assert re.fullmatch(r"question: \d+ examinations", left_out[0])
-    with pytest.raises(CampaignError, match="-k 'asked' selects no cell"):
-        select(replace(settings, tools="campaign_fakes:TOOLS"))
+    with pytest.raises(CampaignError, match="-k 'asked' selects no run and no check"):
+        select(replace(settings, plugin="campaign_fakes:PLUGIN"))
 
 
 def _examination(**changes) -> Examination:

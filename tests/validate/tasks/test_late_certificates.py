@@ -35,16 +35,16 @@ def in_reach(monkeypatch):
 
 
 def _task(last: str) -> RunTask:
-    from certificate_fakes import TOOLS, pipeline
+    from certificate_fakes import PLUGIN, pipeline
 
     chosen = pipeline(last)
-    plan = planned_stages(chosen, TOOLS.methods_of(chosen))
+    plan = planned_stages(chosen, PLUGIN.methods_of(chosen))
     return RunTask(
         key=f"key_of_{last}",
         scene="three_cart",
         scene_name="three_cart",
         pipeline=chosen,
-        tools="certificate_fakes:TOOLS",
+        plugin="certificate_fakes:PLUGIN",
         time_limit=1e5,
         legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
     )

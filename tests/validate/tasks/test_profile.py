@@ -51,7 +51,7 @@ def test_the_start_of_the_process_counts():
 
 @pytest.mark.slow
 def test_a_cells_profile_is_its_wall_time(cli, tmp_path):
-    done = cli("all", "--plugin", "campaign_fakes:TOOLS", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or only_slow")
+    done = cli("all", "--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or only_slow")
     assert done.returncode in (0, 1), done.stderr
     records = [json.loads(path.read_text()) for path in tmp_path.glob("runs/*/record.json")]
     assert len(records) == 2

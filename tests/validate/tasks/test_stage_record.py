@@ -320,7 +320,7 @@ def test_a_stage_without_an_answer_says_why(outcome: Outcome, verdict: str):
 
 
 def run_of(pipeline: Pipeline, *stages: StageRecord, **changes: Any):
-    task = RunTask(key="key", scene="file.py", scene_name="three_cart", pipeline=pipeline, tools="", time_limit=60.0)
+    task = RunTask(key="key", scene="file.py", scene_name="three_cart", pipeline=pipeline, plugin="", time_limit=60.0)
     said = {"wall": 1.5, "cpu": 2.5, "log": "first\nlast"}
     return run_record(task, factory.scene(), stages, factory.provenance(), **(said | changes))
 
