@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from hypothesis import settings
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
+
+# How wide the terminal is in which the tests run decides no test: what they read goes through pipes. A test of widths sets its own.
+os.environ.pop("COLUMNS", None)
 
 # What a test asks for says what it is: a command line is processes, Chromium is a browser. The others are marked where they stand.
 _MARKS = {"cli": "process", "start_cli": "process", "chromium": "browser"}

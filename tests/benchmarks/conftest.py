@@ -30,7 +30,7 @@ def cli() -> Callable[..., subprocess.CompletedProcess[str]]:
     """cli("list") runs `python -m benchmarks list` to its end, in the checkout or elsewhere; program: another of ours."""
 
     def run(*arguments: str, cwd: Path = ROOT, program: str = "benchmarks") -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
         return subprocess.run(
             [sys.executable, "-m", program, *arguments], capture_output=True, text=True, env=environment, cwd=cwd, check=False
         )

@@ -119,7 +119,7 @@ def test_without_the_extra_one_sentence_says_what_to_install(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     for shown in (plan, verdict):
-        with pytest.raises(MachineError, match=rf"{package}, which is not installed; pip install 'touchstone-contact\[notebook\]'"):
+        with pytest.raises(MachineError, match=rf"{package}, which is not installed; pip install matplotlib pandas"):
             getattr(shown, call)()
 
 
