@@ -32,31 +32,19 @@ import numpy as np
 import sympy as sp
 
 from formulations.grids import input_bounds
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.compiler import cached_library, load_library
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
 from models.scene.goal import goal_state
 
 _SOURCE = Path(__file__).with_name("band.c")
-_INT, _POINTER = ctypes.c_int, ctypes.c_void_p
-_SIGNATURES = {
-    "band_factor": (_INT, (_INT, _INT, _POINTER, _POINTER)),
-    "band_solve": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
-    "band_product": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
-}
+_SIGNATURES = {"band_factor": ("n", "nnpp"), "band_solve": ("", "nnppp"), "band_product": ("", "nnppp")}
 
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
     """Compiled once and cached on disk. Raises MachineError without a compiler."""
-    compiler, text = find_compiler(), _SOURCE.read_text(encoding="utf-8")
-    key = "\n".join([compiler.describe(), " ".join((*FLAGS, "-O3")), text])
-    library = ctypes.CDLL(str(cached(key, ".so", lambda path: compile_shared(compiler, {"band.c": text}, path, extra_flags=("-O3",)))))
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, list(arguments)
-    return library
+    return load_library(cached_library({"band.c": _SOURCE.read_text(encoding="utf-8")}, ("-O3",)), _SIGNATURES)
 
 
 class BandedLU:

@@ -1,7 +1,8 @@
-"""Finds a C compiler and runs it: $CC, then cc, gcc, clang, then `python -m ziglang cc` if that wheel is installed."""
+"""Finds a C compiler and runs it: $CC, then cc, gcc, clang, then `python -m ziglang cc` if that wheel is installed; and loads what it made."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import importlib.util
 import os
@@ -15,11 +16,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from models.codegen.cache import cached
 from models.errors import MachineError
 
 # -O2 always: at -O0 zig traps undefined behaviour. No contraction to fused multiply-add, so that the same expression
 # gives the same bits in the rollout, in the score and on every machine. -s keeps the files small and free of paths.
 FLAGS = ("-O2", "-s", "-std=c99", "-fPIC", "-shared", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror")
+
+# Results and arguments of C functions: n a count, d a double, p the address of doubles. Addresses are passed as plain integers: a ctypes pointer
+# object for each of them would cost more than a rollout itself.
+_TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p, "": None}
 
 
 @dataclass(frozen=True)
@@ -120,3 +126,19 @@ def compile_shared(
         if os.strerror(errno.ENOSPC) in done.stderr:
             raise MachineError(f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there.")
         raise MachineError(f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}")
+
+
+def cached_library(sources: Mapping[str, str], extra_flags: Sequence[str] = ()) -> Path:
+    """The shared library of `compile_shared`, found in the cache or made there. Raises MachineError without a compiler, or a cache that can be written."""
+    compiler = find_compiler()
+    key = "\n".join([compiler.describe(), " ".join((*FLAGS, *extra_flags)), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
+    return cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags))
+
+
+def load_library(path: Path, signatures: Mapping[str, tuple[str, str]]) -> ctypes.CDLL:
+    """A shared library with the signatures of its functions by name: result ("": none), and arguments; a letter each, n, d or p."""
+    library = ctypes.CDLL(str(path))
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
+    return library

@@ -74,11 +74,6 @@ def _factor_pattern(mass: sp.Matrix) -> set[tuple[int, int]]:
 _OPEN, _OPEN_WITHOUT, _ELSE, _CLOSE, _LINE = "#ifdef DAMPING", "#ifndef DAMPING", "#else", "#endif", "DAMPED("
 
 
-def damping_source() -> str:
-    """Text of `damping.h`, the hand-written law of a damped contact: of scenes with one."""
-    return Path(__file__).with_name("damping.h").read_text(encoding="utf-8")
-
-
 def for_scene(scene: Scene, text: str) -> str:
     """A hand-written C source as this scene needs it: whole, or without what is for damped contacts only."""
     if scene.damped or not ("DAMPING" in text or _LINE in text):
@@ -132,9 +127,10 @@ def damping_functions(x: SceneVectors) -> list[str]:
     ]
 
 
-def friction_source() -> str:
-    """Text of `friction.h`, the hand-written friction within a time step: of scenes with friction."""
-    return Path(__file__).with_name("friction.h").read_text(encoding="utf-8")
+def force_sources(scene: Scene) -> dict[str, str]:
+    """File name -> text of the hand-written laws that a scene has: friction within a time step, the force of a damped contact."""
+    names = [name for name, present in (("friction.h", scene.nf), ("damping.h", scene.damped)) if present]
+    return {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names}
 
 
 def friction_functions(x: SceneVectors) -> list[str]:

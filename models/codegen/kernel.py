@@ -11,7 +11,6 @@ friction forces belong to the slip at the end of the step (friction.h) and stand
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
-from models.codegen.emit import damping_source, for_scene, friction_source, model_source
+from models.codegen.compiler import cached_library, load_library
+from models.codegen.emit import for_scene, force_sources, model_source
 from models.contact_law import ContactLaw, sharpness
 from models.errors import TouchstoneError
 from models.scene import Scene
@@ -30,26 +28,24 @@ _SOURCE = Path(__file__).with_name("rollout.c")
 # The adjoint takes 0.6 of its time at -O2, and the same operations in the same order: equal bits. Compiling takes a fifth longer.
 _OPTIMISED = ("-O3",)
 
-# Result and arguments of the C functions: n a count or law, d a double, p the address of doubles. Addresses are passed as
-# plain integers: a ctypes pointer object for each of them would cost more than the rollout itself.
-_TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p}
-_FRICTION_SIGNATURES = {"slip": (None, "npppp"), "friction_limit": (None, "npppp")}
-_DAMPING_SIGNATURES = {"damped_contact_force": (None, "npndppp"), "contact_push": (None, "npppp")}
+# Result and arguments of the C functions (models.codegen.compiler); n stands for a law, too.
 _SIGNATURES = {
-    "rollout": (ctypes.c_int, "ndpndppppp"),
-    "adjoint": (ctypes.c_int, "ndpndppppppppdpp"),
-    "rollouts": (None, "nndpndppppppp"),
-    "adjoints": (ctypes.c_int, "nndpnd" + "p" * 11),
-    "penetration": (None, "nppp"),
-    "contact_force": (None, "npndpp"),
-    "stiffness": (None, "pp"),
-    "acceleration": (ctypes.c_int, "npppppp"),
-    "acceleration_jvp": (ctypes.c_int, "p" * 10),
-    "penetration_jvp": (None, "pppp"),
-    "energy": (None, "npppp"),
-    "power": (None, "nppppp"),
-    "cost": (ctypes.c_double, "npppp"),
+    "kernel_rollout": ("n", "ndpndppppp"),
+    "kernel_adjoint": ("n", "ndpndppppppppdpp"),
+    "kernel_rollouts": ("", "nndpndppppppp"),
+    "kernel_adjoints": ("n", "nndpnd" + "p" * 11),
+    "kernel_penetration": ("", "nppp"),
+    "kernel_contact_force": ("", "npndpp"),
+    "kernel_stiffness": ("", "pp"),
+    "kernel_acceleration": ("n", "npppppp"),
+    "kernel_acceleration_jvp": ("n", "p" * 10),
+    "kernel_penetration_jvp": ("", "pppp"),
+    "kernel_energy": ("", "npppp"),
+    "kernel_power": ("", "nppppp"),
+    "kernel_cost": ("d", "npppp"),
 }
+_FRICTION_SIGNATURES = {"kernel_slip": ("", "npppp"), "kernel_friction_limit": ("", "npppp")}
+_DAMPING_SIGNATURES = {"kernel_damped_contact_force": ("", "npndppp"), "kernel_contact_push": ("", "npppp")}
 
 
 class KernelError(TouchstoneError):
@@ -94,20 +90,13 @@ class BatchFunctions(NamedTuple):
 
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
-    compiler, sources = find_compiler(), kernel_sources(scene)
-    key = "\n".join([compiler.describe(), " ".join((*FLAGS, *_OPTIMISED)), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
-    library = cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags=_OPTIMISED))
-    return Kernel(scene, library)
+    return Kernel(scene, cached_library(kernel_sources(scene), _OPTIMISED))
 
 
 def kernel_sources(scene: Scene) -> dict[str, str]:
     """File name -> text of the C sources of a scene's kernel."""
-    sources = {"scene_model.h": model_source(scene), "rollout.c": for_scene(scene, _SOURCE.read_text(encoding="utf-8"))}
-    if scene.nf:
-        sources["friction.h"] = friction_source()
-    if scene.damped:
-        sources["damping.h"] = damping_source()
-    return sources
+    rollout = for_scene(scene, _SOURCE.read_text(encoding="utf-8"))
+    return {"scene_model.h": model_source(scene), "rollout.c": rollout, **force_sources(scene)}
 
 
 class Kernel:
@@ -116,13 +105,10 @@ class Kernel:
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
         self.path = library
-        self._library = ctypes.CDLL(str(library))
         signatures = _SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {}) | (_DAMPING_SIGNATURES if scene.damped else {})
-        for name, (result, arguments) in signatures.items():
-            function = getattr(self._library, f"kernel_{name}")
-            function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
-        values = [parameter.value for parameter in scene.parameters]
-        self._p = np.array(values or [0.0])
+        self._library = load_library(library, signatures)
+        self._columns = {"q": scene.nq, "v": scene.nq, "u": scene.nu, "lam": scene.nl}
+        self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def parameters_of(self, step: float) -> np.ndarray:
@@ -157,8 +143,7 @@ class Kernel:
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (formulations.shooting.rollout)."""
-        head = (steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
-        return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
+        return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, self._head(steps, step, law, eps))
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
         """Penetration of each contact, positive in contact.
@@ -178,10 +163,7 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q = self._array("q", q, self.scene.nq)
-        phi = np.empty((len(q), self.scene.nc))
-        self._library.kernel_penetration(len(q), address(self._p), address(q), address(phi))
-        return phi
+        return self._by_row("kernel_penetration", self.scene.nc, q=q)
 
     def stiffness(self) -> np.ndarray:
         """Stiffness k (nc,) of each contact [N/m]."""
@@ -215,15 +197,10 @@ class Kernel:
         RelaxationError
             Unless 0 < eps < 1, of a relaxed law.
         """
-        q = self._array("q", q, self.scene.nq)
-        lam = np.empty((len(q), self.scene.nc))
-        head = (len(q), address(self._p), law.value, law_sharpness(law, eps, self.scene.length), address(q))
-        if self.scene.damped:
-            v = self._array("v", np.zeros_like(q) if v is None else v, self.scene.nq, len(q))
-            self._library.kernel_damped_contact_force(*head, address(v), address(lam))
-        else:
-            self._library.kernel_contact_force(*head, address(lam))
-        return lam
+        law_of = (law.value, law_sharpness(law, eps, self.scene.length))
+        if not self.scene.damped:
+            return self._by_row("kernel_contact_force", self.scene.nc, *law_of, q=q)
+        return self._by_row("kernel_damped_contact_force", self.scene.nc, *law_of, q=q, v=np.zeros_like(q) if v is None else v)
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """What the true contact force is the positive part of: k phi without damping.
@@ -245,12 +222,9 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         if not self.scene.damped:
             return self.stiffness() * self.penetration(q)
-        push = np.empty((len(q), self.scene.nc))
-        self._library.kernel_contact_push(len(q), address(self._p), address(q), address(v), address(push))
-        return push
+        return self._by_row("kernel_contact_push", self.scene.nc, q=q, v=v)
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Slip speed of each friction.
@@ -272,11 +246,7 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
-        slip = np.empty((len(q), self.scene.nf))
-        if self.scene.nf:
-            self._library.kernel_slip(len(q), address(self._p), address(q), address(v), address(slip))
-        return slip
+        return self._by_row("kernel_slip", self.scene.nf, q=q, v=v)
 
     def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """The largest friction forces, mu N.
@@ -298,11 +268,7 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q = self._array("q", q, self.scene.nq)
-        lam, limit = self._array("lam", lam, self.scene.nl, len(q)), np.empty((len(q), self.scene.nf))
-        if self.scene.nf:
-            self._library.kernel_friction_limit(len(q), address(self._p), address(q), address(lam), address(limit))
-        return limit
+        return self._by_row("kernel_friction_limit", self.scene.nf, q=q, lam=lam)
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """Accelerations dv/dt of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row.
@@ -328,13 +294,7 @@ class Kernel:
         KernelError
             Where M is not positive definite, or an array has another shape.
         """
-        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
-        u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nl, len(q))
-        a = np.empty((len(q), self.scene.nq))
-        done = self._library.kernel_acceleration(len(q), address(self._p), address(q), address(v), address(u), address(lam), address(a))
-        if done < len(q):
-            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {q[done].tolist()}.")
-        return a
+        return self._by_row("kernel_acceleration", self.scene.nq, q=q, v=v, u=u, lam=lam)
 
     def rollout(
         self, start: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
@@ -364,14 +324,13 @@ class Kernel:
         RelaxationError
             Unless 0 < eps < 1, of a relaxed law.
         """
-        u = self._array("u", u, self.scene.nu)
-        start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
+        u, start = self._array("u", u, None, self.scene.nu), self._array("start", start, 2 * self.scene.nq)
         steps = len(u)
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
-            steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length), address(start), address(u), address(q), address(v), address(lam)
-        )  # fmt: skip
+            *self._head(steps, step, law, eps), address(start), address(u), address(q), address(v), address(lam)
+        )
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
             lam[done + 1 :] = np.nan
@@ -402,7 +361,7 @@ class Kernel:
             Where an array has another shape.
         """
         rows, steps, _ = u.shape
-        start, u = self._array("start", start, 2 * self.scene.nq, rows), np.ascontiguousarray(u, dtype=np.float64)
+        start, u = self._array("start", start, rows, 2 * self.scene.nq), self._array("u", u, rows, steps, self.scene.nu)
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
         lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
         functions = self.batch_functions(steps, step, ContactLaw.RELU, None)
@@ -448,18 +407,18 @@ class Kernel:
         KernelError
             Where M is not positive definite along the rollout, or an array has another shape.
         """
-        u = self._array("u", u, self.scene.nu, len(rollout.lam))
+        u = self._array("u", u, len(rollout.lam), self.scene.nu)
         given = (
             ("q_bar", q_bar, rollout.q.shape),
             ("v_bar", v_bar, rollout.v.shape),
             ("lam_bar", lam_bar, rollout.lam.shape),
-            ("end_bar", None if end_bar is None else np.atleast_2d(end_bar), (1, 2 * self.scene.nq)),
+            ("end_bar", end_bar, (2 * self.scene.nq,)),
         )
-        bars = [None if bar is None else self._array(name, bar, columns, rows) for name, bar, (rows, columns) in given]
+        bars = [None if bar is None else self._array(name, bar, *shape) for name, bar, shape in given]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), rollout.step, address(self.parameters_of(rollout.step)), rollout.law.value, law_sharpness(rollout.law, rollout.eps, self.scene.length), address(rollout.q), address(rollout.v),
-            address(rollout.lam), address(u), *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
+            *self._head(len(u), rollout.step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u),
+            *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
@@ -486,7 +445,7 @@ class Kernel:
             Where an array has another shape.
         """
         sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
-        arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
+        arrays = [self._array("point", part, size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
         result = np.empty(self.scene.nq)
         self._library.kernel_acceleration_jvp(address(self._p), *(address(array) for array in arrays), address(result))
         return result
@@ -511,9 +470,7 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
-        energy = np.empty((len(q), 2))
-        self._library.kernel_energy(len(q), address(self._p), address(q), address(v), address(energy))
+        energy = self._by_row("kernel_energy", 2, q=q, v=v)
         return energy[:, 0], energy[:, 1]
 
     def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -538,9 +495,7 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        q, v, u = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq), self._array("u", u, self.scene.nu)
-        power = np.empty((len(q), 2))
-        self._library.kernel_power(len(q), address(self._p), address(q), address(v), address(u), address(power))
+        power = self._by_row("kernel_power", 2, q=q, v=v, u=u)
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
@@ -563,14 +518,32 @@ class Kernel:
         KernelError
             Where an array has another shape.
         """
-        u = self._array("u", u, self.scene.nu)
-        q, v = self._array("q", q, self.scene.nq, len(u) + 1), self._array("v", v, self.scene.nq, len(u) + 1)
+        u = self._array("u", u, None, self.scene.nu)
+        q, v = self._array("q", q, len(u) + 1, self.scene.nq), self._array("v", v, len(u) + 1, self.scene.nq)
         return float(self._library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
 
-    def _array(self, name: str, value: np.ndarray, columns: int, rows: int | None = None) -> np.ndarray:
+    def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
+        """What every function of time steps takes first."""
+        return (n, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
+
+    def _by_row(self, function: str, columns: int, *settings: float, **given: np.ndarray) -> np.ndarray:
+        """What a C function writes (n, columns) of given arrays by name, row by row; without columns there may be no such function."""
+        n: int | None = None
+        arrays: list[np.ndarray] = []
+        for name, value in given.items():
+            arrays.append(self._array(name, value, n, self._columns[name]))
+            n = len(arrays[0])
+        found = np.empty((len(arrays[0]), columns))
+        done = getattr(self._library, function)(n, address(self._p), *settings, *map(address, arrays), address(found)) if columns else None
+        if done is not None and done < len(found):
+            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {arrays[0][done].tolist()}.")
+        return found
+
+    def _array(self, name: str, value: np.ndarray, *shape: int | None) -> np.ndarray:
+        """As the C functions take it; shape: None where any size will do."""
         array = np.ascontiguousarray(value, dtype=np.float64)
-        if array.ndim != 2 or array.shape[1] != columns or (rows is not None and array.shape[0] != rows):
-            expected = f"({'n' if rows is None else rows}, {columns})"
+        if array.ndim != len(shape) or any(size not in (None, found) for size, found in zip(shape, array.shape, strict=True)):
+            expected = str(tuple("n" if size is None else size for size in shape)).replace("'", "")
             raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {expected} is needed.")
         return array
 

@@ -9,6 +9,7 @@ as a product counts its multiplications.
 
 from __future__ import annotations
 
+import ast
 import re
 from dataclasses import astuple, dataclass
 
@@ -16,9 +17,6 @@ from models.codegen.emit import model_source
 from models.scene import Scene
 
 _FUNCTION = re.compile(r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)(?P<call>\s*\()?|(?P<sign>[-+*/()\[\],]))"
-)
 # What a time step evaluates once, before the contact law and the two updates.
 _OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_solve", "scene_acceleration")
 
@@ -41,6 +39,14 @@ class Operations:
         return sum(astuple(self))
 
 
+_KINDS = {
+    ast.Add: Operations(add=1),
+    ast.Sub: Operations(add=1),
+    ast.Mult: Operations(multiply=1),
+    ast.Div: Operations(divide=1),
+}
+
+
 def step_operations(scene: Scene) -> Operations:
     """Operations of the equations that one time step of the scene evaluates: gaps, slips, and accelerations under given forces.
 
@@ -58,7 +64,7 @@ def count_operations(source: str) -> dict[str, Operations]:
 def _of_statement(line: str) -> Operations:
     """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`; declarations, casts to void and braces have none."""
     text = line.strip().removesuffix(";")
-    if text.startswith("if "):
+    if text.startswith(("if ", "for ")):
         return Operations()
     if text.startswith("return "):
         own, text = Operations(), text.removeprefix("return ")
@@ -70,67 +76,23 @@ def _of_statement(line: str) -> Operations:
         own, text = Operations(), text.partition(" = ")[2]
     else:
         return Operations()
-    return own + _Expression(text).operations
+    return own + _of_expression(ast.parse(text, mode="eval").body)[0]
 
 
-class _Expression:
-    """Recursive descent over one C expression of numbers, names, subscripts, calls, parentheses and + - * /."""
-
-    def __init__(self, text: str) -> None:
-        self._tokens = list(_TOKEN.finditer(text))
-        self._place = 0
-        self.operations = Operations()
-        self._sum()
-
-    def _peek(self) -> str:
-        return (self._tokens[self._place]["sign"] or "") if self._place < len(self._tokens) else ""
-
-    def _sum(self) -> bool:
-        """Whether it is a number, as of all three levels."""
-        constant = self._product()
-        while self._peek() in ("+", "-"):
-            self._place += 1
-            constant = self._count(constant, self._product(), Operations(add=1))
-        return constant
-
-    def _product(self) -> bool:
-        constant = self._atom()
-        while self._peek() in ("*", "/"):
-            operation = Operations(multiply=1) if self._peek() == "*" else Operations(divide=1)
-            self._place += 1
-            constant = self._count(constant, self._atom(), operation)
-        return constant
-
-    def _count(self, left: bool, right: bool, operation: Operations) -> bool:
-        if left and right:
-            return True
-        self.operations += operation
-        return False
-
-    def _atom(self) -> bool:
-        token = self._tokens[self._place]
-        self._place += 1
-        if token["sign"] in ("-", "+"):
-            return self._atom()
-        if token["sign"] == "(":
-            return self._inside()
-        if token["number"]:
-            return True
-        if token["call"]:
-            constant = self._inside()
-            ours = token["name"].startswith("scene_")
-            self.operations += Operations() if constant or ours else Operations(call=1)
-            return constant
-        while self._peek() == "[":
-            self._place += 1
-            self._inside()
-        return False
-
-    def _inside(self) -> bool:
-        """Up to and with the closing bracket; several arguments are all looked at."""
-        constant = self._sum()
-        while self._peek() == ",":
-            self._place += 1
-            constant = self._sum() and constant
-        self._place += 1
-        return constant
+def _of_expression(node: ast.expr) -> tuple[Operations, bool]:
+    """Of numbers, names, subscripts, calls and + - * /, which C writes as Python does; and whether it is a number."""
+    match node:
+        case ast.UnaryOp():
+            return _of_expression(node.operand)
+        case ast.BinOp():
+            (left, is_left), (right, is_right) = _of_expression(node.left), _of_expression(node.right)
+            own = Operations() if is_left and is_right else _KINDS[type(node.op)]
+            return left + right + own, is_left and is_right
+        case ast.Call():
+            found = [_of_expression(argument) for argument in node.args]
+            is_number = all(is_one for _, is_one in found)
+            ours = is_number or ast.unparse(node.func).startswith("scene_")
+            return sum((inside for inside, _ in found), Operations() if ours else Operations(call=1)), is_number
+        case ast.Subscript():
+            return _of_expression(node.slice)[0], False
+    return Operations(), isinstance(node, ast.Constant)

@@ -9,20 +9,17 @@ The steps are those of models.codegen.kernel, bit for bit; the derivatives come 
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
-from models.codegen.kernel import KernelError, address, kernel_sources, law_sharpness
+from models.codegen.compiler import cached_library, load_library
+from models.codegen.kernel import Kernel, address, kernel_sources
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
-_POINTER = ctypes.c_void_p
-_HEAD = [ctypes.c_int, ctypes.c_double, _POINTER, ctypes.c_int, ctypes.c_double]
+_SIGNATURES = {"kernel_linearise": ("n", "ndpnd" + "p" * 6), "kernel_feedback_rollout": ("n", "ndpnd" + "p" * 10)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,24 +49,18 @@ class Followed:
 
 def load_steps(scene: Scene) -> Steps:
     """Compile (or find in the cache) the single steps of a scene. Raises MachineError without a compiler."""
-    compiler, sources = find_compiler(), kernel_sources(scene)
+    sources = kernel_sources(scene)
     sources["rollout.h"] = sources.pop("rollout.c")  # included by steps.c, not compiled beside it
     sources["steps.c"] = Path(__file__).with_name("steps.c").read_text(encoding="utf-8")
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
-    return Steps(scene, cached(key, ".so", lambda path: compile_shared(compiler, sources, path)))
+    return Steps(scene, cached_library(sources))
 
 
-class Steps:
-    """See the module docstring. All arrays are float64; shapes that do not fit raise KernelError."""
+class Steps(Kernel):
+    """A kernel with more functions; see the module docstring. All arrays are float64; shapes that do not fit raise KernelError."""
 
     def __init__(self, scene: Scene, library: Path) -> None:
-        self.scene = scene
-        self._library = ctypes.CDLL(str(library))
-        for name, arguments in (("linearise", 6), ("feedback_rollout", 10)):
-            function = getattr(self._library, f"kernel_{name}")
-            function.restype, function.argtypes = ctypes.c_int, [*_HEAD, *[_POINTER] * arguments]
-        self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
-        self._tau = scene.relaxation_index
+        super().__init__(scene, library)
+        self._single = load_library(library, _SIGNATURES)
         self._lower = np.array([item.lower for item in scene.inputs] or [0.0])
         self._upper = np.array([item.upper for item in scene.inputs] or [0.0])
 
@@ -102,11 +93,11 @@ class Steps:
             Unless 0 < eps < 1, of a relaxed law.
         """
         scene, n = self.scene, len(u)
-        x, u = self._array("x", x, (n, 2 * scene.nq)), self._array("u", u, (n, scene.nu))
+        x, u = self._array("x", x, n, 2 * scene.nq), self._array("u", u, n, scene.nu)
         after, lam = np.empty_like(x), np.empty((n, scene.nl))
         by_x, by_u = np.empty((n, 2 * scene.nq, 2 * scene.nq)), np.empty((n, 2 * scene.nq, scene.nu))
         arrays = (x, u, after, lam, by_x, by_u)
-        done = self._library.kernel_linearise(*self._head(n, step, law, eps), *(address(array) for array in arrays))
+        done = self._single.kernel_linearise(*self._head(n, step, law, eps), *(address(array) for array in arrays))
         return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
 
     def follow(
@@ -152,24 +143,13 @@ class Steps:
             Unless 0 < eps < 1, of a relaxed law.
         """
         scene, n = self.scene, len(u_plan)
-        x_plan, u_plan = self._array("x_plan", x_plan, (n, 2 * scene.nq)), self._array("u_plan", u_plan, (n, scene.nu))
-        gain, start = self._array("gain", gain, (n, scene.nu, 2 * scene.nq)), self._array("start", start, (2 * scene.nq,))
-        jump = None if jump is None else self._array("jump", jump, (n, 2 * scene.nq))
+        x_plan, u_plan = self._array("x_plan", x_plan, n, 2 * scene.nq), self._array("u_plan", u_plan, n, scene.nu)
+        gain, start = self._array("gain", gain, n, scene.nu, 2 * scene.nq), self._array("start", start, 2 * scene.nq)
+        jump = None if jump is None else self._array("jump", jump, n, 2 * scene.nq)
         x, u, lam = np.full((n + 1, 2 * scene.nq), np.nan), np.full((n, scene.nu), np.nan), np.full((n, scene.nl), np.nan)
         given = (start, x_plan, u_plan, gain, self._lower, self._upper)
-        done = self._library.kernel_feedback_rollout(
+        done = self._single.kernel_feedback_rollout(
             *self._head(n, step, law, eps), *(address(array) for array in given), None if jump is None else address(jump),
             *(address(array) for array in (x, u, lam)),
         )  # fmt: skip
         return Followed(x=x, u=u, lam=lam, finite_steps=done)
-
-    def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        if self._tau is not None:
-            self._p[self._tau] = step  # models.scene.quasi_static
-        return (n, step, address(self._p), law.value, law_sharpness(law, eps, self.scene.length))
-
-    def _array(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        array = np.ascontiguousarray(value, dtype=np.float64)
-        if array.shape != shape:
-            raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {shape} is needed.")
-        return array

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
-from models.codegen.emit import damping_source, for_scene, friction_source, model_source
+from models.codegen.emit import for_scene, force_sources, model_source
 from models.codegen.text_cache import generators
 from models.fmu.description import Standard, describe, experiment_texts, find_standard, model_identifier, source_epoch, standard_headers
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
@@ -72,14 +72,9 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
         path.name: for_scene(scene, path.read_text(encoding="utf-8")) for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)
     }
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
-    if scene.nf:
-        sources["friction.h"] = friction_source()
-    else:
-        del sources["friction_modes.h"]
-    if scene.damped:
-        sources["damping.h"] = damping_source()
-    else:
-        del sources["damping_modes.h"]
+    laws = force_sources(scene)
+    absent = {f"{law}_modes.h" for law in ("friction", "damping") if f"{law}.h" not in laws}
+    sources = {name: text for name, text in sources.items() if name not in absent} | laws
     sources |= {"scene_model.h": model_source(scene), "scene_sensitivity.h": sensitivity_source(scene)}
     description = describe(scene, sources, standard)
     sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}
