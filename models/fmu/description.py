@@ -6,29 +6,66 @@ Reference results are inside by the layered standard FMI-LS-REF: an experiment, 
 contacts close and open; they are constant between knots, at which the CSV has the time twice. The results are those of `reference.py`, not of the
 FMU. They are cached: to integrate two fingers takes several CPU s, and FMUs of every version and platform have the same. Where the motion cannot be
 followed within the budget there are none, and the description says why.
+
+Templates are strict: an undefined name stops the build, numbers are written so that they read back bit for bit.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.codegen.text_cache import cached_text
+from models.codegen.cache import cached_text
 from models.dynamics import derive
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
 from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method
-from models.fmu.rendering import render
 from models.fmu.structure import Dependency, dependencies
 from models.fmu.variables import INTEGRATORS, Variable, VariableKind, friction_nominals, variable_table
 from models.scene import Input, Scene
-from models.scene.units import base_exponents
+from models.scene.values import base_exponents
+
+if TYPE_CHECKING:
+    import jinja2
+
+
+_FOLDER = Path(__file__).parent / "templates"
+
+
+def number(value: float) -> str:
+    """The shortest text that reads back as the same double; C's HUGE_VAL for an infinite one."""
+    if math.isinf(value):
+        return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
+    return repr(float(value))
+
+
+@lru_cache(maxsize=1)
+def _engine() -> jinja2.Environment:
+    import jinja2  # only where an FMU is built, not where it is found
+
+    engine = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_FOLDER),
+        undefined=jinja2.StrictUndefined,
+        autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
+        keep_trailing_newline=True,
+    )
+    engine.filters["number"] = number
+    engine.filters["isfinite"] = math.isfinite
+    return engine
+
+
+def render(template: str, **context: Any) -> str:
+    """The text of `templates/<template>`; raises jinja2.UndefinedError if the template names something not given."""
+    return _engine().get_template(template).render(**context)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import sympy as sp
 
 from models.scene import Scene
 from models.scene.functions import Quantity, is_longer, quantities, shortened
-from models.scene.units import base_exponents
+from models.scene.values import base_exponents
 
 # Exponents of kg, m and s; a radian is a pure number here.
 _Powers = tuple[Fraction, ...]

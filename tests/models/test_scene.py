@@ -15,7 +15,7 @@ from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Sh
 from models.scene.checks import check_expressions
 from models.scene.contacts import Friction
 from models.scene.parts import goal_limits
-from models.scene.units import base_exponents
+from models.scene.values import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
 m, k, w = sp.symbols("m k w", positive=True)

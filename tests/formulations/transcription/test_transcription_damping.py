@@ -16,7 +16,7 @@ from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import SceneError
-from models.fmu.coupled.parts import split
+from models.fmu.coupled import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
 from models.scene.parts import goal_limits

@@ -9,8 +9,8 @@ import sympy as sp
 
 from models.catalog import load_scene
 from models.codegen import text_cache
+from models.codegen.cache import cached_text
 from models.codegen.emit import emit_model, model_source
-from models.codegen.text_cache import cached_text
 from models.fmu import description as experiment
 from models.fmu.reference import true_motion_and_method
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source

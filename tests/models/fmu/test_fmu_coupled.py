@@ -15,8 +15,7 @@ from lxml import etree
 from models.catalog import load_scene, scene_names
 from models.dynamics import derive
 from models.errors import SceneError
-from models.fmu.coupled import build_part, build_ssp, split
-from models.fmu.coupled.contact import contact_table
+from models.fmu.coupled import build_part, build_ssp, contact_table, split
 from models.scene.contacts import Friction
 from validate.cli.group import run
 from validate.fmu_check import check_fmu

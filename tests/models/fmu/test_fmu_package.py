@@ -10,9 +10,9 @@ from fmpy.validation import validate_fmu
 
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
 from models.fmu import build_fmu, variable_names
-from models.fmu.rendering import render
+from models.fmu.description import render
 from models.scene import Parameter
-from models.scene.units import base_exponents
+from models.scene.values import base_exponents
 
 
 def test_fmpy_finds_no_problem(any_scene):

@@ -10,7 +10,7 @@ import pytest
 
 from models.errors import MachineError, UnknownNameError
 from models.fmu import build_fmu
-from models.fmu.platforms import PLATFORMS, find_platforms, this_platform
+from models.fmu.package import PLATFORMS, find_platforms, this_platform
 
 # The first bytes of a shared library: ELF and Mach-O with their machine, and a Windows library.
 MAGIC = {

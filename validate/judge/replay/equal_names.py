@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from models.plan_table import Table
-from models.scene.units import base_exponents
+from models.scene.values import base_exponents
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.map_schema import MapError, MapFile, composed
 

@@ -1,0 +1,407 @@
+"""A scene as several coupled FMUs: one for each body, one for each contact, and how they are connected (SSP).
+
+    parts = split(load_scene("three_cart"))
+    [body.name for body in parts.bodies]        three_cart_q1, three_cart_q2, three_cart_q3: each a Scene
+    [part.name for part in parts.contacts]      three_cart_left, three_cart_right
+    path = build_part(parts.contacts[0])        the FMU of a part
+    path = build_ssp(scene)                     all FMUs and how they are connected in one .ssp (System Structure and Parameterization 1.0)
+
+This is how systems are split every day - the contact in a model of its own - and what that costs is measured by `python -m benchmarks cosim`.
+
+A body is a smallest set of coordinates that neither the mass matrix nor the forces couple to the others; it goes through the exporter of scenes. It
+gets the generalised force of each contact on each of its coordinates as an input, `lam_left_q1` = J[left, q1] lam_left. A contact takes the positions
+and velocities of the coordinates its gap depends on, and gives those forces: the velocities for the power that it hands over, which masters that watch
+the energy (ECCO) connect as a power bond. It has no state, so its FMU (FMI 2.0 for Co-Simulation) is algebraic: `coupled.c` around generated functions.
+
+In the .ssp SystemStructure.ssd also leads the scene's inputs and outputs to the border of the system. PartsOnly.ssd leaves that out, for masters that
+know connections between components only (libcosim refuses any other).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import sympy as sp
+
+from models.codegen.c_function import Vector, c_function
+from models.codegen.cache import cached
+from models.dynamics import Dynamics, derive
+from models.errors import SceneError
+from models.fmu.description import find_standard, source_epoch, standard_headers
+from models.fmu.package import binaries, build_fmu, icons, pack
+from models.fmu.platforms import find_platforms, platform_compiler
+from models.fmu.rendering import render
+from models.fmu.variables import Variable, VariableKind, parameter_variables, variable_table
+from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene.contacts import Contact
+from models.scene.values import base_exponents
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPart:
+    """A contact as a model of its own. gradient: the gap's derivative along each of `coordinates`; start: their positions, then velocities."""
+
+    name: str
+    contact: Contact
+    coordinates: tuple[Coordinate, ...]
+    start: tuple[float, ...]
+    gradient: tuple[sp.Expr, ...]
+    parameters: tuple[Parameter, ...]
+    step: float
+    horizon: float
+
+    def force_name(self, coordinate: Coordinate) -> str:
+        """Name of the generalised force of this contact on a coordinate, as `lam_left_q1`."""
+        return f"{self.contact.force_name}_{coordinate.name}"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """An output of one part that is an input of another, by their names."""
+
+    source: str
+    output: str
+    target: str
+    input: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """bodies: scenes without contacts; connections: between parts; external: (input of the scene, part that takes it)."""
+
+    scene: Scene
+    bodies: tuple[Scene, ...]
+    contacts: tuple[ContactPart, ...]
+    connections: tuple[Connection, ...]
+    external: tuple[tuple[str, str], ...]
+
+
+def force_unit(coordinate: Coordinate) -> str:
+    """The unit of a generalised force [J per unit of the coordinate]."""
+    return {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J/{coordinate.unit}")
+
+
+def split(scene: Scene) -> Parts:
+    """The parts of a scene, in continuous time. Raises SceneError for a scene with friction, with damped contacts or without contacts."""
+    scene = scene.continuous()
+    if scene.frictions:
+        raise SceneError(
+            f"scene {scene.name}: it has friction, whose sticking ties bodies together within a step; only scenes without it can be split into parts."
+        )
+    if scene.damped:
+        names = ", ".join(scene.contacts[index].name for index in scene.damped)
+        raise SceneError(
+            f"scene {scene.name}: it has damped contacts ({names}), and its parts would exchange forces of springs only; export it as one FMU."
+        )
+    if not scene.contacts:
+        raise SceneError(f"scene {scene.name}: it has no contacts, so there is nothing to split; export it as one FMU.")
+    d = derive(scene)
+    contacts = tuple(_contact(d, index) for index in range(scene.nc))
+    bodies = tuple(_body(d, block, contacts) for block in _blocks(d))
+    names = [part.name for part in (*bodies, *contacts)]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise SceneError(
+            f"scene {scene.name}: a body and a contact would both be called {twice}; rename the contact, which has the name of a coordinate."
+        )
+    return Parts(
+        scene=scene,
+        bodies=bodies,
+        contacts=contacts,
+        connections=tuple(_connections(bodies, contacts)),
+        external=tuple((item.name, body.name) for item in scene.inputs for body in bodies if item in body.inputs),
+    )
+
+
+def _blocks(d: Dynamics) -> list[tuple[int, ...]]:
+    """Indices of the coordinates of each body."""
+    count, group = d.scene.nq, list(range(d.scene.nq))
+    for i in range(count):
+        row = sp.Matrix([*d.mass_matrix[i, :], d.tau[i]])
+        used = row.free_symbols
+        for j in range(count):
+            if d.mass_matrix[i, j] != 0 or used & {d.q[j], d.v[j]}:
+                joined, other = group[i], group[j]
+                group = [joined if name == other else name for name in group]
+    return [tuple(i for i in range(count) if group[i] == name) for name in dict.fromkeys(group)]
+
+
+def _used(scene: Scene, expressions: Iterable[sp.Expr]) -> tuple[Parameter, ...]:
+    symbols: set[sp.Basic] = set().union(*(expression.free_symbols for expression in expressions), set())
+    return tuple(parameter for parameter in scene.parameters if parameter.symbol in symbols)
+
+
+def _contact(d: Dynamics, index: int) -> ContactPart:
+    scene, contact = d.scene, d.scene.contacts[index]
+    moved = [i for i in range(scene.nq) if d.gap_jacobian[index, i] != 0]
+    start = scene.task.start
+    return ContactPart(
+        name=f"{scene.name}_{contact.name}",
+        contact=contact,
+        coordinates=tuple(scene.coordinates[i] for i in moved),
+        start=(*(start[i] for i in moved), *(start[scene.nq + i] for i in moved)),
+        gradient=tuple(d.gap_jacobian[index, i] for i in moved),
+        parameters=_used(scene, [contact.penetration, contact.stiffness]),
+        step=scene.task.step,
+        horizon=scene.task.horizon,
+    )
+
+
+def _body(d: Dynamics, block: tuple[int, ...], contacts: tuple[ContactPart, ...]) -> Scene:
+    scene = d.scene
+    coordinates = tuple(scene.coordinates[i] for i in block)
+    own = {d.q[i] for i in block}
+    others = {d.v[i]: 0 for i in range(scene.nq) if i not in block}
+    kinetic = scene.kinetic_energy.subs(others)
+    potential = sp.Add(*(term for term in sp.Add.make_args(sp.expand(scene.potential_energy)) if term.free_symbols & own))
+    inputs = tuple(item for item in scene.inputs if any(item.symbol in scene.forces[i].free_symbols for i in block))
+    forces, pushes = [scene.forces[i] for i in block], []
+    for part in contacts:
+        for place, coordinate in enumerate(coordinates):
+            if coordinate in part.coordinates:
+                push = sp.Symbol(part.force_name(coordinate), real=True)
+                forces[place] += push
+                words = f"force of the contact {part.contact.name} on {coordinate.name}"
+                pushes.append(Input(symbol=push, unit=force_unit(coordinate), description=words))
+    start = tuple(scene.task.start[i] for i in block) + tuple(scene.task.start[scene.nq + i] for i in block)
+    what = ", ".join(coordinate.description or coordinate.name for coordinate in coordinates)
+    return Scene(
+        name=f"{scene.name}_{'_'.join(coordinate.name for coordinate in coordinates)}",
+        title=f"{scene.title}: {what}",
+        source=scene.source,
+        coordinates=coordinates,
+        inputs=(*inputs, *pushes),
+        parameters=_used(scene, [kinetic, potential, *forces]),
+        kinetic_energy=kinetic,
+        potential_energy=potential,
+        forces=tuple(forces),
+        contacts=(),
+        task=Task(start=start, goal=(None,) * len(start), running_cost=sp.S.Zero, step=scene.task.step, steps=scene.task.steps),
+    )
+
+
+def _connections(bodies: tuple[Scene, ...], contacts: tuple[ContactPart, ...]) -> Iterable[Connection]:
+    home = {coordinate: body.name for body in bodies for coordinate in body.coordinates}
+    for part in contacts:
+        for coordinate in part.coordinates:
+            body = home[coordinate]
+            for name in (coordinate.name, coordinate.velocity_name):
+                yield Connection(body, name, part.name, name)
+            push = part.force_name(coordinate)
+            yield Connection(part.name, push, body, push)
+
+
+_HERE = Path(__file__).parent
+
+
+def contact_table(part: ContactPart) -> tuple[Variable, ...]:
+    """Every variable of the contact's FMU; the position in the table is the value reference: time, inputs, parameters, outputs."""
+    return (
+        Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
+        *_inputs(part),
+        *parameter_variables(part.parameters),
+        *_outputs(part),
+    )
+
+
+def build_contact(part: ContactPart) -> Path:
+    """The FMU file, found in the cache or built there. Raises SceneError for names an FMU cannot carry, MachineError without a compiler."""
+    if not part.name.isascii():
+        raise SceneError(f"contact {part.name}: an FMU needs a name of ASCII letters, digits and _; rename the scene or the contact.")
+    compilers = {platform: platform_compiler(platform) for platform in find_platforms(())}
+    standard = find_standard("2.0")
+    texts = contact_texts(part)
+    key = "\n".join([*(item.describe() for item in compilers.values()), *(f"{name}\0{text}" for name, text in sorted(texts.items()))])
+
+    def build(path: Path) -> None:
+        content = {name: text.encode() for name, text in texts.items()}
+        pack(path, content | icons(standard) | binaries(texts, standard, part.name, compilers, path.parent), first="modelDescription.xml")
+
+    return cached(key, f".{part.name}.fmu", build)
+
+
+def contact_texts(part: ContactPart) -> dict[str, str]:
+    """Every text file of the FMU, by its path inside."""
+    standard = find_standard("2.0")
+    table = contact_table(part)
+    shared = {
+        "identifier": part.name,
+        "title": f"Contact {part.contact.description or part.contact.name}",
+        "table": table,
+        "units": {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in table})},
+        "unknowns": _unknowns(part, table),
+        "date": datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "step": part.step,
+        "horizon": part.horizon,
+        "inputs": _inputs(part),
+        "parameters": parameter_variables(part.parameters),
+        "outputs": _outputs(part),
+        "functions": _functions(part),
+        "penetration": str(part.contact.penetration),
+        "stiffness": str(part.contact.stiffness),
+    }
+    code = (_HERE / "contact.c").read_text(encoding="utf-8")
+
+    def marked(guid: str) -> dict[str, str]:
+        return {
+            "modelDescription.xml": render("contact_modelDescription.xml.j2", guid=guid, **shared),
+            "sources/contact_model.h": render("contact_model.h.j2", guid=guid, **shared),
+        }
+
+    content = hashlib.sha256()
+    for text in (code, *marked("").values()):
+        content.update(f"{text}\0".encode())
+    return marked(content.hexdigest()) | {
+        "sources/contact.c": code,
+        "sources/buildDescription.xml": render(
+            "buildDescription.xml.j2", identifier=part.name, source_files=["contact.c"], standard=standard
+        ),
+        "documentation/index.html": render("contact_index.html.j2", **shared),
+        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
+        **{f"sources/{name}": text for name, text in standard_headers(standard).items()},
+    }
+
+
+def _inputs(part: ContactPart) -> list[Variable]:
+    count = len(part.coordinates)
+    positions = [
+        Variable(
+            name=item.name,
+            kind=VariableKind.INPUT,
+            unit=item.unit,
+            start=part.start[i],
+            description=item.description or f"coordinate {item.name}",
+        )
+        for i, item in enumerate(part.coordinates)
+    ]
+    velocities = [
+        Variable(
+            name=item.velocity_name,
+            kind=VariableKind.INPUT,
+            unit=item.velocity_unit,
+            start=part.start[count + i],
+            description=f"velocity of {item.name}",
+        )
+        for i, item in enumerate(part.coordinates)
+    ]
+    return [*positions, *velocities]
+
+
+def _outputs(part: ContactPart) -> list[Variable]:
+    contact = part.contact
+    stiffness = float(contact.stiffness.subs({item.symbol: item.value for item in part.parameters}))
+    size = stiffness * contact.nominal
+    rows = [
+        (contact.force_name, VariableKind.FORCE, "N", size, "contact force"),
+        (contact.gap_name, VariableKind.GAP, "m", contact.nominal, "gap, negative in contact"),
+        ("contact_energy", VariableKind.CONTACT_ENERGY, "J", size * contact.nominal, "energy stored in the contact, k/2 max(phi, 0)^2"),
+        ("contact_power", VariableKind.INPUT_POWER, "W", size, "power that the contact hands to the bodies"),
+    ]
+    rows += [
+        (part.force_name(item), VariableKind.FORCE, force_unit(item), size, f"generalised force of the contact on {item.name}")
+        for item in part.coordinates
+    ]
+    return [Variable(name=name, kind=kind, unit=unit, nominal=nominal, description=text) for name, kind, unit, nominal, text in rows]
+
+
+def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
+    """The outputs, in the order of the table; mode: 1 in contact, 0 else."""
+    phi = part.contact.penetration
+    force = mode * part.contact.stiffness * phi
+    power = force * sum((slope * item.velocity for slope, item in zip(part.gradient, part.coordinates, strict=True)), sp.S.Zero)
+    return sp.Matrix([force, -phi, force * phi / 2, power, *(slope * force for slope in part.gradient)])
+
+
+def _symbols(part: ContactPart) -> list[sp.Symbol]:
+    """x: positions, velocities, parameters."""
+    return [
+        *(item.symbol for item in part.coordinates),
+        *(item.velocity for item in part.coordinates),
+        *(item.symbol for item in part.parameters),
+    ]
+
+
+def _functions(part: ContactPart) -> str:
+    symbols = _symbols(part)
+    x = Vector.of("x", [symbol.name for symbol in symbols])
+    mode, dx = Vector.of("mode", ["closed"]), x.like("dx")
+    local = dict(zip(symbols, x.symbols, strict=True))
+    y = _expressions(part, mode.symbols[0]).xreplace(local)
+    return "\n".join(
+        [
+            c_function("double", "contact_penetration", (x,), None, sp.Matrix([part.contact.penetration.xreplace(local)])),
+            c_function("void", "contact_outputs", (x, mode), "y", y),
+            c_function("void", "contact_tangent", (x, mode, dx), "d_y", y.jacobian(x.column) * dx.column),
+        ]
+    )
+
+
+def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[dict[str, object]]]:
+    """Sections of the ModelStructure: parameters are knowns during initialization only."""
+    symbols, y = _symbols(part), _expressions(part, sp.S.One)
+    inputs = 2 * len(part.coordinates)
+    first = len(table) - len(y)
+
+    def rows(knowns: list[sp.Symbol]) -> list[dict[str, object]]:
+        return [
+            {"index": first + place + 1, "dependencies": [i + 2 for i, symbol in enumerate(knowns) if symbol in y[place].free_symbols]}
+            for place in range(len(y))
+        ]
+
+    return {"Outputs": rows(symbols[:inputs]), "InitialUnknowns": rows(symbols)}
+
+
+STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
+
+
+@dataclass(frozen=True)
+class _Component:
+    """A part and the variables of its FMU that others can be connected to."""
+
+    name: str
+    connectors: tuple[Variable, ...]
+
+
+def build_part(part: Scene | ContactPart) -> Path:
+    """The FMU of a body or of a contact (FMI 2.0). Raises as build_fmu."""
+    return build_contact(part) if isinstance(part, ContactPart) else build_fmu(part)
+
+
+def build_ssp(scene: Scene) -> Path:
+    """The scene as coupled FMUs in one file, found in the cache or built there. Raises SceneError as `split` and MachineError as build_fmu."""
+    parts = split(scene)
+    content = {f"resources/{part.name}.fmu": build_part(part).read_bytes() for part in (*parts.bodies, *parts.contacts)}
+    content |= {STRUCTURE: system_structure(parts).encode(), PARTS_ONLY: system_structure(parts, border=False).encode()}
+    key = "\n".join(f"{name}\0{data.hex()}" for name, data in sorted(content.items()))
+    return cached(key, f".{scene.name}.ssp", lambda path: pack(path, content, first=STRUCTURE))
+
+
+def system_structure(parts: Parts, border: bool = True) -> str:
+    """The text of an .ssd. border: the system takes the scene's inputs and gives its positions, velocities, contact forces and gaps."""
+    components = [_Component(part.name, _connectors(variable_table(part))) for part in parts.bodies]
+    components += [_Component(part.name, _connectors(contact_table(part))) for part in parts.contacts]
+    system = _connectors(variable_table(parts.scene))
+    inside = [(item.source, item.output, item.target, item.input) for item in parts.connections]
+    inputs = [("", name, body, name) for name, body in parts.external]
+    homes = {variable.name: item.name for item in components for variable in item.connectors if variable.causality == "output"}
+    # Energies are sums over the parts: what the system gives is what one part has under the same name.
+    given = [variable for variable in system if variable.causality == "input" or (variable.name in homes and "energy" not in variable.name)]
+    given = [variable for variable in given if "power" not in variable.name]
+    outputs = [(homes[variable.name], variable.name, "", variable.name) for variable in given if variable.causality == "output"]
+    return render(
+        "SystemStructure.xml.j2",
+        scene=parts.scene,
+        date=datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        connectors=given if border else [],
+        components=components,
+        connections=[*inputs, *inside, *outputs] if border else inside,
+        units={unit: base_exponents(unit) for unit in sorted({v.unit for item in components for v in item.connectors})},
+    )
+
+
+def _connectors(table: Sequence[Variable]) -> tuple[Variable, ...]:
+    return tuple(variable for variable in table if variable.causality in ("input", "output"))
