@@ -165,7 +165,7 @@ def solve(
     >>> ts.solve("three_cart", "softplus_dc", eps=1e-3)
     Solution(three_cart by softplus_dc, eps 0.001: solved, cost 197.9, 500 steps)
     """
-    from formulations.solve import solve_scene
+    from formulations.pipelines import solve_scene
     from validate.judge.judgement import as_trajectory
     from validate.judge.shown import SolvedPlan
 

@@ -16,12 +16,12 @@ from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, SoftplusHomot
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.build import build_model, load_plan, read_values, write_values
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
 from formulations.transcription.feasibility import Nearest, nearest
+from formulations.transcription.method import SolveBudget
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory

@@ -17,8 +17,8 @@ from formulations.contact_modes.search import SearchResult, flip_wrong_signs, se
 from formulations.contact_modes.starts import random_plan
 from formulations.grids import coarse_scene, on_grid, plan_of
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.feasibility import nearest
+from formulations.transcription.method import SolveBudget
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.scene.goal import goal_state

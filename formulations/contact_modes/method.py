@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from formulations.method import Options, option, without_inputs
-from formulations.transcription.smooth import check_smooth
+from formulations.transcription.method import check_smooth
 from models.errors import SceneError
 from models.scene import Scene
 

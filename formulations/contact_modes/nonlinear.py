@@ -26,10 +26,10 @@ from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.build import build_model, load_first_guess, load_plan, move_ball, open_goal, read_plan
 from formulations.transcription.compiled import CompiledModel, primal_dual
 from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
+from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import Kernel
 from models.scene import Scene

@@ -44,7 +44,7 @@ from formulations.grids import check_warm_start, input_bounds, plan_of, replayed
 from formulations.method import Clock, Method, Session
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.solution import Attempt, Outcome, Solution, checked
-from formulations.transcription.budget import SolveBudget
+from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene

@@ -18,8 +18,7 @@ import numpy as np
 
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import ModelSize, Outcome, Solution, checked
-from formulations.transcription.budget import SolveBudget
-from formulations.transcription.method import TranscriptionOptions, why_not_collocated
+from formulations.transcription.method import SolveBudget, TranscriptionOptions, why_not_collocated
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.collocation import switch_error

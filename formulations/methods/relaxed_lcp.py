@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, cast
 from formulations.grids import coarse_scene, on_grid
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.budget import SolveBudget
-from formulations.transcription.method import BarrierOptions, StageRules, Work, ended
+from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work, ended
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene

@@ -4,7 +4,7 @@ Ipopt attacks the model at a tiny bound, the modes of the contacts are read off,
 
 1. attack: lam * v <= attack_bound, from the given plan or cold (no smoother problem is solved first): at once where the scene is linear,
    by way of looser bounds where it is not. A plan that meets this bound already goes straight to 2.
-2. modes: every pair is decided, and the problem without any complementarity is solved (`transcription.modes`).
+2. modes: every pair is decided, and the problem without any complementarity is solved (`transcription.solving.FixedModes`).
 3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again. An attack that was cut off by a limit
    has its modes tried once.
 
@@ -21,8 +21,7 @@ import numpy as np
 from formulations.grids import replayed_goal_error
 from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.budget import SolveBudget
-from formulations.transcription.method import BarrierOptions, Work, ended
+from formulations.transcription.method import BarrierOptions, SolveBudget, Work, ended
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from models.scene import Scene
@@ -30,7 +29,7 @@ from models.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from formulations.ipopt import IpoptResult
-    from formulations.transcription.modes import FixedModes
+    from formulations.transcription.solving import FixedModes
 
 # Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is coarser than the bound.
 _TIGHTENING, _LAST_BOUND = 1e-2, 1e-8

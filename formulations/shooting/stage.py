@@ -1,17 +1,113 @@
-"""What every shooting method does with a warm start when a stage begins, and with its plan when it ends."""
+"""What every shooting method does with a warm start when a stage begins, and with its plan when it ends: its residuals, and how gradients grow along it.
+
+    growth = measure_growth(load_steps(scene), x, u, law, eps)
+    growth.factor, growth.rate                      # |d x_T/d x_0| and its exponent [1/s]
+    growth.sentence()                               # "" while it is harmless
+
+The derivative of a loss with respect to x_t is (d x_T/d x_t)' times that with respect to x_T, so that the spectral norm of d x_T/d x_t is
+the factor by which shooting's gradients may grow on their way back from the end to t. It is the product of the exact Jacobians of the
+time steps from t on, kept with its exponent apart, so that no horizon is too long.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from formulations.grids import check_warm_start, input_bounds
 from formulations.method import Clock
 from formulations.solution import Outcome, Seconds
+from models.codegen.steps import Steps
+from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
+
+# A factor below this costs two digits at most: no shooting method fails of it.
+HARMLESS = 100.0
+_LARGEST_EXPONENT = 690.0  # exp of it is still a float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GradientGrowth:
+    """exponents (steps+1,): natural logarithm of the spectral norm of d x_T/d x_t, 0 at the end; step [s]."""
+
+    exponents: np.ndarray
+    step: float
+
+    @property
+    def factor(self) -> float:
+        """|d x_T/d x_0|, at most e^690."""
+        return math.exp(min(float(self.exponents[0]), _LARGEST_EXPONENT))
+
+    @property
+    def rate(self) -> float:
+        """Slope of the exponents over the time to go, by least squares [1/s]: the growth is about e^(rate T)."""
+        to_go = self.step * np.arange(len(self.exponents))[::-1]
+        centred = to_go - to_go.mean()
+        return float(centred @ self.exponents / (centred @ centred))
+
+    @property
+    def horizon(self) -> float:
+        """The horizon [s]."""
+        return self.step * (len(self.exponents) - 1)
+
+    def residuals(self) -> dict[str, float]:
+        """Give what a solution says of it: gradient_growth [-] and growth_rate [1/s]."""
+        return {"gradient_growth": self.factor, "growth_rate": self.rate}
+
+    def sentence(self) -> str:
+        """Say what the growth means for shooting, or "" while it is harmless."""
+        if self.exponents[0] < math.log(HARMLESS):
+            return ""
+        return (
+            f"The gradient grows by {_power(float(self.exponents[0]))} over the {self.horizon:g} s (about e^({self.rate:.3g} T), T in s): what "
+            "happens early is known to so many digits fewer at the end; multiple shooting does not carry it over more than one step."
+        )
+
+
+def with_growth(message: str, growth: GradientGrowth) -> str:
+    """Add to the message of a method that did not solve its scene what the growth has to do with it."""
+    return f"{message} {growth.sentence()}".strip()
+
+
+def _power(exponent: float) -> str:
+    tens = exponent / math.log(10.0)
+    return f"{math.exp(exponent):.2g}" if tens < 3.0 else f"1e{tens:.0f}"
+
+
+def measure_growth(
+    steps: Steps, x: np.ndarray, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+) -> GradientGrowth | None:
+    """Measure the growth along a plan; None where a step is not finite.
+
+    Parameters
+    ----------
+    x : (steps+1, 2*nq) [m, rad, m/s, rad/s], nodes
+    u : (steps, nu) [N, N m], inputs
+    law, eps : contact law of the steps, and the eps of softplus [-]
+    """
+    step = steps.scene.task.step
+    linear = steps.linearise(x[:-1], u, step, law, eps)
+    if linear is None or not np.isfinite(linear.A).all():
+        return None
+    n, nx = len(u), x.shape[1]
+    products, scales = np.empty((n + 1, nx, nx)), np.zeros(n + 1)
+    products[n] = np.eye(nx)
+    for t in range(n - 1, -1, -1):
+        product = products[t + 1] @ linear.A[t]
+        size = float(np.abs(product).max())
+        if size == 0.0:  # what happens before is forgotten
+            products[: t + 1], scales[: t + 1] = 0.0, scales[t + 1]
+            break
+        products[t], scales[t] = product / size, scales[t + 1] + math.log(size)
+    norms = np.linalg.norm(products, 2, axis=(1, 2))
+    with np.errstate(divide="ignore"):
+        return GradientGrowth(exponents=np.maximum(np.log(norms), -_LARGEST_EXPONENT) + scales, step=step)
+
 
 # Beyond a velocity bound by less [m/s, rad/s] is rounding.
 _TOLERANCE = 1e-6

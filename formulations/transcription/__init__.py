@@ -6,7 +6,7 @@
 `build` says what a model holds and how a plan gets in and out, `equations` what it says, `contact` how it is relaxed and how tightly, `residuals`
 how far a plan is from its equations.
 
-What a method in formulations/methods is put together from: `method` its options and the rules of a stage, `budget` what a stage spends, `compiled`
-the model as Ipopt takes it, `solving` the model loaded, solved, read and checked, `feasibility` whether the goal can be reached at all, `homotopy` stages for ever smaller eps,
-`modes` what is left once contact modes are fixed.
+What a method in formulations/methods is put together from: `method` its options, the rules of a stage and what it spends, `compiled` the model as Ipopt
+takes it, `solving` the model loaded, solved, read and checked, and what is left once contact modes are fixed, `feasibility` whether the goal can be
+reached at all, `homotopy` stages for ever smaller eps.
 """

@@ -20,9 +20,9 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.solution import ModelSize
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.build import read_plan
 from formulations.transcription.contact import ContactFormulation
+from formulations.transcription.method import SolveBudget
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 from models.trajectory import Trajectory

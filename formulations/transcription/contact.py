@@ -45,7 +45,7 @@ import sympy as sp
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.smooth import SMOOTH, check_smooth
+from formulations.transcription.method import SMOOTH, check_smooth
 from models.contact_law import sharpness
 from models.dynamics import Dynamics
 from models.errors import TouchstoneError

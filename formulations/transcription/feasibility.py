@@ -32,10 +32,10 @@ import pyomo.environ as pyo
 
 from formulations.ipopt import Iteration, compile_model, load, solve
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.build import build_model, read_plan, release_goal
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation
+from formulations.transcription.method import SolveBudget
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.scene.goal import goal_state, miss

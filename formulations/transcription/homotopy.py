@@ -17,9 +17,8 @@ from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.method import Clock, Method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.contact import ContactFormulation
-from formulations.transcription.method import StageRules, TranscriptionOptions, Work, ended
+from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, Work, ended
 from formulations.transcription.solving import PlanSolver, beyond
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError

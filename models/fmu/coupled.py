@@ -31,10 +31,8 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
-from models.fmu.description import find_standard, source_epoch, standard_headers
-from models.fmu.package import binaries, build_fmu, icons, pack
-from models.fmu.platforms import find_platforms, platform_compiler
-from models.fmu.rendering import render
+from models.fmu.description import find_standard, render, source_epoch, standard_headers
+from models.fmu.package import binaries, build_fmu, find_platforms, icons, pack, platform_compiler
 from models.fmu.variables import Variable, VariableKind, parameter_variables, variable_table
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
@@ -195,9 +193,6 @@ def _connections(bodies: tuple[Scene, ...], contacts: tuple[ContactPart, ...]) -
             yield Connection(part.name, push, body, push)
 
 
-_HERE = Path(__file__).parent
-
-
 def contact_table(part: ContactPart) -> tuple[Variable, ...]:
     """Every variable of the contact's FMU; the position in the table is the value reference: time, inputs, parameters, outputs."""
     return (
@@ -244,7 +239,7 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
         "penetration": str(part.contact.penetration),
         "stiffness": str(part.contact.stiffness),
     }
-    code = (_HERE / "contact.c").read_text(encoding="utf-8")
+    code = Path(__file__).with_name("coupled.c").read_text(encoding="utf-8")
 
     def marked(guid: str) -> dict[str, str]:
         return {

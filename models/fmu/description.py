@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import jinja2
 
 
-_FOLDER = Path(__file__).parent / "templates"
+_TEMPLATES = Path(__file__).parent / "templates"
 
 
 def number(value: float) -> str:
@@ -53,7 +53,7 @@ def _engine() -> jinja2.Environment:
     import jinja2  # only where an FMU is built, not where it is found
 
     engine = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_FOLDER),
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
         undefined=jinja2.StrictUndefined,
         autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
         keep_trailing_newline=True,

@@ -9,10 +9,9 @@ from formulations.method import Clock, OptionError
 from formulations.methods import strict_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import ContactFormulation
-from formulations.transcription.method import Work
+from formulations.transcription.method import SolveBudget, Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene

@@ -13,7 +13,7 @@ from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.contact_modes.search import closed_steps
-from formulations.transcription.budget import SolveBudget
+from formulations.transcription.method import SolveBudget
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene

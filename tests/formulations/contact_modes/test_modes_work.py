@@ -15,8 +15,8 @@ from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.compiled import CompiledModel
+from formulations.transcription.method import SolveBudget
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 

@@ -8,8 +8,8 @@ from example_scenes import example_scene
 
 from formulations.pipelines import load_method
 from formulations.shooting.diagnosis import sensitivity
-from formulations.shooting.growth import GradientGrowth, measure_growth
 from formulations.shooting.objective import Objective
+from formulations.shooting.stage import GradientGrowth, measure_growth
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -13,11 +13,10 @@ from formulations.ipopt import Iteration, compile_model
 from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.budget import SolveBudget
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import set_relaxation
 from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
-from formulations.transcription.method import Work
+from formulations.transcription.method import SolveBudget, Work
 from formulations.transcription.residuals import PlanResiduals
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw

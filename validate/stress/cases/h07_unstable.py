@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from formulations.pipelines import load_method
-from formulations.shooting.growth import measure_growth
+from formulations.shooting.stage import measure_growth
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.steps import load_steps
