@@ -243,7 +243,7 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
 
     def marked(guid: str) -> dict[str, str]:
         return {
-            "modelDescription.xml": render("contact_modelDescription.xml.j2", guid=guid, **shared),
+            "modelDescription.xml": render("contact.xml.j2", "description", guid=guid, **shared),
             "sources/contact_model.h": render("contact_model.h.j2", guid=guid, **shared),
         }
 
@@ -255,35 +255,19 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
         "sources/buildDescription.xml": render(
             "buildDescription.xml.j2", identifier=part.name, source_files=["contact.c"], standard=standard
         ),
-        "documentation/index.html": render("contact_index.html.j2", **shared),
+        "documentation/index.html": render("contact.xml.j2", "page", **shared),
         "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
         **{f"sources/{name}": text for name, text in standard_headers(standard).items()},
     }
 
 
 def _inputs(part: ContactPart) -> list[Variable]:
-    count = len(part.coordinates)
-    positions = [
-        Variable(
-            name=item.name,
-            kind=VariableKind.INPUT,
-            unit=item.unit,
-            start=part.start[i],
-            description=item.description or f"coordinate {item.name}",
-        )
-        for i, item in enumerate(part.coordinates)
+    rows = [(item.name, item.unit, item.description or f"coordinate {item.name}") for item in part.coordinates]
+    rows += [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in part.coordinates]
+    return [
+        Variable(name=name, kind=VariableKind.INPUT, unit=unit, start=start, description=text)
+        for (name, unit, text), start in zip(rows, part.start, strict=True)
     ]
-    velocities = [
-        Variable(
-            name=item.velocity_name,
-            kind=VariableKind.INPUT,
-            unit=item.velocity_unit,
-            start=part.start[count + i],
-            description=f"velocity of {item.name}",
-        )
-        for i, item in enumerate(part.coordinates)
-    ]
-    return [*positions, *velocities]
 
 
 def _outputs(part: ContactPart) -> list[Variable]:
@@ -313,11 +297,8 @@ def _expressions(part: ContactPart, mode: sp.Expr) -> sp.Matrix:
 
 def _symbols(part: ContactPart) -> list[sp.Symbol]:
     """x: positions, velocities, parameters."""
-    return [
-        *(item.symbol for item in part.coordinates),
-        *(item.velocity for item in part.coordinates),
-        *(item.symbol for item in part.parameters),
-    ]
+    moving = part.coordinates
+    return [*(item.symbol for item in moving), *(item.velocity for item in moving), *(item.symbol for item in part.parameters)]
 
 
 def _functions(part: ContactPart) -> str:
@@ -353,14 +334,6 @@ def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[
 STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
 
 
-@dataclass(frozen=True)
-class _Component:
-    """A part and the variables of its FMU that others can be connected to."""
-
-    name: str
-    connectors: tuple[Variable, ...]
-
-
 def build_part(part: Scene | ContactPart) -> Path:
     """The FMU of a body or of a contact (FMI 2.0). Raises as build_fmu."""
     return build_contact(part) if isinstance(part, ContactPart) else build_fmu(part)
@@ -377,12 +350,12 @@ def build_ssp(scene: Scene) -> Path:
 
 def system_structure(parts: Parts, border: bool = True) -> str:
     """The text of an .ssd. border: the system takes the scene's inputs and gives its positions, velocities, contact forces and gaps."""
-    components = [_Component(part.name, _connectors(variable_table(part))) for part in parts.bodies]
-    components += [_Component(part.name, _connectors(contact_table(part))) for part in parts.contacts]
+    components = {part.name: _connectors(variable_table(part)) for part in parts.bodies}
+    components |= {part.name: _connectors(contact_table(part)) for part in parts.contacts}
     system = _connectors(variable_table(parts.scene))
     inside = [(item.source, item.output, item.target, item.input) for item in parts.connections]
     inputs = [("", name, body, name) for name, body in parts.external]
-    homes = {variable.name: item.name for item in components for variable in item.connectors if variable.causality == "output"}
+    homes = {variable.name: name for name, connectors in components.items() for variable in connectors if variable.causality == "output"}
     # Energies are sums over the parts: what the system gives is what one part has under the same name.
     given = [variable for variable in system if variable.causality == "input" or (variable.name in homes and "energy" not in variable.name)]
     given = [variable for variable in given if "power" not in variable.name]
@@ -394,7 +367,7 @@ def system_structure(parts: Parts, border: bool = True) -> str:
         connectors=given if border else [],
         components=components,
         connections=[*inputs, *inside, *outputs] if border else inside,
-        units={unit: base_exponents(unit) for unit in sorted({v.unit for item in components for v in item.connectors})},
+        units={unit: base_exponents(unit) for unit in sorted({v.unit for connectors in components.values() for v in connectors})},
     )
 
 

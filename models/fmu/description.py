@@ -63,9 +63,10 @@ def _engine() -> jinja2.Environment:
     return engine
 
 
-def render(template: str, **context: Any) -> str:
-    """The text of `templates/<template>`; raises jinja2.UndefinedError if the template names something not given."""
-    return _engine().get_template(template).render(**context)
+def render(template: str, block: str = "", **context: Any) -> str:
+    """The text of `templates/<template>`, or of a block of it; raises jinja2.UndefinedError if the template names something not given."""
+    found = _engine().get_template(template)
+    return "".join(found.blocks[block](found.new_context(context))) if block else found.render(**context)
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ _ROWS = 200
 _SHARES = (1.0, -0.5, 0.0, 0.75)
 # Largest difference that a right simulation should have from the results, relative to the nominal of a state.
 ACCURACY = 1e-6
+_RATES = (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)
 _UNWANTED = "this FMU was made to replay a plan, which needs none."
 
 
@@ -135,15 +137,17 @@ def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
     # The first line says how the results came about, or why there are none.
     summary, _, csv = text.partition("\n")
     texts = {
-        "fmi-ls-manifest.xml": render("fmi-ls-manifest.xml.j2", scene=scene, results=csv),
-        "validation.exp": render("experiment.xml.j2", scene=scene, stop=step * count, step=step, accuracy=ACCURACY, results=csv),
+        "fmi-ls-manifest.xml": render("fmi_ls_ref.xml.j2", "manifest", scene=scene, results=csv),
+        "validation.exp": render(
+            "fmi_ls_ref.xml.j2", "experiment", scene=scene, stop=step * count, step=step, accuracy=ACCURACY, results=csv
+        ),
     }
     if csv:
         texts["validation_results.csv"] = csv
     if scene.inputs:
         texts["validation_inputs.csv"] = _inputs(scene, pieces)
     files = {f"{FOLDER}/{name}": text for name, text in texts.items()}
-    page = render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, summary=summary)
+    page = render("fmi_ls_ref.xml.j2", "page", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, summary=summary)
     return files | {"documentation/fmi-ls-ref.html": page}
 
 
@@ -240,26 +244,18 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
     left_out = parameters if standard.version == "2.0" else set[str]()
     depends = dependencies(scene)
 
-    def running(variable: Variable) -> Unknown:
-        rows = [(number[name], kind.value) for name, kind in depends[variable.name].items() if name not in left_out]
-        return Unknown(number[variable.name], tuple(row[0] for row in rows), tuple(row[1] for row in rows))
-
-    def initial(variable: Variable) -> Unknown:
+    def unknown(variable: Variable, *, initially: bool = False) -> Unknown:
+        rows = {number[name]: kind for name, kind in depends[variable.name].items() if initially or name not in left_out}
         # A factor that is a fixed parameter is itself a known during initialization, hence plainly dependent.
-        rows = [
-            (number[name], kind.value if kind is Dependency.CONSTANT else Dependency.DEPENDENT.value)
-            for name, kind in depends[variable.name].items()
-        ]
-        return Unknown(number[variable.name], tuple(row[0] for row in rows), tuple(row[1] for row in rows))
+        kinds = [Dependency.DEPENDENT if initially and kind is Dependency.FIXED else kind for kind in rows.values()]
+        return Unknown(number[variable.name], tuple(rows), tuple(kind.value for kind in kinds))
 
-    derivatives = [variable for variable in table if variable.kind in (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)]
+    indicators = (VariableKind.GAP, VariableKind.RESERVE, VariableKind.PRESSING)
     return {
-        "outputs": [running(variable) for variable in table if variable.causality == "output"],
-        "derivatives": [running(variable) for variable in derivatives],
-        "initial": [initial(variable) for variable in table if variable.initial == "calculated"],
-        "indicators": [
-            running(variable) for variable in table if variable.kind in (VariableKind.GAP, VariableKind.RESERVE, VariableKind.PRESSING)
-        ],
+        "outputs": [unknown(variable) for variable in table if variable.causality == "output"],
+        "derivatives": [unknown(variable) for variable in table if variable.kind in _RATES],
+        "initial": [unknown(variable, initially=True) for variable in table if variable.initial == "calculated"],
+        "indicators": [unknown(variable) for variable in table if variable.kind in indicators],
     }
 
 
@@ -285,11 +281,7 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
     identifier = model_identifier(scene)
     nominals = [coordinate.nominal for coordinate in scene.coordinates]
     numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
-    state_of = {
-        variable.name: numbers[variable.name[4:-1]]
-        for variable in table
-        if variable.kind in (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)
-    }
+    state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES}
     source_files = sorted(name for name in sources if name.endswith(".c"))
 
     def marked(guid: str) -> tuple[str, str]:

@@ -75,14 +75,10 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
             return _of_contact(d, d.scene.damped[index - d.scene.nl])
         case VariableKind.GAP:
             return _of_expressions(d, [d.penetration[index]])
-        case VariableKind.KINETIC_ENERGY:
-            return _of_expressions(d, [d.kinetic_energy])
-        case VariableKind.POTENTIAL_ENERGY:
-            return _of_expressions(d, [d.potential_energy])
+        case VariableKind.KINETIC_ENERGY | VariableKind.POTENTIAL_ENERGY | VariableKind.INPUT_POWER:
+            return _of_expressions(d, [getattr(d, variable.name)])
         case VariableKind.CONTACT_ENERGY:
             return _merge(_of_spring(d, contact) for contact in range(len(d.lam)))
-        case VariableKind.INPUT_POWER:
-            return _of_expressions(d, [d.input_power])
         case VariableKind.DISSIPATED_POWER if d.f:
             return _of_everything(d)
         case VariableKind.DISSIPATED_POWER:

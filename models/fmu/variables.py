@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -18,7 +18,7 @@ import sympy as sp
 
 from models.dynamics import derive
 from models.errors import SceneError
-from models.scene import Parameter, Scene
+from models.scene import Input, Parameter, Scene
 
 # The methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is the default.
 INTEGRATORS = (
@@ -145,9 +145,7 @@ def variable_names(scene: Scene) -> VariableNames:
     def names(kind: VariableKind) -> tuple[str, ...]:
         return tuple(variable.name for variable in table if variable.kind is kind)
 
-    def single(kind: VariableKind) -> str | None:
-        return next(iter(names(kind)), None)
-
+    single = ("kinetic_energy", "potential_energy", "contact_energy", "input_power", "dissipated_power", "internal_step", "integrator")
     return VariableNames(
         q=names(VariableKind.POSITION),
         v=names(VariableKind.VELOCITY),
@@ -159,13 +157,7 @@ def variable_names(scene: Scene) -> VariableNames:
         friction=names(VariableKind.FORCE)[scene.nc :],
         slip=names(VariableKind.SLIP),
         parameters=names(VariableKind.PARAMETER),
-        kinetic_energy=names(VariableKind.KINETIC_ENERGY)[0],
-        potential_energy=single(VariableKind.POTENTIAL_ENERGY),
-        contact_energy=single(VariableKind.CONTACT_ENERGY),
-        input_power=single(VariableKind.INPUT_POWER),
-        dissipated_power=single(VariableKind.DISSIPATED_POWER),
-        internal_step=names(VariableKind.INTERNAL_STEP)[0],
-        integrator=names(VariableKind.INTEGRATOR)[0],
+        **{name: next(iter(names(VariableKind[name.upper()])), None) for name in single},  # pyright: ignore[reportArgumentType] - three always are
     )
 
 
@@ -177,10 +169,9 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
     table = (
         Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
         *_states(scene),
-        *_inputs(scene),
+        *_given(VariableKind.INPUT, scene.inputs, [0.0] * scene.nu, "input"),
         *_contacts(scene),
         *_frictions(scene),
-        *_pressing(scene),
         *_energies(scene),
         *parameter_variables(scene.parameters),
         *_settings(scene),
@@ -192,77 +183,50 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
 
 
 def _states(scene: Scene) -> list[Variable]:
-    positions, velocities, position_rates, velocity_rates = [], [], [], []
-    for index, coordinate in enumerate(scene.coordinates):
-        q, v, unit = coordinate.name, coordinate.velocity_name, coordinate.unit
-        what = coordinate.description or f"coordinate {q}"
-        start, nominal = scene.task.start, coordinate.nominal
-        positions.append(
-            Variable(name=q, kind=VariableKind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what)
+    start, groups = scene.task.start, ([], [], [], [])
+    for index, item in enumerate(scene.coordinates):
+        rows = (
+            (VariableKind.POSITION, item.name, item.unit, start[index], item.description or f"coordinate {item.name}"),
+            (VariableKind.VELOCITY, item.velocity_name, item.velocity_unit, start[scene.nq + index], f"velocity of {item.name}"),
+            (VariableKind.POSITION_RATE, f"der({item.name})", item.velocity_unit, None, f"rate of {item.name}"),
+            (VariableKind.VELOCITY_RATE, f"der({item.velocity_name})", f"{item.unit}/s^2", None, f"acceleration of {item.name}"),
         )
-        velocities.append(
-            Variable(
-                name=v,
-                kind=VariableKind.VELOCITY,
-                index=index,
-                unit=coordinate.velocity_unit,
-                start=start[scene.nq + index],
-                nominal=nominal,
-                description=f"velocity of {q}",
-            )
-        )
-        rate = Variable(
-            name=f"der({q})", kind=VariableKind.POSITION_RATE, index=index, unit=coordinate.velocity_unit, description=f"rate of {q}"
-        )
-        position_rates.append(rate)
-        rate = Variable(
-            name=f"der({v})", kind=VariableKind.VELOCITY_RATE, index=index, unit=f"{unit}/s^2", description=f"acceleration of {q}"
-        )
-        velocity_rates.append(rate)
-    return [*positions, *velocities, *position_rates, *velocity_rates]
+        for group, (kind, name, unit, value, text) in zip(groups, rows, strict=True):
+            nominal = None if value is None else item.nominal
+            group.append(Variable(name=name, kind=kind, index=index, unit=unit, start=value, nominal=nominal, description=text))
+    return [variable for group in groups for variable in group]
 
 
-def _inputs(scene: Scene) -> list[Variable]:
+def _given(kind: VariableKind, items: Sequence[Input | Parameter], starts: Sequence[float], what: str) -> list[Variable]:
+    """What the importer sets, with its range."""
     return [
         Variable(
             name=item.name,
-            kind=VariableKind.INPUT,
+            kind=kind,
             index=index,
             unit=item.unit,
-            start=0.0,
+            start=start,
             lower=item.lower,
             upper=item.upper,
-            description=item.description or f"input {item.name}",
+            description=item.description or f"{what} {item.name}",
         )
-        for index, item in enumerate(scene.inputs)
+        for index, (item, start) in enumerate(zip(items, starts, strict=True))
+    ]
+
+
+def _calculated(kind: VariableKind, unit: str, rows: Iterable[tuple[str, float, str]], first: int = 0) -> list[Variable]:
+    """Variables of a kind and unit, each of a name, a nominal and words, numbered from `first`."""
+    return [
+        Variable(name=name, kind=kind, index=index, unit=unit, nominal=nominal, description=text)
+        for index, (name, nominal, text) in enumerate(rows, first)
     ]
 
 
 def _contacts(scene: Scene) -> list[Variable]:
-    stiffness = [float(contact.stiffness.subs(scene.parameter_values)) for contact in scene.contacts]
-    forces = [
-        Variable(
-            name=contact.force_name,
-            kind=VariableKind.FORCE,
-            index=index,
-            unit="N",
-            nominal=stiffness[index] * contact.nominal,
-            description=f"contact force, {contact.description or contact.name}",
-        )
-        for index, contact in enumerate(scene.contacts)
-    ]
-    gaps = [
-        Variable(
-            name=contact.gap_name,
-            kind=VariableKind.GAP,
-            index=index,
-            unit="m",
-            nominal=contact.nominal,
-            description=f"gap, negative in contact, {contact.description or contact.name}",
-        )
-        for index, contact in enumerate(scene.contacts)
-    ]
-    return [*forces, *gaps]
+    rows = [(item, float(item.stiffness.subs(scene.parameter_values)), item.description or item.name) for item in scene.contacts]
+    forces = ((item.force_name, stiffness * item.nominal, f"contact force, {what}") for item, stiffness, what in rows)
+    gaps = ((item.gap_name, item.nominal, f"gap, negative in contact, {what}") for item, _, what in rows)
+    return [*_calculated(VariableKind.FORCE, "N", forces), *_calculated(VariableKind.GAP, "m", gaps)]
 
 
 def friction_nominals(scene: Scene) -> list[float]:
@@ -277,51 +241,22 @@ def friction_nominals(scene: Scene) -> list[float]:
 
 
 def _frictions(scene: Scene) -> list[Variable]:
-    nominals = friction_nominals(scene)
-    rows = [(item, item.description or item.name, nominals[index], index) for index, item in enumerate(scene.frictions)]
-    forces = [
-        Variable(
-            name=item.force_name,
-            kind=VariableKind.FORCE,
-            index=scene.nc + index,
-            unit="N",
-            nominal=nominal,
-            description=f"friction force, {what}",
-        )
-        for item, what, nominal, index in rows
-    ]
-    slips = [
-        Variable(
-            name=item.slip_name, kind=VariableKind.SLIP, index=index, unit="m/s", nominal=item.nominal, description=f"slip speed, {what}"
-        )
-        for item, what, _, index in rows
-    ]
-    reserves = [
-        Variable(
-            name=f"reserve_{item.name}",
-            kind=VariableKind.RESERVE,
-            index=index,
-            unit="1",
-            nominal=1.0,
-            description=f"to the next change between slipping and sticking, {what}: slip over {item.nominal:g} m/s, or mu N - |f| over {nominal:g} N",
-        )
-        for item, what, nominal, index in rows
-    ]
-    return [*forces, *slips, *reserves]
-
-
-def _pressing(scene: Scene) -> list[Variable]:
-    """Of each damped contact; in the rows of forces they stand behind the frictions."""
+    """And of each damped contact whether it presses: in the rows of forces these stand behind the frictions."""
+    rows = [(item, item.description or item.name, nominal) for item, nominal in zip(scene.frictions, friction_nominals(scene), strict=True)]
+    forces = ((item.force_name, nominal, f"friction force, {what}") for item, what, nominal in rows)
+    slips = ((item.slip_name, item.nominal, f"slip speed, {what}") for item, what, _ in rows)
+    change = "to the next change between slipping and sticking, {}: slip over {:g} m/s, or mu N - |f| over {:g} N"
+    reserves = ((f"reserve_{item.name}", 1.0, change.format(what, item.nominal, nominal)) for item, what, nominal in rows)
+    share, damped = (
+        "what pushes while the contact is closed, as a share: below 0 it is released, {}",
+        [scene.contacts[i] for i in scene.damped],
+    )
+    pressing = ((item.pressing_name, 1.0, share.format(item.description or item.name)) for item in damped)
     return [
-        Variable(
-            name=scene.contacts[contact].pressing_name,
-            kind=VariableKind.PRESSING,
-            index=scene.nl + row,
-            unit="1",
-            nominal=1.0,
-            description=f"what pushes while the contact is closed, as a share: below 0 it is released, {scene.contacts[contact].description or scene.contacts[contact].name}",
-        )
-        for row, contact in enumerate(scene.damped)
+        *_calculated(VariableKind.FORCE, "N", forces, scene.nc),
+        *_calculated(VariableKind.SLIP, "m/s", slips),
+        *_calculated(VariableKind.RESERVE, "1", reserves),
+        *_calculated(VariableKind.PRESSING, "1", pressing, scene.nl),
     ]
 
 
@@ -347,19 +282,7 @@ def _energies(scene: Scene) -> list[Variable]:
 
 def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:
     """The physical parameters as variables, in their order."""
-    return [
-        Variable(
-            name=parameter.name,
-            kind=VariableKind.PARAMETER,
-            index=index,
-            unit=parameter.unit,
-            start=parameter.value,
-            lower=parameter.lower,
-            upper=parameter.upper,
-            description=parameter.description or f"parameter {parameter.name}",
-        )
-        for index, parameter in enumerate(parameters)
-    ]
+    return _given(VariableKind.PARAMETER, parameters, [parameter.value for parameter in parameters], "parameter")
 
 
 def _settings(scene: Scene) -> list[Variable]:
