@@ -60,6 +60,17 @@ def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
 
 
+def bound_excess(scene: Scene, plan: Trajectory) -> dict[str, float]:
+    """Measure by how much inputs leave their bounds [N, N m] and, where the scene bounds them, velocities at the start of a step [m/s, rad/s]."""
+    pairs = [("input_bound_excess", plan.u, *input_bounds(scene))]
+    if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
+        slowest, fastest = zip(*((coordinate.velocity_lower, coordinate.velocity_upper) for coordinate in scene.coordinates), strict=True)
+        pairs.append(("velocity_bound_excess", plan.v[:-1], np.array(slowest), np.array(fastest)))
+    return {
+        name: float(np.maximum(np.maximum(lower - values, values - upper), 0.0).max(initial=0.0)) for name, values, lower, upper in pairs
+    }
+
+
 def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float:
     """Roll the plan's inputs out through the same time step with the true contact law; how far from the goal that ends, in the norm of (q, v)."""
     replay = kernel.rollout(np.array(scene.task.start), plan.u, scene.task.step)

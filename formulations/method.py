@@ -25,7 +25,6 @@ A value is kept as it was given, a whole number also where any number will do: k
 
 from __future__ import annotations
 
-import difflib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -35,7 +34,7 @@ from time import perf_counter, process_time
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from models.errors import TouchstoneError
+from models.errors import TouchstoneError, did_you_mean
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -76,8 +75,7 @@ def read_options(kind: type[AnyOptions], given: AnyOptions | Mapping[str, object
     names = [item.name for item in fields(kind)]
     for name in given:
         if name not in names:
-            close = difflib.get_close_matches(str(name), names, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"it has {', '.join(names) or 'none'}."
+            hint = did_you_mean(name, names, f"it has {', '.join(names) or 'none'}.")
             raise OptionError(f"method {method}: there is no option {name!r}; {hint}")
     try:
         return kind(**given)

@@ -12,7 +12,6 @@ is loaded, and Pyomo and PyTorch not before one is opened.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -23,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from formulations.method import Leg, Method, OptionError, Pipeline
-from models.errors import UnknownNameError
+from models.errors import UnknownNameError, did_you_mean
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -42,8 +41,7 @@ def method_names() -> tuple[str, ...]:
 def load_method(name: str) -> Method:
     """Load the method of that name. Raises UnknownNameError where there is none."""
     if name not in method_names():
-        close = difflib.get_close_matches(name, method_names(), n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(method_names())}."
+        hint = did_you_mean(name, method_names(), f"there are {', '.join(method_names())}.")
         raise UnknownNameError(f"there is no method {name!r}; {hint}")
     module = importlib.import_module(f"formulations.methods.{name}")
     method = module.METHOD
@@ -223,12 +221,11 @@ def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
 
 def find_pipeline(name: str) -> Pipeline:
     """Find the pipeline of that name. Raises UnknownNameError where there is none."""
-    for pipeline in PIPELINES:
-        if pipeline.name == name:
-            return pipeline
-    close = difflib.get_close_matches(name, pipeline_names(), n=1)
-    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(pipeline_names())}."
-    raise UnknownNameError(f"there is no pipeline {name!r}; {hint}")
+    found = next((pipeline for pipeline in PIPELINES if pipeline.name == name), None)
+    if found is None:
+        hint = did_you_mean(name, pipeline_names(), f"there are {', '.join(pipeline_names())}.")
+        raise UnknownNameError(f"there is no pipeline {name!r}; {hint}")
+    return found
 
 
 def stage_plan(pipeline: Pipeline) -> tuple[tuple[Leg, float | None, dict[str, object]], ...]:
@@ -284,10 +281,8 @@ def pipeline_from_json(data: Mapping[str, Any]) -> Pipeline:
         )
         for leg in data["legs"]
     )
-    part = data["part"]
-    return Pipeline(
-        name=data["name"], title=data["title"], source=data["source"], legs=legs, part=None if part is None else (part[0], part[1])
-    )
+    part = None if data["part"] is None else tuple(data["part"])
+    return Pipeline(name=data["name"], title=data["title"], source=data["source"], legs=legs, part=part)
 
 
 def solve_scene(
@@ -342,13 +337,8 @@ def _pipeline(name: str, eps: float | None, options: Mapping[str, object]) -> Pi
             f"pipeline {name}: its stages have their own eps and options; leave them out, or name a method: {', '.join(method_names())}."
         )
     if name not in method_names():
-        close = difflib.get_close_matches(name, (*known, *method_names()), n=1)
-        hint = (
-            f"did you mean {close[0]}?"
-            if close
-            else f"there are the pipelines {', '.join(known)} and the methods {', '.join(method_names())}."
-        )
-        raise UnknownNameError(f"there is no pipeline or method {name!r}; {hint}")
+        what = f"there are the pipelines {', '.join(known)} and the methods {', '.join(method_names())}."
+        raise UnknownNameError(f"there is no pipeline or method {name!r}; {did_you_mean(name, (*known, *method_names()), what)}")
     method = load_method(name)
     method.check_eps(eps)
     return Pipeline(name=name, title=method.title, legs=(Leg(method=name, schedule=(eps,), options=options),))

@@ -101,11 +101,16 @@ def as_asked(scene: Scene, solution: Solution) -> Solution:
 
 def checked(outcome: Outcome, message: str, residuals: Mapping[str, float], limits: Mapping[str, float]) -> tuple[Outcome, str]:
     """Turn SOLVED into STALLED where a residual of the plan itself exceeds its limit, and say which; one that is no number exceeds it."""
-    missed = {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
+    missed = beyond(limits, residuals)
     if outcome is not Outcome.SOLVED or not missed:
         return outcome, message
     worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
     return Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+
+
+def beyond(limits: Mapping[str, float], residuals: Mapping[str, float]) -> dict[str, float]:
+    """The limits that are not met; one that is no number is not met."""
+    return {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
 
 
 @dataclass(frozen=True, kw_only=True)

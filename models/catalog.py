@@ -7,7 +7,6 @@ A scene file defines `SCENE`, whose name equals the file's name. Nothing is impo
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import sys
 import traceback
@@ -15,7 +14,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.errors import SceneError, TouchstoneError, UnknownNameError
+from models.errors import SceneError, TouchstoneError, UnknownNameError, did_you_mean
 from models.loading import Afresh, loading
 
 if TYPE_CHECKING:
@@ -38,13 +37,8 @@ def scene_path(reference: str) -> Path:
         return path.resolve()
     if reference in scene_names():
         return _FOLDER / f"{reference}.py"
-    close = difflib.get_close_matches(reference, scene_names(), n=1)
-    hint = (
-        f"did you mean {close[0]}?"
-        if close
-        else f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
-    )
-    raise UnknownNameError(f"there is no scene {reference!r}; {hint}")
+    what = f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
+    raise UnknownNameError(f"there is no scene {reference!r}; {did_you_mean(reference, scene_names(), what)}")
 
 
 def load_scene(reference: str) -> Scene:

@@ -1,31 +1,39 @@
-"""The stages of a collocation scheme: modes read off a softplus homotopy, which contact is closed at which stage, and the problem with these modes.
+"""`collocation` opened on a scene: modes read off a softplus homotopy, which contact is closed at which stage of a step, and the problem with these modes.
 
 With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true contact law holds at every stage: lam = k phi or lam = 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from formulations.contact_modes.method import CollocationOptions
 from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, SoftplusHomotopy, schedule
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
-from formulations.solution import Outcome
-from formulations.transcription.build import build_model, load_plan, read_values, write_values
+from formulations.method import Clock, Method, Session
+from formulations.solution import ModelSize, Outcome, Solution, checked
+from formulations.transcription.build import build_model, read_values, write_values
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
-from formulations.transcription.feasibility import Nearest, nearest
+from formulations.transcription.feasibility import nearest
 from formulations.transcription.method import SolveBudget
+from formulations.transcription.residuals import PlanResiduals
+from models.codegen.kernel import load_kernel
+from models.collocation import switch_error
+from models.errors import TrajectoryError
 from models.scene import Scene
-from models.schemes import Scheme
+from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
 
+# Stages of the homotopy whose modes are tried.
+_TRIED = 3
 # Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 150
 # They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from every bound.
@@ -49,85 +57,144 @@ class StageModes:
         return cls({name: read_values(variable) for name, variable in found.items()}, stage_penetration(model) > 0.0)
 
 
-class StageProblem:
-    """The models of one scene under one scheme: softplus contact, and complementarity.
+class CollocationSession(Session):
+    """The models are built at the first solve, and serve those after it."""
 
-    sharpnesses: of the homotopy, |ln eps|; tolerance: Ipopt's tol; homotopy_tolerance: the same in the homotopy; most_iterations: of a solve.
-    """
+    def __init__(self, method: Method, scene: Scene, options: CollocationOptions, clock: Clock) -> None:
+        self._method, self._scene, self._options = method, scene, options
+        self._scheme = Scheme(options.scheme)
+        self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
+        self._clock = clock
+        clock.stop()
 
-    def __init__(
-        self,
-        scene: Scene,
-        scheme: Scheme,
-        sharpnesses: tuple[float, float, float],
-        *,
-        integrate_cost: bool,
-        tolerance: float,
-        homotopy_tolerance: float,
-        most_iterations: int,
-    ) -> None:
-        self._scene, self._scheme, self._integrate_cost = scene, scheme, integrate_cost
-        self._tolerance, self._homotopy_tolerance, self._most_iterations = tolerance, homotopy_tolerance, most_iterations
-        self._sharpnesses = schedule(*sharpnesses)
-        self._homotopy: SoftplusHomotopy | None = None
-        self._exact: CompiledModel | None = None
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Find a plan of collocated steps; the models are built at the first solve. Raises TrajectoryError for a plan of another grid."""
+        self._method.check_stage(eps, time_limit)
+        budget = SolveBudget(time_limit, self._clock.pay())
+        guesses, outcome, message = self._softened(budget, warm_start)
+        if not self._scene.nc:
+            return self._solution(budget, self._homotopy(budget).compiled, outcome, message)
+        if not guesses:
+            return self._solution(budget, None, outcome, message)
+        for guess in guesses:
+            result = self._with_modes(budget, guess)
+            if result.outcome is Outcome.SOLVED or budget.is_over:
+                break
+        else:
+            result = self._from_relaxed(budget, guesses[0])
+        if result.outcome is Outcome.SOLVED:
+            message = f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
+            return self._solution(budget, self._exact(budget), Outcome.SOLVED, message)
+        if budget.is_over:
+            return self._solution(budget, None, Outcome.TIME_LIMIT, "no feasible modes of the stages were found within the time limit.")
+        message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
+        return self._solution(budget, None, Outcome.STALLED, message)
 
-    @property
-    def homotopy(self) -> SoftplusHomotopy:
-        """The softplus model, built at its first use; it holds the last stage's plan."""
-        if self._homotopy is None:
-            self._homotopy = SoftplusHomotopy(self._scene, 0.0, self._sharpnesses, scheme=self._scheme, integrate_cost=self._integrate_cost)
-        return self._homotopy
+    # -- the models ---------------------------------------------------------------------------------------------------------------
 
-    def prepare(self, start: Trajectory | None) -> None:
-        """Build the softplus model at its first use, and load the start. Raises TrajectoryError for a plan of another grid."""
-        compiled = self.homotopy.compiled
-        if start is not None:
-            load_plan(compiled.model, start)
+    @cached_property
+    def _softplus(self) -> SoftplusHomotopy:
+        own = self._options
+        sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
+        return SoftplusHomotopy(self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost)
 
-    def soften(self, budget: SolveBudget, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
-        """Run the homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
+    @cached_property
+    def _complementarity(self) -> CompiledModel:
+        form, integrated = ContactFormulation.COMPLEMENTARITY, self._options.integrate_cost
+        return CompiledModel(build_model(self._scene, form, eps=0.0, scheme=self._scheme, integrate_cost=integrated))
 
-        def solved(_: Trajectory) -> None:
+    def _homotopy(self, budget: SolveBudget) -> SoftplusHomotopy:
+        """The softplus model; it holds the last stage's plan."""
+        begin, model = perf_counter(), self._softplus
+        budget.build += perf_counter() - begin
+        return model
+
+    def _exact(self, budget: SolveBudget) -> CompiledModel:
+        """The model with complementarity."""
+        begin, model = perf_counter(), self._complementarity
+        budget.build += perf_counter() - begin
+        return model
+
+    # -- modes, and what is left with them ----------------------------------------------------------------------------------------
+
+    def _softened(self, budget: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
+        """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
+        homotopy, guesses = self._homotopy(budget), []
+
+        def keep(_: Trajectory) -> None:
             if self._scene.nc:
-                keep(StageModes.of(self.homotopy.compiled.model))
+                guesses.append(StageModes.of(homotopy.compiled.model))
 
-        options = {"tol": self._homotopy_tolerance, "max_iter": self._most_iterations, **band_options()}
-        return self.homotopy.run(budget, options, start, solved, STAGE_ITERATIONS)
+        options = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations, **band_options()}
+        outcome, message = homotopy.run(budget, options, start, keep, STAGE_ITERATIONS)
+        if not guesses and outcome is not Outcome.SOLVED and not budget.is_over:
+            found = nearest(self._scene, budget, self._options.max_iterations, self._options.first_sharpness / self._scene.length)
+            if found.is_out_of_reach:
+                task = self._scene.task
+                words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
+                return [], Outcome.INFEASIBLE, words
+            if found.is_solved:
+                outcome, message = homotopy.run(budget, options, found.plan, keep, STAGE_ITERATIONS)
+        return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def nearest(self, budget: SolveBudget, sharpest: float) -> Nearest:
-        """Find the plan that comes nearest to the goal, with contact no sharper than this."""
-        return nearest(self._scene, budget, self._most_iterations, sharpest)
-
-    def exact(self, budget: SolveBudget) -> CompiledModel:
-        """Give the model with complementarity, built at its first use."""
-        if self._exact is None:
-            begin = perf_counter()
-            model = build_model(
-                self._scene, ContactFormulation.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost
-            )
-            budget.build += perf_counter() - begin
-            self._exact = CompiledModel(model)
-        return self._exact
-
-    def with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
+    def _with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Solve what is left once the stages of a guess are open or closed as it says."""
-        compiled = self.exact(budget)
+        compiled = self._exact(budget)
         _load(compiled, guess)
         hold_modes(compiled.model, guess.closed)
-        options = {"tol": self._tolerance, **band_options(), **_NEAR}
+        options = {"tol": self._options.tolerance, **band_options(), **_NEAR}
         return compiled.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
 
-    def from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
+    def _from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Do the same with the modes of a relaxed complementarity that starts at the guess."""
-        compiled = self.exact(budget)
+        compiled = self._exact(budget)
         _load(compiled, guess)
         release_modes(compiled.model)
         set_relaxation(compiled.model, _RELAXED)
-        options = {"tol": self._homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
+        options = {"tol": self._options.homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
         relaxed = CompiledModel(compiled.model)  # translated anew: the products are rows again
-        result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._most_iterations})
-        return self.with_modes(budget, StageModes.of(compiled.model)) if result.solved else result
+        result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._options.max_iterations})
+        return self._with_modes(budget, StageModes.of(compiled.model)) if result.solved else result
+
+    def _solution(self, budget: SolveBudget, compiled: CompiledModel | None, outcome: Outcome, message: str) -> Solution:
+        plan, cost, residuals = None, None, {}
+        if compiled is not None and outcome.has_answer:
+            try:
+                plan = compiled.read()
+            except TrajectoryError:  # a value that is not finite: no plan
+                outcome = Outcome.EVALUATION_ERROR
+        if plan is not None:
+            cost = self._residuals.cost(plan)
+            residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
+            outcome, message = checked(outcome, message, residuals, self._options.promises())
+        return Solution(
+            method=self._method.name,
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=cost,
+            iterations=budget.iterations,
+            seconds=budget.seconds(),
+            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
+            options=asdict(self._options),
+            solver=budget.solver,
+            history=budget.columns,
+            size=None if compiled is None else compiled.size,
+            paper_size=None if compiled is None else self._paper_size(),
+        )
+
+    def _paper_size(self) -> ModelSize:
+        """Unknowns and equations of the model with its modes, counted by hand.
+
+        Nodes, inputs, stages that are no node, forces and separation forces; ends, stages, nodes that are no stage, separation forces.
+        """
+        scene, table = self._scene, tableau(self._scheme)
+        steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
+        own, ends = (table.stages - 1, 0) if table.is_stiffly_accurate else (table.stages, 1)
+        return ModelSize(
+            unknowns=2 * scene.nq * (steps + 1) + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
+            equations=2 * scene.nq + given + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
+        )
 
 
 def _load(compiled: CompiledModel, guess: StageModes) -> None:

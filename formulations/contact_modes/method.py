@@ -1,11 +1,11 @@
-"""What `mpcc` and `mpcc_front` share beside their session: the options, and which scenes have only open and closed contacts. Light to import: no Pyomo."""
+"""The options of methods by contact modes, and which scenes have only open and closed contacts. Light to import: no Pyomo."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from formulations.method import Options, option, without_inputs
-from formulations.transcription.method import check_smooth
+from formulations.transcription.method import TranscriptionOptions, check_smooth
 from models.errors import SceneError
 from models.scene import Scene
 
@@ -73,6 +73,26 @@ class MpccOptions(Options):
     physics_tolerance: float = option(
         1e-12, "solved only if the sum of abs(lam (lam - k phi)) is at most this; the method leaves exactly zero", unit="N^2", lower=0.0
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollocationOptions(TranscriptionOptions):
+    """Options of `collocation`."""
+
+    scheme: str = option(
+        "radau_iia_2",
+        "the time step: Radau IIA with two stages (order 3) or three (order 5), or the implicit midpoint (order 2, keeps energy)",
+        choices=("radau_iia_2", "radau_iia_3", "implicit_midpoint"),
+    )
+    integrate_cost: bool = option(
+        False, "minimise the scheme's quadrature of the running cost instead of its sum over the starts of the steps, the task's own"
+    )
+    first_sharpness: float = option(
+        7.0, "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in", lower=1e-3, upper=700.0
+    )
+    last_sharpness: float = option(448.0, "sharpness from which on the modes of the contacts are read off", lower=1e-3, upper=700.0)
+    sharpness_growth: float = option(2.0, "factor between two stages", lower=1.01, upper=1e3)
+    homotopy_tolerance: float = option(1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2)
 
 
 def why_not(scene: Scene) -> str | None:

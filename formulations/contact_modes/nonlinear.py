@@ -234,8 +234,7 @@ class NonlinearModes:
         if not self._scene.nc:
             return np.zeros((2, self._scene.task.steps, 0))
         place = {id(variable): column for column, variable in enumerate(problem.variables)}
-        rows, columns = problem.jacobianstructure()
-        slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
+        slope = problem.lagrangian_gradient(result.x, result.lagrange)
         lam = [place[id(variable)] for variable in model.variable_lam.values()]
         separation = [place[id(pair.v)] for pair in model.complementarity_contact.values()]
         return slope[np.array([lam, separation])].reshape(2, -1, self._scene.nc)

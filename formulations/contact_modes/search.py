@@ -3,7 +3,7 @@
 A mode sequence says for each contact in which intervals of steps it is closed. An interval (first, stop) is a run of steps first <= t < stop.
 
     sequence = mode_sequence(closed)                                      # closed (steps, nc)
-    Shift(contact=0, index=0, first=-2).apply(sequence, steps)            # the contact closes two steps earlier; None where that is not possible
+    shift(0, 0, first=-2).apply(sequence, steps)            # the contact closes two steps earlier; None where that is not possible
 
 Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first order: such pairs are switched before anything is
 tried. Then intervals that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the others
@@ -15,16 +15,18 @@ is there a plan with these modes below this cost?
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from formulations.contact_modes.quadratic import ModesAnswer
+
 Interval = tuple[int, int]
-ModeSequence = tuple[tuple[Interval, ...], ...]
+Row = tuple[Interval, ...]
+ModeSequence = tuple[Row, ...]
 
 _APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far an interval is from its repetition
 _PLACES = tuple(0.05 * place for place in range(1, 20))  # of the horizon: where a first interval of a contact is tried
@@ -58,85 +60,53 @@ def closed_steps(sequence: ModeSequence, steps: int) -> np.ndarray:
     return closed
 
 
-@dataclass(frozen=True, kw_only=True)
-class Move(ABC):
-    """One change of the intervals of one contact."""
+@dataclass(frozen=True)
+class Move:
+    """One change of the intervals of one contact. change: from them to those after it, or None where there is no interval of that index."""
 
     contact: int
-
-    @abstractmethod
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        """Give the intervals of the contact after the move, or None where there is no interval of that index."""
+    change: Callable[[Row], Row | None]
 
     def apply(self, sequence: ModeSequence, steps: int) -> ModeSequence | None:
         """Give the sequence after the move, or None where intervals would be empty, overlap or adjoin, or there is none of that index."""
-        row = self._changed(sequence[self.contact])
+        row = self.change(sequence[self.contact])
         if row is None or not _fits(row, steps):
             return None
         return (*sequence[: self.contact], row, *sequence[self.contact + 1 :])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shift(Move):
+def _replace(contact: int, index: int, others: Callable[..., Row], count: int = 1) -> Move:
+    """Others for `count` intervals from this index on."""
+
+    def change(row: Row) -> Row | None:
+        return (*row[:index], *others(*row[index : index + count]), *row[index + count :]) if index + count <= len(row) else None
+
+    return Move(contact, change)
+
+
+def shift(contact: int, index: int, first: int = 0, stop: int = 0) -> Move:
     """An interval begins and stops so many steps later."""
-
-    index: int
-    first: int = 0
-    stop: int = 0
-
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        if self.index >= len(row):
-            return None
-        first, stop = row[self.index]
-        return (*row[: self.index], (first + self.first, stop + self.stop), *row[self.index + 1 :])
+    return _replace(contact, index, lambda old: ((old[0] + first, old[1] + stop),))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Split(Move):
+def split(contact: int, index: int, first: int, stop: int) -> Move:
     """An interval is interrupted in first <= t < stop, strictly inside it."""
-
-    index: int
-    first: int
-    stop: int
-
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        if self.index >= len(row):
-            return None
-        first, stop = row[self.index]
-        return (*row[: self.index], (first, self.first), (self.stop, stop), *row[self.index + 1 :])
+    return _replace(contact, index, lambda old: ((old[0], first), (stop, old[1])))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Merge(Move):
+def merge(contact: int, index: int) -> Move:
     """An interval and the next become one: the contact stays closed between them."""
-
-    index: int
-
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        if self.index >= len(row) - 1:
-            return None
-        return (*row[: self.index], (row[self.index][0], row[self.index + 1][1]), *row[self.index + 2 :])
+    return _replace(contact, index, lambda old, following: ((old[0], following[1]),), 2)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Add(Move):
-    """A new interval where the contact is open."""
-
-    first: int
-    stop: int
-
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        return tuple(sorted((*row, (self.first, self.stop))))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drop(Move):
+def drop(contact: int, index: int) -> Move:
     """An interval less."""
+    return _replace(contact, index, lambda old: ())
 
-    index: int
 
-    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
-        return (*row[: self.index], *row[self.index + 1 :]) if self.index < len(row) else None
+def add(contact: int, first: int, stop: int) -> Move:
+    """A new interval where the contact is open."""
+    return Move(contact, lambda row: tuple(sorted((*row, (first, stop)))))
 
 
 def onwards(before: ModeSequence, after: ModeSequence, times: int, steps: int) -> ModeSequence | None:
@@ -150,7 +120,7 @@ def onwards(before: ModeSequence, after: ModeSequence, times: int, steps: int) -
     return moved if all(_fits(row, steps) for row in moved) else None
 
 
-def _fits(row: tuple[Interval, ...], steps: int) -> bool:
+def _fits(row: Row, steps: int) -> bool:
     """Whether intervals lie in the horizon, none empty, none overlapping or adjoining."""
     return all(0 <= first < stop <= steps for first, stop in row) and all(before[1] < after[0] for before, after in pairwise(row))
 
@@ -160,17 +130,17 @@ def shifts(sequence: ModeSequence, stride: int) -> Iterator[Move]:
     for contact, row in enumerate(sequence):
         for index in range(len(row)):
             for by in (-stride, stride):
-                yield Shift(contact=contact, index=index, first=by)
-                yield Shift(contact=contact, index=index, stop=by)
-                yield Shift(contact=contact, index=index, first=by, stop=by)
+                yield shift(contact, index, first=by)
+                yield shift(contact, index, stop=by)
+                yield shift(contact, index, first=by, stop=by)
 
 
 def fewer(sequence: ModeSequence) -> Iterator[Move]:
     """Yield each interval dropped, the last of a contact first (those that remain keep their index), and each merged with the next."""
     for contact, row in enumerate(sequence):
         for index in reversed(range(len(row))):
-            yield Drop(contact=contact, index=index)
-            yield Merge(contact=contact, index=index)
+            yield drop(contact, index)
+            yield merge(contact, index)
 
 
 def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
@@ -184,16 +154,16 @@ def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
         depth = phi[:, contact]
         for index, (first, stop) in enumerate(row):
             if index + 1 < len(row):
-                yield Merge(contact=contact, index=index)
-            yield Drop(contact=contact, index=index)
+                yield merge(contact, index)
+            yield drop(contact, index)
             if stop - first >= 3:
                 least = first + 1 + int(depth[first + 1 : stop - 1].argmin())
-                yield Split(contact=contact, index=index, first=least, stop=least + 1)
+                yield split(contact, index, first=least, stop=least + 1)
         edges = [0, *(edge for interval in row for edge in interval), len(depth)]
         for first, stop in zip(edges[::2], edges[1::2], strict=True):
             if stop - first >= 3:
                 nearest = first + 1 + int(depth[first + 1 : stop - 1].argmax())
-                yield Add(contact=contact, first=nearest, stop=nearest + 1)
+                yield add(contact, first=nearest, stop=nearest + 1)
 
 
 def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
@@ -209,7 +179,7 @@ def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
             wanted = [(round(place * steps), usual) for place in _PLACES]
         for begin, length in wanted:
             if begin >= 1 and begin + length <= steps and all(begin + length < before or begin > after for before, after in row):
-                yield Add(contact=contact, first=begin, stop=begin + length)
+                yield add(contact, first=begin, stop=begin + length)
 
 
 # A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve (1e-13), far below what a step of an interval costs.
@@ -220,31 +190,7 @@ _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 
 _STRETCH = 4  # of the longest stride: the first on a detour
 
 
-class ModePlan(Protocol):
-    """A plan that is optimal for its modes."""
-
-    @property
-    def closed(self) -> np.ndarray:
-        """Whether a contact is closed in a step: (steps, nc) [-]."""
-        ...
-
-    @property
-    def cost(self) -> float:
-        """Its cost."""
-        ...
-
-    @property
-    def phi(self) -> np.ndarray:
-        """Penetration: (steps, nc) [m]."""
-        ...
-
-    @property
-    def biactive_multiplier(self) -> np.ndarray:
-        """Smaller multiplier of a touching pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
-        ...
-
-
-Answer = TypeVar("Answer", bound=ModePlan)
+Answer = TypeVar("Answer", bound=ModesAnswer)
 Improve = Callable[[np.ndarray, Answer, float], Answer | None]  # (modes, neighbour, below) -> its optimum if that costs less, else None
 
 

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter, process_time
-from typing import Any
 
 import numpy as np
 
@@ -55,59 +54,6 @@ _PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt k
 _CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
 
 
-class Throws:
-    """The throws of one scene. finder: searches modes around the best of them."""
-
-    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, scene_models: SceneModels) -> None:
-        self._scene, self._kernel, self._finder, self._options, self._models = scene, kernel, finder, options, scene_models
-
-    def instead_of(self, before: FinderResult, budget: SolveBudget, seed: tuple[int, ...]) -> FinderResult:
-        """Find a cheaper plan that throws, or leave the one before.
-
-        It stays where there is a goal, where the end costs nothing, and where its inputs press a contact that is not pressed without them.
-        """
-        task = self._scene.task
-        if task.has_goal or task.final_cost == 0 or not self._scene.nc or budget.is_late:
-            return before
-        work = 1e6 * self._options.throw_work
-        none = np.clip(np.zeros((task.steps, self._scene.nu)), *input_bounds(self._scene))
-        idle = self._pressed(none)
-        planned = none if before.answer is None else before.answer.u
-        if work == 0.0 or (self._pressed(planned) & ~idle).any():
-            return before
-        budget.most_work = budget.work + work  # on top of what the starts were given: they may have spent it
-        problem, best = self._best(budget, planned, idle, seed)
-        if best is None or (before.answer is not None and best.cost >= before.answer.cost):
-            return before
-        found = self._finder.searched(budget, problem, best, max(1, task.steps // STRIDES), far=True)
-        first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
-        return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
-
-    def _best(
-        self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]
-    ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
-        """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
-        begin = perf_counter()
-        below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
-        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
-        most = min(self._options.max_iterations, STAGE_ITERATIONS)
-        problem = self._models.modes(0.0, budget, {"tol": self._options.tolerance, "max_iter": most})
-        budget.build += perf_counter() - begin
-        answers: list[ModesAnswer] = []
-        for plan in plans:
-            if isinstance(problem, NonlinearModes):
-                problem.guess = plan
-            answer = None if budget.is_over else problem.solve(plan.lam > 0.0)
-            if answer is not None:
-                answers.append(answer)
-        return problem, min(answers, key=lambda answer: answer.cost, default=None)
-
-    def _pressed(self, u: np.ndarray) -> np.ndarray:
-        """(nc,) whether these inputs press a contact at any time."""
-        rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
-        return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Start:
     words: str
@@ -116,11 +62,10 @@ class _Start:
 
 
 class MultiStart:
-    """The starts of one scene."""
+    """The starts of one scene, and its throws. finder: searches modes from each, and around the best throw."""
 
     def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, scene_models: SceneModels) -> None:
         self._scene, self._kernel, self._finder, self._options, self._models = scene, kernel, finder, options, scene_models
-        self._throws = Throws(scene, kernel, finder, options, scene_models)
 
     def run(self, budget: SolveBudget, numbers: range, warm_start: Trajectory | None) -> tuple[FinderResult, tuple[Attempt, ...]]:
         """Try the starts of these numbers; the best, and what became of each. Starts for which there is no time are not among them.
@@ -143,7 +88,7 @@ class MultiStart:
         if best is None:
             raise ValueError("a range of starts is never empty: the options see to that.")
         began = process_time()
-        thrown = self._throws.instead_of(best, budget, (self._options.seed, numbers[0]))
+        thrown = self._thrown_instead(best, budget, (self._options.seed, numbers[0]))
         if thrown is not best:
             place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
             start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
@@ -190,6 +135,54 @@ class MultiStart:
             windows=() if answer is None else named_intervals(self._scene, answer.closed),
             seconds=seconds,
         )
+
+    # -- throws -------------------------------------------------------------------------------------------------------------------
+
+    def _thrown_instead(self, before: FinderResult, budget: SolveBudget, seed: tuple[int, ...]) -> FinderResult:
+        """Find a cheaper plan that throws, or leave the one before.
+
+        It stays where there is a goal, where the end costs nothing, and where its inputs press a contact that is not pressed without them.
+        """
+        task = self._scene.task
+        if task.has_goal or task.final_cost == 0 or not self._scene.nc or budget.is_late:
+            return before
+        work = 1e6 * self._options.throw_work
+        none = np.clip(np.zeros((task.steps, self._scene.nu)), *input_bounds(self._scene))
+        idle = self._pressed(none)
+        planned = none if before.answer is None else before.answer.u
+        if work == 0.0 or (self._pressed(planned) & ~idle).any():
+            return before
+        budget.most_work = budget.work + work  # on top of what the starts were given: they may have spent it
+        problem, best = self._best_throw(budget, planned, idle, seed)
+        if best is None or (before.answer is not None and best.cost >= before.answer.cost):
+            return before
+        found = self._finder.searched(budget, problem, best, max(1, task.steps // STRIDES), far=True)
+        first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
+        return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
+
+    def _best_throw(
+        self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]
+    ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
+        """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
+        begin = perf_counter()
+        below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
+        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
+        most = min(self._options.max_iterations, STAGE_ITERATIONS)
+        problem = self._models.modes(0.0, budget, {"tol": self._options.tolerance, "max_iter": most})
+        budget.build += perf_counter() - begin
+        answers: list[ModesAnswer] = []
+        for plan in plans:
+            if isinstance(problem, NonlinearModes):
+                problem.guess = plan
+            answer = None if budget.is_over else problem.solve(plan.lam > 0.0)
+            if answer is not None:
+                answers.append(answer)
+        return problem, min(answers, key=lambda answer: answer.cost, default=None)
+
+    def _pressed(self, u: np.ndarray) -> np.ndarray:
+        """(nc,) whether these inputs press a contact at any time."""
+        rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
+        return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
 
 
 def named_intervals(scene: Scene, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
@@ -242,7 +235,7 @@ class MpccSession(Session):
         )
         answer = search.answer
         if answer is None:
-            return replace(empty, iterations=budget.iterations, seconds=budget.seconds(), history=_columns(budget))
+            return replace(empty, iterations=budget.iterations, seconds=budget.seconds(), history=budget.columns)
         rollout, u = correct_end(self._scene, self._kernel, answer.u, self._options.goal_tolerance)
         plan = plan_of(self._scene, rollout, u)
         residuals = self._plan_residuals(plan)
@@ -273,7 +266,7 @@ class MpccSession(Session):
             iterations=budget.iterations,
             seconds=budget.seconds(),
             residuals=residuals,
-            history=_columns(budget),
+            history=budget.columns,
             certificate=certificate,
         )
 
@@ -307,7 +300,3 @@ def _stationary(found: Certificate, message: str) -> tuple[Outcome, str]:
         else "whether it is B-stationary is not known"
     )
     return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
-
-
-def _columns(budget: SolveBudget) -> dict[str, tuple[Any, ...]]:
-    return {name: tuple(values) for name, values in budget.history.items()}

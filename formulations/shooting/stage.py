@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from formulations.grids import check_warm_start, input_bounds
+from formulations.grids import bound_excess, check_warm_start, input_bounds
 from formulations.method import Clock
 from formulations.solution import Outcome, Seconds
 from models.codegen.steps import Steps
@@ -129,19 +129,12 @@ def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
     """Measure terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
     error = miss(plan.end, goal_state(scene.task))
-    lower, upper = input_bounds(scene)
-    residuals = {
+    return {
         "terminal_error": float(np.linalg.norm(error)),
         "terminal_position_error": float(np.linalg.norm(error[: scene.nq])),
         "terminal_velocity_error": float(np.linalg.norm(error[scene.nq :])),
-        "input_bound_excess": float(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0).max(initial=0.0)),
+        **bound_excess(scene, plan),
     }
-    if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
-        slowest = np.array([coordinate.velocity_lower for coordinate in scene.coordinates])
-        fastest = np.array([coordinate.velocity_upper for coordinate in scene.coordinates])
-        excess = np.maximum(slowest - plan.v[:-1], plan.v[:-1] - fastest)
-        residuals["velocity_bound_excess"] = float(np.maximum(excess, 0.0).max(initial=0.0))
-    return residuals
 
 
 def arrived(

@@ -89,10 +89,8 @@ class GoalMonitor(RestorationMonitor):
 def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
     """The plan of the softplus model at eps with the goal as a penalty; None where that is not solved either."""
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=eps)
-    nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
-    missed = sum(((state - goal) / nominal[name]) ** 2 for state, goal, name in release_goal(model))
+    missed = _let_goal_go(model, scene)
     model.parameter_weight = pyo.Param(initialize=max(1.0, abs(pyo.value(model.expression_cost))), mutable=True)
-    model.objective_cost.deactivate()
     model.objective_near = pyo.Objective(expr=model.expression_cost + model.parameter_weight * missed)
     compiled = CompiledModel(model)
     for _ in range(_WEIGHTS):
@@ -136,7 +134,7 @@ def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: fl
     sharpest : b [1/m] of the last solve, where contact is not to be sharper than that
     """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
-    _aim_at_goal(model, scene)
+    model.objective_miss = pyo.Objective(expr=_let_goal_go(model, scene))  # a free end leaves nothing but the constraints to be met
     problem = compile_model(model)
     is_solved = False
     for b in _sharpnesses(scene, sharpest):
@@ -156,11 +154,11 @@ def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: fl
     return _measured(scene, read_plan(model), is_solved)
 
 
-def _aim_at_goal(model: Any, scene: Scene) -> None:
-    """The goal as objective instead of constraint; a free end leaves nothing but the constraints to be met."""
+def _let_goal_go(model: Any, scene: Scene) -> Any:
+    """The squared miss of the goal, which is no constraint any more, in squares of the nominals; the cost is no objective any more."""
     model.objective_cost.deactivate()
     nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
-    model.objective_miss = pyo.Objective(expr=sum(((state - goal) / nominal[name]) ** 2 for state, goal, name in release_goal(model)))
+    return sum(((state - goal) / nominal[name]) ** 2 for state, goal, name in release_goal(model))
 
 
 def _sharpnesses(scene: Scene, sharpest: float) -> list[float]:

@@ -16,10 +16,10 @@ from typing import Any
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.method import Clock, Method
-from formulations.solution import Outcome, Solution
+from formulations.solution import Outcome, Solution, beyond
 from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, Work, ended
-from formulations.transcription.solving import PlanSolver, beyond
+from formulations.transcription.solving import PlanSolver
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError
 from models.scene import Scene
@@ -54,9 +54,8 @@ class Homotopy:
         *,
         counts_nonzeros: bool = False,
     ) -> None:
-        self._method, self._options, self.rules = method.name, options, rules
+        self._method, self.options, self.rules, self.counts_nonzeros = method.name, options, rules, counts_nonzeros
         self.solver = PlanSolver(scene, contact, options, clock)
-        self._counts_nonzeros = counts_nonzeros
         self._failure: Failure | None = None
 
     def failed_before(self, eps: float, start: Trajectory | None) -> Failure | None:
@@ -67,12 +66,12 @@ class Homotopy:
     def not_tried(self, failure: Failure, outcome: Outcome) -> Solution:
         """What is said of a stage after such a failure."""
         message = f"Not tried: from this start there was no plan at eps = {failure.eps:g} either, where contact is softer."
-        return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self._options))
+        return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self.options))
 
     @contextmanager
     def stage(self, budget: SolveBudget) -> Iterator[Stage]:
         """A stage, whose solves are in the budget when it ends."""
-        stage = Stage(self.solver, self.rules, self._options, budget, self._counts_nonzeros)
+        stage = Stage(self, budget)
         yield stage
         stage.settle()
 
@@ -83,7 +82,7 @@ class Homotopy:
             self._method,
             budget,
             result,
-            lambda plan: _residuals_at(self.solver, rules, plan, eps),
+            lambda plan: self.residuals(plan, eps),
             plan_limits=rules.plan_limits,
             promises=rules.promises,
         )
@@ -91,27 +90,24 @@ class Homotopy:
             self._failure = Failure(eps, start, found.outcome)
         return found
 
+    def residuals(self, plan: Trajectory, eps: float) -> dict[str, float]:
+        """Residuals of a plan by name, held against the contact law of the rules at this eps."""
+        law = self.rules(eps).law
+        return self.solver.residuals.of(plan, law, eps if law is ForceLaw.SOFTPLUS else None)
+
 
 class Stage:
     """The solves of one stage, each with a budget of its own, because iterations are limited for each."""
 
-    def __init__(
-        self,
-        solver: PlanSolver,
-        rules: Callable[[float], StageRules],
-        options: TranscriptionOptions,
-        budget: SolveBudget,
-        counts_nonzeros: bool,
-    ) -> None:
-        self._solver, self._rules, self._budget, self._counts_nonzeros = solver, rules, budget, counts_nonzeros
-        self._most = options.max_iterations
+    def __init__(self, homotopy: Homotopy, budget: SolveBudget) -> None:
+        self._homotopy, self._solver, self._budget = homotopy, homotopy.solver, budget
         self._budgets: list[SolveBudget] = []
         self._spent = 0
 
     @property
     def may_go_on(self) -> bool:
         """Whether time and iterations are left."""
-        return not self._budget.is_over and self._spent < self._most
+        return not self._budget.is_over and self._spent < self._homotopy.options.max_iterations
 
     def settle(self) -> None:
         """All that was spent counts in the budget of the stage."""
@@ -133,8 +129,8 @@ class Stage:
 
     def solve(self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None) -> IpoptResult:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
-        rules = self._rules(eps)
-        size = self._solver.nonzeros(self._budget) if self._counts_nonzeros else self._solver.unknowns
+        rules = self._homotopy.rules(eps)
+        size = self._solver.compiled.problem(self._budget).nonzeros if self._homotopy.counts_nonzeros else self._solver.unknowns
         own = SolveBudget(self._budget.remaining)
         self._budgets.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
@@ -149,15 +145,9 @@ class Stage:
             plan = self._solver.read()
         except TrajectoryError:
             return None
-        rules = self._rules(eps)
-        return None if beyond(rules.plan_limits, _residuals_at(self._solver, rules, plan, eps)) else plan
+        return None if beyond(self._homotopy.rules(eps).plan_limits, self._homotopy.residuals(plan, eps)) else plan
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
         """With no more iterations than the stage has left, and than the work allows."""
         most = max(0, options["max_iter"] - self._spent)
         return {**options, "max_iter": most if work is None else min(most, work.iterations(size))}
-
-
-def _residuals_at(solver: PlanSolver, rules: StageRules, plan: Trajectory, eps: float) -> dict[str, float]:
-    """Residuals of a plan by name, held against the contact law of the rules."""
-    return solver.residuals.of(plan, rules.law, eps if rules.law is ForceLaw.SOFTPLUS else None)

@@ -187,6 +187,11 @@ class SolveBudget:
             setattr(self, name, getattr(self, name) + getattr(earlier, name))
         self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
 
+    @property
+    def columns(self) -> dict[str, tuple[float, ...]]:
+        """The history of all solves, as a `Solution` has it."""
+        return {name: tuple(values) for name, values in self.history.items()}
+
     def seconds(self) -> Seconds:
         """Seconds spent so far, by what for [s]."""
         return Seconds(

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import sympy as sp
 
-from formulations.grids import input_bounds
+from formulations.grids import bound_excess
 from models.codegen.kernel import load_kernel
 from models.collocation import defect
 from models.contact_law import ContactLaw, contact_force, sharpness
@@ -116,18 +116,12 @@ class PlanResiduals:
         regularised_friction : largest miss of the regularised friction law [N]
         """
         scene = self._scene
-        lower, upper = input_bounds(scene)
         found = {
             "dynamics_defect": self.dynamics_defect(plan),
             "start_error": float(np.linalg.norm(plan.start - np.array(scene.task.start))),
             "terminal_error": distance(plan.end, goal_state(scene.task)),
-            "input_bound_excess": _largest(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0)),
+            **bound_excess(scene, plan),
         }
-        if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
-            slowest = np.array([coordinate.velocity_lower for coordinate in scene.coordinates])
-            fastest = np.array([coordinate.velocity_upper for coordinate in scene.coordinates])
-            v = plan.v[:-1]
-            found["velocity_bound_excess"] = _largest(np.maximum(np.maximum(slowest - v, v - fastest), 0.0))
         if scene.nf:
             found |= self._friction_residuals(plan, law, eps)
         if not scene.nc:

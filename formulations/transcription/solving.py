@@ -22,7 +22,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Start
 from formulations.method import Clock
-from formulations.solution import Outcome, Solution
+from formulations.solution import Outcome, Solution, beyond, checked
 from formulations.transcription.build import build_model, load_first_guess, load_plan, read_plan
 from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
 from formulations.transcription.contact import ContactFormulation, hold_modes, pressed_columns, release_modes, set_relaxation, sides
@@ -170,10 +170,6 @@ class PlanSolver:
         """The model without complementarity, of a translation of its own."""
         return FixedModes(self.compiled.model, self._options.ipopt(), most_switches)
 
-    def nonzeros(self, budget: SolveBudget) -> int:
-        """Of the translated model."""
-        return self.compiled.problem(budget).nonzeros
-
     @property
     def unknowns(self) -> int:
         """Of the model, counted by hand."""
@@ -296,10 +292,7 @@ class PlanSolver:
             if outcome is not Outcome.SOLVED and beyond(plan_limits, residuals):
                 plan, cost = None, None
                 message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
-            missed = beyond(promises, residuals)
-            if outcome is Outcome.SOLVED and missed:
-                worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
-                outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+            outcome, message = checked(outcome, message, residuals, promises)
             if np.isfinite(result.residuals.dual_infeasibility):
                 residuals["dual_infeasibility"] = result.residuals.dual_infeasibility
         return Solution(
@@ -313,12 +306,7 @@ class PlanSolver:
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
             options=asdict(self._options),
             solver=budget.solver,
-            history={name: tuple(values) for name, values in budget.history.items()},
+            history=budget.columns,
             size=self.compiled.size,
             paper_size=size_on_paper(self._scene, self._contact),
         )
-
-
-def beyond(limits: Mapping[str, float], residuals: Mapping[str, float]) -> dict[str, float]:
-    """The limits that are not met; one that is no number is not met."""
-    return {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}

@@ -10,20 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.contact_modes.search import (
-    Add,
-    Drop,
-    Merge,
-    Shift,
-    Split,
+    add,
     closed_steps,
+    drop,
     fewer,
     flip_wrong_signs,
+    merge,
     mode_sequence,
     onwards,
     rearrangements,
     repetitions,
     search_sequences,
+    shift,
     shifts,
+    split,
 )
 
 STEPS = 40
@@ -51,28 +51,28 @@ def test_every_move_leads_to_another_sequence(closed: np.ndarray, stride: int, s
 
 def test_moves_do_what_they_say() -> None:
     sequence = (((5, 10), (20, 30)), ())
-    assert Shift(contact=0, index=0, first=-2).apply(sequence, STEPS) == (((3, 10), (20, 30)), ())
-    assert Shift(contact=0, index=1, stop=3).apply(sequence, STEPS) == (((5, 10), (20, 33)), ())
-    assert Shift(contact=0, index=0, first=4, stop=4).apply(sequence, STEPS) == (((9, 14), (20, 30)), ())
-    assert Merge(contact=0, index=0).apply(sequence, STEPS) == (((5, 30),), ())
-    assert Split(contact=0, index=1, first=24, stop=26).apply(sequence, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
-    assert Drop(contact=0, index=0).apply(sequence, STEPS) == (((20, 30),), ())
-    assert Add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
+    assert shift(contact=0, index=0, first=-2).apply(sequence, STEPS) == (((3, 10), (20, 30)), ())
+    assert shift(contact=0, index=1, stop=3).apply(sequence, STEPS) == (((5, 10), (20, 33)), ())
+    assert shift(contact=0, index=0, first=4, stop=4).apply(sequence, STEPS) == (((9, 14), (20, 30)), ())
+    assert merge(contact=0, index=0).apply(sequence, STEPS) == (((5, 30),), ())
+    assert split(contact=0, index=1, first=24, stop=26).apply(sequence, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
+    assert drop(contact=0, index=0).apply(sequence, STEPS) == (((20, 30),), ())
+    assert add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
 
 
 @pytest.mark.parametrize(
     "move",
     [
-        Shift(contact=0, index=0, stop=-5),  # empty
-        Shift(contact=0, index=0, stop=10),  # adjoins the next
-        Shift(contact=0, index=0, first=-6),  # before the beginning
-        Shift(contact=0, index=1, stop=11),  # after the end
-        Shift(contact=0, index=0, first=12, stop=12),  # overlaps
-        Shift(contact=0, index=2, first=1),
-        Merge(contact=0, index=1),
-        Split(contact=0, index=0, first=5, stop=6),  # at the edge
-        Drop(contact=1, index=0),
-        Add(contact=0, first=8, stop=12),
+        shift(contact=0, index=0, stop=-5),  # empty
+        shift(contact=0, index=0, stop=10),  # adjoins the next
+        shift(contact=0, index=0, first=-6),  # before the beginning
+        shift(contact=0, index=1, stop=11),  # after the end
+        shift(contact=0, index=0, first=12, stop=12),  # overlaps
+        shift(contact=0, index=2, first=1),
+        merge(contact=0, index=1),
+        split(contact=0, index=0, first=5, stop=6),  # at the edge
+        drop(contact=1, index=0),
+        add(contact=0, first=8, stop=12),
     ],
 )
 def test_impossible_moves_give_nothing(move) -> None:
@@ -140,14 +140,13 @@ def test_multipliers_lead_to_the_target_at_once() -> None:
 
 
 def test_intervals_are_repeated_where_the_contact_is_open() -> None:
-    moves = list(repetitions((((50, 60),), ()), 100))
-    for move in moves:
-        moved = move.apply((((50, 60),), ()), 100)
-        assert moved is not None
-        assert sum(len(row) for row in moved) == 2
+    sequence = (((50, 60),), ())
+    moves = list(repetitions(sequence, 100))
+    found = [move.apply(sequence, 100) for move in moves]
+    assert all(moved is not None and sum(len(row) for row in moved) == 2 for moved in found)
     assert {move.contact for move in moves} == {0, 1}
-    assert Add(contact=0, first=70, stop=80) in moves
-    assert Add(contact=0, first=20, stop=30) in moves
+    assert add(contact=0, first=70, stop=80).apply(sequence, 100) in found
+    assert add(contact=0, first=20, stop=30).apply(sequence, 100) in found
 
 
 def test_the_search_repeats_an_interval() -> None:
