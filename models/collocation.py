@@ -173,14 +173,10 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
         return 0.0
     h, k = np.diff(plan.t), kernel.stiffness()
     phi = kernel.penetration(plan.q)
-    rate = np.diff(phi, axis=0) / h[:, None]
-    closer = np.maximum(
-        np.abs(penetration_rates(kernel, plan.q[:-1], plan.v[:-1])), np.abs(penetration_rates(kernel, plan.q[1:], plan.v[1:]))
-    )
-    speed = np.maximum(np.abs(rate), closer)
+    first, last = (penetration_rates(kernel, plan.q[ends], plan.v[ends]) for ends in (slice(-1), slice(1, None)))
+    speed = np.maximum(np.abs(np.diff(phi, axis=0) / h[:, None]), np.maximum(np.abs(first), np.abs(last)))
     within = np.minimum(np.abs(phi[:-1]), np.abs(phi[1:])) <= speed * h[:, None]
-    turns = penetration_rates(kernel, plan.q[:-1], plan.v[:-1]) * penetration_rates(kernel, plan.q[1:], plan.v[1:]) < 0.0
-    switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & turns & (phi[:-1] < 0.0)
+    switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & (first * last < 0.0) & (phi[:-1] < 0.0)
     total = 0.0
     still = np.zeros((1, scene.nl))
     for step, contact in zip(*np.nonzero(switches), strict=True):

@@ -220,15 +220,10 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
                 return None
         return None
 
-    found = []
     if scene.nc <= _EVERY_SET:
-        sets = [indices for size in range(1, scene.nc + 1) for indices in combinations(range(scene.nc), size)]
-        for indices in sets:
-            place = closed(indices)
-            if place is not None:
-                found.append((indices, place))
-        return found
-    together: tuple[int, ...] = ()
+        every = [indices for size in range(1, scene.nc + 1) for indices in combinations(range(scene.nc), size)]
+        return [(indices, place) for indices in every if (place := closed(indices)) is not None]
+    found, together = [], ()
     for index in range(scene.nc):
         for indices in dict.fromkeys([(index,), (*together, index)]):
             place = closed(indices)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from models.errors import MachineError, TrajectoryError
+from models.errors import MachineError, TrajectoryError, did_you_mean
 from models.plan_table import PlanTable, Table, real_numbers
 from models.schemes import Scheme
 
@@ -58,9 +58,8 @@ def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
     known = [item.value for item in Scheme]
     if value in known:
         return Scheme(value)
-    close = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
-    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}; without this line it declares none."
-    raise TrajectoryError(f"{where}: the scheme {value!r} is unknown; {hint}")
+    what = f"there are {', '.join(known)}; without this line it declares none."
+    raise TrajectoryError(f"{where}: the scheme {value!r} is unknown; {did_you_mean(value, known, what)}")
 
 
 def as_hold(value: Any, where: str = "plan") -> Hold:
@@ -328,32 +327,27 @@ def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
     }
 
 
+def _grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """The same with friction forces apart: the groups that a plan says or does not say."""
+    names = column_names(scene)
+    return {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
+
+
 def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     """Write a plan as CSV (17 significant digits: it reads back bit for bit), without the columns that its author did not say."""
     trajectory.check_fits(scene)
-    names = column_names(scene)
-    held = next(word for word, hold in HOLDS.items() if hold is trajectory.hold)
-    lines = [f"# hold: {held}"]
-    if trajectory.scheme is not None:
-        lines.append(f"# scheme: {trajectory.scheme.value}")
-    said = {
-        "q": "q" not in trajectory.missing, "v": "v" not in trajectory.missing, "u": True,
-        "lam": "lam" not in trajectory.missing, "friction": "friction" not in trajectory.missing,
-    }  # fmt: skip
-    forces = [name for index, name in enumerate(names["lam"]) if said["lam" if index < scene.nc else "friction"]]
-    chosen = [index for index in range(scene.nl) if said["lam" if index < scene.nc else "friction"]]
-    header = [*(names["q"] if said["q"] else ()), *(names["v"] if said["v"] else ()), *names["u"], *forces]
-    lines.append(",".join(["t", *header]))
-    for index in range(trajectory.steps + 1):
-        values = [trajectory.t[index], *(trajectory.q[index] if said["q"] else ()), *(trajectory.v[index] if said["v"] else ())]
-        cells = [repr(float(value)) for value in values]
-        if index < trajectory.steps:
-            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index][chosen])]
-        else:
-            end = trajectory.u_end if trajectory.hold is Hold.LINEAR and trajectory.u_end is not None else None
-            cells += [""] * scene.nu if end is None else [repr(float(value)) for value in end]
-            cells += [""] * len(chosen)
-        lines.append(",".join(cells))
+    plan, names = trajectory, _grouped_names(scene)
+    held = next(word for word, hold in HOLDS.items() if hold is plan.hold)
+    lines = [f"# hold: {held}", *([] if plan.scheme is None else [f"# scheme: {plan.scheme.value}"])]
+    heads_for_end = plan.hold is Hold.LINEAR and plan.u_end is not None
+    arrays = {"q": plan.q, "v": plan.v, "u": np.vstack([plan.u, plan.u_end]) if heads_for_end else plan.u}
+    arrays |= {"lam": plan.lam[:, : scene.nc], "friction": plan.lam[:, scene.nc :]}
+    columns = {"t": plan.t}
+    for group, values in arrays.items():
+        columns |= {} if group in plan.missing else dict(zip(names[group], values.T, strict=True))
+    lines.append(",".join(columns))
+    for index in range(plan.steps + 1):
+        lines.append(",".join(repr(float(values[index])) if index < len(values) else "" for values in columns.values()))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -392,8 +386,7 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
 
 def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
-    where, header, names = table.where, table.names, column_names(scene)
-    groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
+    where, header, names, groups = table.where, table.names, column_names(scene), _grouped_names(scene)
     known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:

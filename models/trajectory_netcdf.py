@@ -39,10 +39,10 @@ def _columns(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
 
 def _gain_columns(scene: Scene) -> list[tuple[str, str]]:
     """(name, unit) of the columns of gains, input by input."""
-    states = [(item.name, item.unit) for item in scene.coordinates] + [
-        (item.velocity_name, item.velocity_unit) for item in scene.coordinates
+    states = _columns(scene)
+    return [
+        (f"gain_{item.name}_{name}", f"({item.unit})/({unit})") for item in scene.inputs for name, unit, _ in (*states["q"], *states["v"])
     ]
-    return [(f"gain_{item.name}_{name}", f"({item.unit})/({unit})") for item in scene.inputs for name, unit in states]
 
 
 def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.ndarray | None = None) -> None:
@@ -96,16 +96,11 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
         raise TrajectoryError(f"file {path}: it holds {attributes.get('content', 'something else')!r}, not a plan.")
     if attributes.get("scene") != scene.name:
         raise TrajectoryError(f"file {path}: it holds a plan of scene {attributes.get('scene')!r}, not of {scene.name!r}.")
-    try:
-        hold = Hold(attributes.get("hold"))
-    except ValueError:
-        known = ", ".join(item.value for item in Hold)
-        raise TrajectoryError(f"file {path}: hold is {attributes.get('hold')!r}, but must be one of {known}.") from None
-    try:
-        scheme = Scheme(attributes["scheme"]) if "scheme" in attributes else None
-    except ValueError:
-        known = ", ".join(item.value for item in Scheme)
-        raise TrajectoryError(f"file {path}: scheme is {attributes.get('scheme')!r}, but must be one of {known}.") from None
+    for kind, name in ((Hold, "hold"), (Scheme, "scheme")):
+        known = [item.value for item in kind]
+        if attributes.get(name) not in (known if name == "hold" else [*known, None]):
+            raise TrajectoryError(f"file {path}: {name} is {attributes.get(name)!r}, but must be one of {', '.join(known)}.")
+    hold, scheme = Hold(attributes["hold"]), Scheme(attributes["scheme"]) if "scheme" in attributes else None
     t = numbers(path, columns, "t", "s")
     arrays = {}
     for field, group in _columns(scene).items():

@@ -31,24 +31,8 @@ _PURE: _Powers = (Fraction(0),) * len(_BASES)
 
 # What takes and gives pure numbers.
 _ELEMENTARY = (
-    *(
-        sp.sin,
-        sp.cos,
-        sp.tan,
-        sp.cot,
-        sp.sec,
-        sp.csc,
-        sp.asin,
-        sp.acos,
-        sp.atan,
-        sp.sinh,
-        sp.cosh,
-        sp.tanh,
-        sp.coth,
-        sp.asinh,
-        sp.acosh,
-        sp.atanh,
-    ),
+    *(sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.asin, sp.acos, sp.atan),
+    *(sp.sinh, sp.cosh, sp.tanh, sp.coth, sp.asinh, sp.acosh, sp.atanh),
     *(sp.exp, sp.log, sp.erf, sp.erfc, sp.sinc, sp.gamma, sp.loggamma),
 )
 # What gives a value of its arguments.
@@ -57,24 +41,8 @@ _CHOOSING = (sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod)
 _DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 48)
 # Names of what is met most; tried, too, where a unit is wrong.
 _NAMED = (
-    "1",
-    "kg",
-    "m",
-    "s",
-    "N",
-    "N m",
-    "N/m",
-    "N s/m",
-    "N m s",
-    "kg m^2",
-    "m/s",
-    "m/s^2",
-    "1/m",
-    "1/s",
-    "s/m",
-    "m^2",
-    "1/m^2",
-    "N s^2/m^2",
+    *("1", "kg", "m", "s", "N", "N m", "N/m", "N s/m", "N m s", "kg m^2"),
+    *("m/s", "m/s^2", "1/m", "1/s", "s/m", "m^2", "1/m^2", "N s^2/m^2"),
 )
 # Of more units than that, each of which would do, none is the likely one.
 _MOST_MENDS = 3
