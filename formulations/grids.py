@@ -50,13 +50,13 @@ def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
 
 
 def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
-    """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan."""
+    """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan. Raises TrajectoryError where the motion or the inputs are not finite."""
     t = uniform_grid(scene.task.step, scene.task.steps)
     return Trajectory(t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
 def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none."""
+    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none. Raises nothing."""
     return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
 
 

@@ -59,10 +59,12 @@ def advance(
     inputs = np.repeat(np.asarray(u, dtype=float), s, axis=0)
 
     def states(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (n s, nq) [m, rad, m/s, rad/s] of the stages; raises nothing."""
         stage_q = q[:, None] + steps * table.c[:, None] * v[:, None] + steps**2 * np.einsum("ij,njk->nik", squared, a)
         return stage_q.reshape(n * s, nq), (v[:, None] + steps * np.einsum("ij,njk->nik", table.a, a)).reshape(n * s, nq)
 
     def residual(a: np.ndarray) -> np.ndarray:
+        """Of the equations of motion (n, s nq) [m/s^2, rad/s^2]. Raises KernelError where the mass matrix is not positive definite."""
         at_q, at_v = states(a)
         return (a - kernel.acceleration(at_q, at_v, inputs, kernel.contact_force(at_q, v=at_v)).reshape(n, s, nq)).reshape(n, s * nq)
 

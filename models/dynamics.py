@@ -115,7 +115,7 @@ class Dynamics:
 
     @cached_property
     def parameter_values(self) -> np.ndarray:
-        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]."""
+        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]. Raises nothing."""
         return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
 
     def function(self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
@@ -132,6 +132,11 @@ class Dynamics:
         -------
         Callable
             Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
+
+        Raises
+        ------
+        NameError
+            When it is called, for a symbol that is in no group.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
         compiled = sp.lambdify([list(group) for group in groups], matrix, modules="numpy", cse=True)

@@ -32,6 +32,11 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     -------
     list[Column]
         Three columns a shape (n,); of what never changes one value, along a dimension of its own: more than half of them.
+
+    Raises
+    ------
+    TypeError
+        For another number of coordinates.
     """
     expressions = [sp.sympify(value) for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
     named = [
@@ -60,6 +65,11 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     -------
     list[Column]
         A column (n,) a contact.
+
+    Raises
+    ------
+    TypeError
+        For another number of coordinates.
     """
     named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
     return _columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
@@ -99,6 +109,11 @@ def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndar
     -------
     np.ndarray
         (n, len(expressions)), in the units of the expressions [SI].
+
+    Raises
+    ------
+    TypeError
+        For another number of coordinates.
     """
     if not expressions:
         return np.zeros((len(q), 0))

@@ -85,27 +85,27 @@ class HasMotion(Protocol):
 
     @property
     def t(self) -> np.ndarray:
-        """Times (n,) [s]."""
+        """Times (n,) [s]. Raises nothing."""
         ...
 
     @property
     def q(self) -> np.ndarray:
-        """Positions (n, nq) [m, rad]."""
+        """Positions (n, nq) [m, rad]. Raises nothing."""
         ...
 
     @property
     def v(self) -> np.ndarray:
-        """Velocities (n, nq) [m/s, rad/s]."""
+        """Velocities (n, nq) [m/s, rad/s]. Raises nothing."""
         ...
 
     @property
     def lam(self) -> np.ndarray:
-        """Contact forces (n, contacts) [N]."""
+        """Contact forces (n, contacts) [N]. Raises nothing."""
         ...
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction forces (n, frictions) [N]."""
+        """Friction forces (n, frictions) [N]. Raises nothing."""
         ...
 
 
@@ -166,12 +166,12 @@ class Trajectory:
 
     @property
     def start(self) -> np.ndarray:
-        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]."""
+        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]. Raises nothing."""
         return np.concatenate([self.q[0], self.v[0]])
 
     @property
     def end(self) -> np.ndarray:
-        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]."""
+        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]. Raises nothing."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
@@ -218,6 +218,11 @@ class Trajectory:
         -------
         Trajectory
             The same plan otherwise.
+
+        Raises
+        ------
+        ValueError
+            For another number of inputs.
         """
         return replace(self, u=scale * self.u + offset, u_end=None if self.u_end is None else scale * self.u_end + offset)
 
@@ -313,6 +318,8 @@ def uniform_grid(step: float, steps: int) -> np.ndarray:
     -------
     np.ndarray
         (steps + 1,) [s].
+
+    Raises nothing.
     """
     return step * np.arange(steps + 1)
 

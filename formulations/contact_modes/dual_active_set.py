@@ -62,6 +62,11 @@ def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: flo
     Returns
     -------
     The active conditions, or None where no optimum was found.
+
+    Raises
+    ------
+    ValueError
+        For an array of another shape.
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)
@@ -145,6 +150,11 @@ class DualActiveSet:
         Returns
         -------
         The optimum or a bound above `ceiling`; "infeasible" or "unfinished" where there is none.
+
+        Raises
+        ------
+        ValueError
+            For an array of another shape.
         """
         lin, kkt = self._linear, self._kkt
         sign = np.where(closed, 1.0, -1.0)

@@ -240,7 +240,7 @@ class Finder:
             return problem.solves >= most or budget.work >= done or perf_counter() >= end
 
         def improve(closed: np.ndarray, near: ModesAnswer, below: float) -> ModesAnswer | None:
-            """Ask for a cheaper plan with modes closed (steps, nc) [-]."""
+            """Ask for a cheaper plan with modes closed (steps, nc) [-]. Raises ValueError for modes of another shape."""
             return problem.solve(closed, near=near, below=below)
 
         found = SearchResult(best=answer, tried=0, complete=False)

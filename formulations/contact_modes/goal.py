@@ -130,6 +130,11 @@ def ball_miss(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
     Returns
     -------
     (2*nq,) [m, rad, m/s, rad/s], zero inside the ball
+
+    Raises
+    ------
+    ValueError
+        For a goal of another length.
     """
     error = miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
     size = float(np.linalg.norm(error))
@@ -163,6 +168,11 @@ def continue_to_goal(problem: ModesProblem, closed: np.ndarray, stride: int, is_
     Returns
     -------
     The optimum of the modes found, or None where none were found.
+
+    Raises
+    ------
+    ValueError
+        For modes of another shape.
     """
     linear = problem.linear
     try:

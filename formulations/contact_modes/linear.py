@@ -62,18 +62,23 @@ class BandedLU:
         Parameters
         ----------
         matrix : (2*width + 1, size) [-], in Fortran order; it is kept, and must not be written to afterwards
+
+        Raises
+        ------
+        ValueError
+            For an array of another shape.
         """
         self._matrix = np.asfortranarray(matrix, dtype=np.float64)
         self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
         return self._library.band_factor(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data) == 0
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]."""
+        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]. Raises nothing: the size is not checked here."""
         found = self._back(right)
         return found + self._back(right - self.product(found))
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the matrix of the last factorisation: x (size,) or (size, m) [-] -> the same shape [-]."""
+        """Multiply by the matrix of the last factorisation: x (size,) or (size, m) [-] -> the same shape [-]. Raises nothing: the size is not checked here."""
         columns = np.array(x.T, dtype=np.float64, order="C", ndmin=2)
         found = np.empty_like(columns)
         for column, row in zip(columns, found, strict=True):
@@ -122,11 +127,11 @@ class LinearScene:
 
     @property
     def aimed(self) -> np.ndarray:
-        """Whether a component of the end is given: (n,) [-]."""
+        """Whether a component of the end is given: (n,) [-]. Raises nothing."""
         return ~np.isnan(self.goal)
 
     def with_bounds(self, closed: np.ndarray) -> np.ndarray:
-        """Append the modes of the velocity bounds, always open, to those of the contacts: (steps, contacts) [-] -> (steps, nc) [-]."""
+        """Append the modes of the velocity bounds, always open, to those of the contacts: (steps, contacts) [-] -> (steps, nc) [-]. Raises ValueError unless closed has two dimensions."""
         return np.hstack([closed, np.zeros((len(closed), self.nc - self.contacts), dtype=bool)])
 
     @property
@@ -145,11 +150,11 @@ class LinearScene:
         return len(self.p)
 
     def penetration(self, z: np.ndarray) -> np.ndarray:
-        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s]."""
+        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s]. Raises ValueError for another number of states."""
         return z @ self.P.T + self.p
 
     def cost(self, z: np.ndarray, u: np.ndarray) -> float:
-        """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m]."""
+        """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m]. Raises ValueError for an array of another shape."""
         x = np.hstack([z, u])
         return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
 
@@ -273,7 +278,7 @@ class BandedKKT:
         entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
-            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]."""
+            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]. Raises nothing."""
             at_rows, at_columns, numbers = _block(rows, columns, values)
             entries.append((at_rows.ravel(), at_columns.ravel(), np.broadcast_to(numbers, at_rows.shape).ravel()))
 
@@ -324,6 +329,11 @@ class BandedKKT:
         held : (steps, nu) [-], whether an input lies on a bound
         touching : (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
         softness : instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added
+
+        Raises
+        ------
+        ValueError
+            For an array of another shape.
         """
         band = self._constant.copy(order="F")
         flat = band.reshape(-1, order="F")
@@ -355,6 +365,11 @@ class BandedKKT:
         Returns
         -------
         (size,) [-]
+
+        Raises
+        ------
+        ValueError
+            For an array of another shape.
         """
         lin, n = self._linear, self._linear.n
         right = np.zeros(self.size)
@@ -369,22 +384,22 @@ class BandedKKT:
         return right
 
     def goal_columns(self) -> np.ndarray:
-        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given."""
+        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given. Raises nothing."""
         rows = self.rows_w[self._linear.aimed]
         columns = np.zeros((self.size, len(rows)), order="F")
         columns[rows, np.arange(len(rows))] = 1.0
         return columns
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]."""
+        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]. Raises nothing: the size is not checked here."""
         return self._lu.solve(right)
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]."""
+        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]. Raises nothing: the size is not checked here."""
         return self._lu.product(x)
 
     def point(self, x: np.ndarray) -> Point:
-        """Take a solution x (size,) [-] apart."""
+        """Take a solution x (size,) [-] apart. Raises IndexError for a shorter one."""
         lin = self._linear
         return Point(
             z=np.vstack([lin.start, x[self.rows_z]]),

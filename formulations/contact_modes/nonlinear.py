@@ -190,6 +190,11 @@ class NonlinearModes:
         Returns
         -------
         The optimum, or None where none was found that costs less than `below`.
+
+        Raises
+        ------
+        ValueError
+            For modes of another shape.
         """
         model, scene = self._compiled.model, self._scene
         guess = self.guess if near is None else near.plan

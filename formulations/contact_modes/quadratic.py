@@ -62,6 +62,11 @@ def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarr
     ----------
     of_force, of_separation : (steps, nc) [1/N], multipliers s_G and s_H
     biactive : (steps, nc) [-], whether both G and H are zero
+
+    Raises
+    ------
+    IndexError
+        For arrays of different shapes.
     """
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
@@ -89,6 +94,11 @@ def nearest_goal(kkt: BandedKKT, x: np.ndarray, columns: np.ndarray, right: np.n
     Returns
     -------
     (size,) [-] each: the solution and its right-hand side with the goal moved by the best e.
+
+    Raises
+    ------
+    ValueError
+        For an array of another shape.
     """
     moved = kkt.goal_columns()
     place = np.nonzero(moved)[0]
@@ -109,6 +119,11 @@ def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) ->
     Returns
     -------
     (n,) [-], the minimiser e
+
+    Raises
+    ------
+    ValueError
+        For a slope of another length.
     """
     values, vectors = np.linalg.eigh(curvature)
     values = np.maximum(values, 0.0)
@@ -162,7 +177,7 @@ class ModesAnswer:
 
     @property
     def biactive_multiplier(self) -> np.ndarray:
-        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
+        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper. Raises nothing."""
         return np.where(self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
 
 
@@ -202,6 +217,11 @@ class ModesProblem:
         Returns
         -------
         The optimum, or None where these modes have no plan of a cost below `below`.
+
+        Raises
+        ------
+        ValueError
+            For modes of another shape.
         """
         closed = self._whole(closed)
         self.solves += 1

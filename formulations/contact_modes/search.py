@@ -38,6 +38,11 @@ def mode_sequence(closed: np.ndarray) -> ModeSequence:
     Parameters
     ----------
     closed : (steps, nc) [-], whether a contact is closed in a step
+
+    Raises
+    ------
+    ValueError
+        Unless closed has two dimensions.
     """
     found = []
     for column in np.asarray(closed, dtype=bool).T:
@@ -52,6 +57,8 @@ def closed_steps(sequence: ModeSequence, steps: int) -> np.ndarray:
     Returns
     -------
     (steps, nc) [-], whether a contact is closed in a step
+
+    Raises nothing: what lies beyond the steps is left out.
     """
     closed = np.zeros((steps, len(sequence)), dtype=bool)
     for contact, row in enumerate(sequence):
@@ -149,6 +156,11 @@ def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
     Parameters
     ----------
     phi : (steps, nc) [m], penetration along the present plan
+
+    Raises
+    ------
+    IndexError
+        For a penetration of fewer contacts.
     """
     for contact, row in enumerate(sequence):
         depth = phi[:, contact]

@@ -191,6 +191,11 @@ def named_intervals(scene: Scene, closed: np.ndarray) -> tuple[tuple[str, int, i
     Parameters
     ----------
     closed : (steps, nc) [-], whether a contact is closed in a step
+
+    Raises
+    ------
+    ValueError
+        For another number of contacts.
     """
     names = [contact.name for contact in scene.contacts]
     return tuple((name, first, stop - 1) for name, row in zip(names, mode_sequence(closed), strict=True) for first, stop in row)

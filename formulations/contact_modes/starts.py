@@ -35,7 +35,7 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
 
 
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
+    """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing. Raises nothing."""
     far = _UNBOUNDED / _SHARE
     lower = np.array([-far if np.isinf(item.lower) else item.lower for item in scene.inputs])
     upper = np.array([far if np.isinf(item.upper) else item.upper for item in scene.inputs])
@@ -54,7 +54,7 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
     bounds = [(item.lower, item.upper) for item in scene.inputs] * task.steps
 
     def loss(flat: np.ndarray, eps: float) -> tuple[float, np.ndarray]:
-        """Give the loss and its gradient (steps*nu,) [1/N, 1/N/m] at inputs (steps*nu,) [N, N m]."""
+        """Give the loss and its gradient (steps*nu,) [1/N, 1/N/m] at inputs (steps*nu,) [N, N m]. Raises KernelError where the mass matrix is not positive definite."""
         u = flat.reshape(shape)
         rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
         if rollout.diverged:
@@ -113,6 +113,11 @@ def thrown_plans(scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.n
     ----------
     idle : (nc,) [-], contacts that are pressed anyway
     below : final cost that they have to end below
+
+    Raises
+    ------
+    ValueError
+        For another number of contacts.
     """
     task, (lower, upper) = scene.task, input_range(scene)
     roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])

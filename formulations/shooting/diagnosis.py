@@ -99,6 +99,8 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 
     The curvature comes from a power iteration on differences of gradients, so that all of the loss counts: the way to the goal,
     contacts, and the running cost.
+
+    Raises KernelError where the mass matrix is not positive definite along the rollout.
     """
     objective.value(u)
     direction = objective.gradient().copy()
@@ -120,7 +122,7 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 
 
 def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
-    """Say what went wrong at this iteration, with growth and rate at the best inputs seen (steps, nu) [N, N m], if there are any."""
+    """Say what went wrong at this iteration, with growth and rate at the best inputs seen (steps, nu) [N, N m], if there are any. Raises KernelError where the mass matrix is not positive definite along the rollout."""
     where = (
         f"after {iteration} {'iteration' if iteration == 1 else 'iterations'} at learning rate {learning_rate:g}"
         if iteration

@@ -104,7 +104,7 @@ class Objective:
         self.aim(np.array(task.goal if goal is None else goal, dtype=float), Weights() if weights is None else weights)
 
     def aim(self, goal: np.ndarray, weights: Weights) -> None:
-        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a loss of one's own stays as it is."""
+        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a loss of one's own stays as it is. Raises ValueError for a goal that holds no numbers."""
         self.goal, self.weights = goal, weights
         self.loss = GoalLoss(goal, weights) if self._own is None else self._own
 
@@ -162,13 +162,13 @@ class Objective:
         return self._own is None
 
     def missed(self, goal: np.ndarray) -> np.ndarray:
-        """Give x_T - goal (2*nq,) [m, rad, m/s, rad/s] of the last rollout, 0 where the goal is free."""
+        """Give x_T - goal (2*nq,) [m, rad, m/s, rad/s] of the last rollout, 0 where the goal is free. Raises ValueError for a goal of another length."""
         assert self.plan is not None
         return miss(self.plan.end.detach().numpy(), goal)
 
     @property
     def error(self) -> np.ndarray:
-        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free."""
+        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free. Raises AssertionError before the first evaluation."""
         return self.missed(self.goal)
 
     @property
@@ -193,7 +193,7 @@ class Objective:
         return found if math.isfinite(found) else math.inf
 
     def gradient(self) -> np.ndarray:
-        """Differentiate the loss at the inputs that `value` evaluated last: (steps, nu) [1/N, 1/N/m]."""
+        """Differentiate the loss at the inputs that `value` evaluated last: (steps, nu) [1/N, 1/N/m]. Raises KernelError where the mass matrix is not positive definite along the rollout."""
         began = perf_counter()
         (found,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
         self.seconds += perf_counter() - began
@@ -213,6 +213,11 @@ def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pie
     Returns
     -------
     (samples, steps, nu) [N, N m]
+
+    Raises
+    ------
+    ValueError
+        For a negative seed.
     """
     steps = scene.task.steps
     half = [(item.upper - item.lower) / 2 for item in scene.inputs]

@@ -44,7 +44,7 @@ class _Run:
         self._norm = 0.0  # of the projected gradient at the last iterate
 
     def start(self, u: np.ndarray) -> float:
-        """Scale by the loss at u (steps, nu) [N, N m], and give it."""
+        """Scale by the loss at u (steps, nu) [N, N m], and give it. Raises ShootingError for a loss of one's own that cannot be differentiated."""
         value = self._objective.value(u)
         self._scale = value if np.isfinite(value) and value > 0.0 else 1.0
         if np.isfinite(value):
@@ -58,7 +58,7 @@ class _Run:
         return self._norm <= _FLAT * (norms[0] if norms else 0.0)
 
     def function(self, point: np.ndarray) -> tuple[float, np.ndarray]:
-        """Evaluate the scaled loss and its gradient (steps*nu,) [1/N, 1/N/m] at a point (steps*nu,) [N, N m]."""
+        """Evaluate the scaled loss and its gradient (steps*nu,) [1/N, 1/N/m] at a point (steps*nu,) [N, N m]. Raises ShootingError for a loss of one's own that cannot be differentiated."""
         value = self._objective.value(point.reshape(self._shape))
         if not np.isfinite(value):  # a step too far: the line search shortens it
             return 1e300, np.zeros(point.size)
@@ -99,7 +99,7 @@ class _Run:
 
 
 def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Take out of a gradient (steps, nu) [1/N, 1/N/m] at u (steps, nu) [N, N m] what would leave the bounds: (steps, nu) [1/N, 1/N/m]."""
+    """Take out of a gradient (steps, nu) [1/N, 1/N/m] at u (steps, nu) [N, N m] what would leave the bounds: (steps, nu) [1/N, 1/N/m]. Raises ValueError for an array of another shape."""
     lower, upper = input_bounds(objective.kernel.scene)
     beyond = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
     return np.where(beyond, 0.0, gradient)

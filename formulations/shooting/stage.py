@@ -89,6 +89,11 @@ def measure_growth(
     x : (steps+1, 2*nq) [m, rad, m/s, rad/s], nodes
     u : (steps, nu) [N, N m], inputs
     law, eps : contact law of the steps, and the eps of softplus [-]
+
+    Raises
+    ------
+    KernelError
+        For an array of another shape.
     """
     step = steps.scene.task.step
     linear = steps.linearise(x[:-1], u, step, law, eps)

@@ -375,11 +375,11 @@ def read_plan(block: Any) -> Trajectory:
 
 
 def read_values(variable: Any) -> np.ndarray:
-    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
+    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]. Raises nothing."""
     return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
 
 
 def write_values(variable: Any, values: np.ndarray) -> None:
-    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other."""
+    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other. Raises ValueError for another number of values."""
     for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
         data.set_value(value, skip_validation=True)

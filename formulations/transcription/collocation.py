@@ -93,7 +93,7 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
     force = [[law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)] for t in range(len(stage_q))]
 
     def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
-        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
+        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]. Raises nothing."""
         return [sum(float(weight) * (rows[t][j][c] - now[t][c]) for j, weight in enumerate(weights[i]) if weight != 0.0) for c in range(nq)]
 
     def position(_: Any, t: int, i: int, name: str) -> Any:
@@ -188,14 +188,14 @@ def settle_forces(block: Any) -> None:
 
 
 def forces_at_nodes(block: Any) -> np.ndarray:
-    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law."""
+    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law. Raises ValueError where a variable has no value."""
     if block.component("variable_lam") is None:
         return np.zeros((len(block.set_steps), 0))
     return _forces(block, _values(block.expression_penetration).reshape(len(block.set_steps), -1))
 
 
 def stage_penetration(block: Any) -> np.ndarray:
-    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first."""
+    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first. Raises ValueError where a variable has no value."""
     return _values(block.expression_stage_penetration).reshape(len(block.set_steps), -1)
 
 

@@ -203,6 +203,11 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
     block : a relaxed block
     closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k phi; else lam = 0); then, for each friction, where it may
         slip forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and its switch
+
+    Raises
+    ------
+    ValueError
+        For modes of another shape.
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()

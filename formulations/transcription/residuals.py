@@ -43,7 +43,7 @@ class PlanResiduals:
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
-        """Separation force lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes."""
+        """Separation force lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes. Raises ValueError for a plan of another scene."""
         phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
         push = self._stiffness * phi
         if damped:
@@ -58,6 +58,11 @@ class PlanResiduals:
         (steps, nc + 2 nf + springs + switches) [-]: whether a contact is closed - its force is larger than its separation force - and, for each friction,
         whether it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N); then, for the spring and
         for the switch of each damped contact, whether it touches
+
+        Raises
+        ------
+        ValueError
+            For a plan of another scene.
         """
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)
@@ -69,7 +74,7 @@ class PlanResiduals:
         return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1), springs])
 
     def friction(self, plan: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf)."""
+        """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf). Raises ValueError for a plan of another scene."""
         nc = self._scene.nc
         return self._slip(plan.q[:-1], plan.v[1:]), plan.lam[:, nc:], self._limit(plan.q[:-1], plan.lam[:, :nc])
 
@@ -165,7 +170,7 @@ def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> 
     evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules="numpy", cse=True)
 
     def function(*arrays: np.ndarray) -> np.ndarray:
-        """Evaluate at arrays (steps, size of the group), giving (steps, entries) [units of the matrix]."""
+        """Evaluate at arrays (steps, size of the group), giving (steps, entries) [units of the matrix]. Raises ValueError for a group of another size."""
         result = np.zeros((len(arrays[0]), len(matrix)))
         for column, values in enumerate(evaluate(*(array.T for array in arrays))):
             result[:, column] = values

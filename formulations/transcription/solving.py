@@ -57,6 +57,11 @@ class FixedModes:
         ----------
         budget : what the stage may spend
         closed : (steps, nc + 2 nf + springs + switches) as in `hold_modes` [-]
+
+        Raises
+        ------
+        ValueError
+            For modes of another shape.
         """
         hold_modes(self._model, closed)
         best = self._run(budget)

@@ -123,6 +123,8 @@ class Kernel:
         -------
         np.ndarray
             Values (np,), each in its own unit [SI]; kept as long as the kernel, for callers that hold its address.
+
+        Raises nothing.
         """
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
@@ -134,7 +136,7 @@ class Kernel:
 
     @property
     def parameters(self) -> np.ndarray:
-        """Parameter values (np,) of the scene, each in its own unit [SI], as the C functions read them."""
+        """Parameter values (np,) of the scene, each in its own unit [SI], as the C functions read them. Raises nothing."""
         return self._p
 
     def bound_functions(self) -> BoundFunctions:
@@ -166,7 +168,7 @@ class Kernel:
         return self._by_row("kernel_penetration", self.scene.nc, q=q)
 
     def stiffness(self) -> np.ndarray:
-        """Stiffness k (nc,) of each contact [N/m]."""
+        """Stiffness k (nc,) of each contact [N/m]. Raises nothing."""
         k = np.empty(self.scene.nc)
         self._library.kernel_stiffness(address(self._p), address(k))
         return k
@@ -549,7 +551,7 @@ class Kernel:
 
 
 def address(array: np.ndarray) -> int:
-    """Address of the first entry of an array of any shape (n, ..) and unit, as the C functions take it."""
+    """Address of the first entry of an array (n,) of any shape and unit [SI], as the C functions take it; raises nothing."""
     return array.ctypes.data
 
 

@@ -102,6 +102,11 @@ class Equations:
         -------
         np.ndarray
             phi (nc,) [m].
+
+        Raises
+        ------
+        ValueError
+            For a state of another length.
         """
         return self._phi(x[: self.n]).ravel()
 
@@ -117,6 +122,11 @@ class Equations:
         -------
         np.ndarray
             s (nf,) [m/s].
+
+        Raises
+        ------
+        ValueError
+            For a state of another length.
         """
         return self._slip(x[: self.n], x[self.n :]).ravel()
 
@@ -134,6 +144,11 @@ class Equations:
         -------
         Modes
             Of contacts (nc,) and frictions (nf,).
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         closed = self.closed(x, u)
         pushes = self.pushes(x, u, closed)
@@ -165,6 +180,11 @@ class Equations:
         -------
         np.ndarray
             (nc,) bool.
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         phi = self.penetration(x)
         if not phi.size:
@@ -193,6 +213,11 @@ class Equations:
         -------
         np.ndarray
             (nc,) bool.
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         result = closed.copy()
         for row, contact in enumerate(self.scene.damped):
@@ -217,6 +242,11 @@ class Equations:
         -------
         float
             The push as a share of a typical one [-].
+
+        Raises
+        ------
+        ValueError
+            For a state of another length.
         """
         return float(self._share(x[: self.n], x[self.n :])[row, 0])
 
@@ -234,6 +264,11 @@ class Equations:
         -------
         np.ndarray
             Limits (nf,) [N].
+
+        Raises
+        ------
+        ValueError
+            For a state of another length.
         """
         return self._limit(x[: self.n], self.contact_force(x, pushes)).ravel()
 
@@ -251,6 +286,11 @@ class Equations:
         -------
         np.ndarray
             lam (nc,) [N].
+
+        Raises
+        ------
+        ValueError
+            For a state of another length.
         """
         push, damped = self.stiffness * self.penetration(x), list(self.scene.damped)
         push[damped] = self._push(x[: self.n], x[self.n :]).ravel()[damped]
@@ -329,6 +369,11 @@ class Equations:
         -------
         float
             Slip [m/s] where it slips, force [N] where it sticks.
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         if modes.slips[index]:
             return float(modes.slips[index] * self.slip(x)[index])
@@ -352,6 +397,11 @@ class Equations:
         -------
         float
             The share [-].
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         nominal = self.scene.frictions[index].nominal if modes.slips[index] else friction_nominals(self.scene)[index]
         return self.reserve(x, u, modes, index) / nominal
@@ -370,6 +420,11 @@ class Equations:
         -------
         dict[str, float]
             Forces [N], gaps [m], slips [m/s], energies [J], powers [W], shares [-].
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
         """
         phi, modes = self.penetration(x), self.modes(x, u)
         spring = self.stiffness * np.maximum(phi, 0.0)
@@ -462,6 +517,7 @@ def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequen
     from scipy.integrate import solve_ivp  # 0.3 CPU s to import, which a replay of a plan would pay for nothing
 
     def rate(at: float, y: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
+        """The derivative (2*nq,) [m/s, rad/s, m/s^2, rad/s^2]. Raises MotionError beyond the budget."""
         nonlocal left
         left -= 1
         if left < 0:

@@ -23,6 +23,8 @@ def goal_state(task: Task) -> np.ndarray:
     -------
     np.ndarray
         (2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN where the end is free.
+
+    Raises nothing.
     """
     return np.array(task.goal, dtype=float)
 
@@ -39,6 +41,11 @@ def miss(end: np.ndarray, goal: np.ndarray) -> np.ndarray:
     -------
     np.ndarray
         Of the same shape.
+
+    Raises
+    ------
+    ValueError
+        For ends of different lengths.
     """
     return np.where(np.isnan(goal), 0.0, end - goal)
 
@@ -55,5 +62,10 @@ def distance(end: np.ndarray, goal: np.ndarray) -> float:
     -------
     float
         The norm, of metres and radians alike [m, rad, m/s, rad/s].
+
+    Raises
+    ------
+    ValueError
+        For ends of different lengths.
     """
     return float(np.linalg.norm(miss(end, goal)))
