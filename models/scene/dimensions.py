@@ -21,7 +21,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from models.scene import Scene
-from models.scene.functions import Quantity, is_longer, quantities, shortened
+from models.scene.functions import NamedExpression, is_longer, quantities, shortened
 from models.scene.values import base_exponents
 
 # Exponents of kg, m and s; a radian is a pure number here.
@@ -73,7 +73,7 @@ class _MismatchError(Exception):
 def dimension_problem(scene: Scene) -> str | None:
     """The first expression whose unit cannot be right, and which unit would be; None: all fit."""
     asked = quantities(scene)
-    asked += [Quantity(f"contact {contact.name}: depth", contact.depth, "a depth", "m") for contact in scene.contacts]
+    asked += [NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m") for contact in scene.contacts]
     declared = [*(("parameter", item) for item in scene.parameters), *(("input", item) for item in scene.inputs)]
     units = {item.symbol: _Found(_DECLARED, _powers(item.unit)) for _, item in declared}
     for coordinate in scene.coordinates:
@@ -97,7 +97,7 @@ def dimension_problem(scene: Scene) -> str | None:
     )
 
 
-def _misfits(asked: Sequence[Quantity], units: Mapping[sp.Symbol, _Found]) -> Iterator[tuple[Quantity, str]]:
+def _misfits(asked: Sequence[NamedExpression], units: Mapping[sp.Symbol, _Found]) -> Iterator[tuple[NamedExpression, str]]:
     reader = _Reader(units)
     for quantity in asked:
         if quantity.unit is None:

@@ -35,7 +35,7 @@ _WITH_CORNERS = tuple(_ROUNDED)
 _MOST_PARTS = 300
 
 
-class Quantity(NamedTuple):
+class NamedExpression(NamedTuple):
     """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs."""
 
     field: str
@@ -44,25 +44,25 @@ class Quantity(NamedTuple):
     unit: str | None
 
 
-def quantities(scene: Scene) -> list[Quantity]:
+def quantities(scene: Scene) -> list[NamedExpression]:
     """All that enters the equations of motion, the contact laws and the cost."""
-    found = [Quantity(f"{kind}_energy", getattr(scene, f"{kind}_energy"), "an energy", "J") for kind in ("kinetic", "potential")]
+    found = [NamedExpression(f"{kind}_energy", getattr(scene, f"{kind}_energy"), "an energy", "J") for kind in ("kinetic", "potential")]
     for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
         above, _, below = coordinate.unit.partition("/")
         unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
-        found.append(Quantity(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit))
+        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit))
     for contact in scene.contacts:
         parts = (("penetration", "m"), ("stiffness", "N/m"), ("damping", contact.damping_law.unit))
-        found += [Quantity(f"contact {contact.name}: {part}", getattr(contact, part), f"a {part}", unit) for part, unit in parts]
+        found += [NamedExpression(f"contact {contact.name}: {part}", getattr(contact, part), f"a {part}", unit) for part, unit in parts]
     for friction in scene.frictions:
         parts = (("slip", "a slip", "m/s"), ("coefficient", "a coefficient of friction", "1"), ("normal_force", "a normal force", "N"))
         found += [
-            Quantity(f"friction {friction.name}: {part}", expression, what, unit)
+            NamedExpression(f"friction {friction.name}: {part}", expression, what, unit)
             for part, what, unit in parts
             if (expression := getattr(friction, part)) is not None
         ]
     costs = (("running_cost", scene.task.running_cost), ("final_cost", scene.task.final_cost))
-    return [*found, *(Quantity(f"task.{field}", expression, "a cost", None) for field, expression in costs)]
+    return [*found, *(NamedExpression(f"task.{field}", expression, "a cost", None) for field, expression in costs)]
 
 
 def function_problem(scene: Scene) -> str | None:
