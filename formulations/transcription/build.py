@@ -40,7 +40,6 @@ from typing import Any, cast
 import numpy as np
 import pyomo.environ as pyo
 from pyomo.common.gc_manager import PauseGC
-from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
 from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, scheme_of, settle_stages
@@ -48,6 +47,7 @@ from formulations.transcription.contact import (
     ContactFormulation,
     ModelError,
     SceneExpressions,
+    add_contact_law,
     add_friction,
     add_springs,
     damped_softplus,
@@ -257,26 +257,23 @@ def _add_contact(
     lam = rows_by_time(block.variable_lam, scene.task.steps)
     k = law.stiffness(p)
     phi = [law.penetration(q_now, p) for q_now in q[:-1]]
-    if contact is ContactFormulation.SOFTPLUS:
-        block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
-
-        def softplus(_: Any, t: int, name: str) -> Any:
-            i = place[name]
-            if i in scene.damped:
-                rate = law.penetration_rate(q[t], v[t], p)[i]
-                return lam[t][i] == damped_softplus(scene, i, phi[t][i], rate, k[i], law.damping(p)[i], block.parameter_sharpness)
-            return equations.constraint_contact_softplus(lam[t][i], phi[t][i], k[i], block.parameter_sharpness)
-
-        block.constraint_contact_softplus = pyo.Constraint(block.set_steps, block.set_contacts, rule=softplus)
-    else:
+    pushes: list[dict[int, Any]] = [{}] * scene.task.steps
+    if contact is ContactFormulation.COMPLEMENTARITY:
         block.variable_lam.setlb(0.0)
-        pushes = add_springs(block, scene, law, phi, q, v, p) if scene.damped else [{}] * scene.task.steps
+        pushes = add_springs(block, scene, law, phi, q, v, p) if scene.damped else pushes
 
-        def complementarity(_: Any, t: int, name: str) -> Any:
-            i = place[name]
-            return equations.complementarity_contact(lam[t][i], pushes[t][i] if i in pushes[t] else k[i] * phi[t][i])
+    def softplus(t: int, name: str) -> Any:
+        i = place[name]
+        if i in scene.damped:
+            rate = law.penetration_rate(q[t], v[t], p)[i]
+            return lam[t][i] == damped_softplus(scene, i, phi[t][i], rate, k[i], law.damping(p)[i], block.parameter_sharpness)
+        return equations.constraint_contact_softplus(lam[t][i], phi[t][i], k[i], block.parameter_sharpness)
 
-        block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
+    def push(t: int, name: str) -> Any:
+        i = place[name]
+        return pushes[t][i] if i in pushes[t] else k[i] * phi[t][i]
+
+    add_contact_law(block, (block.set_steps, block.set_contacts), contact, b, softplus, push)
     return lam
 
 

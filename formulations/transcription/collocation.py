@@ -22,10 +22,16 @@ from typing import Any
 
 import numpy as np
 import pyomo.environ as pyo
-from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, rows_by_time, settle_separation
+from formulations.transcription.contact import (
+    ContactFormulation,
+    ModelError,
+    SceneExpressions,
+    add_contact_law,
+    rows_by_time,
+    settle_separation,
+)
 from formulations.transcription.method import why_not_collocated
 from models.dynamics import derive
 from models.scene import Scene
@@ -138,22 +144,17 @@ def _add_contact(
         block.set_steps, block.set_stages, block.set_contacts, rule=lambda _, t, i, name: phi[t][i - 1][place[name]]
     )
     block.expression_stiffness = pyo.Expression(block.set_contacts, rule=lambda _, name: k[place[name]])
-    if contact is ContactFormulation.SOFTPLUS:
-        block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
+    if contact is ContactFormulation.COMPLEMENTARITY:
+        block.variable_lam.setlb(0.0)
 
-        def softplus(_: Any, t: int, i: int, name: str) -> Any:
-            c = place[name]
-            return equations.constraint_contact_softplus(lam[t][i - 1][c], phi[t][i - 1][c], k[c], block.parameter_sharpness)
-
-        block.constraint_contact_softplus = pyo.Constraint(block.set_steps, block.set_stages, block.set_contacts, rule=softplus)
-        return lam
-    block.variable_lam.setlb(0.0)
-
-    def complementarity(_: Any, t: int, i: int, name: str) -> Any:
+    def softplus(t: int, i: int, name: str) -> Any:
         c = place[name]
-        return equations.complementarity_contact(lam[t][i - 1][c], k[c] * phi[t][i - 1][c])
+        return equations.constraint_contact_softplus(lam[t][i - 1][c], phi[t][i - 1][c], k[c], block.parameter_sharpness)
 
-    block.complementarity_contact = Complementarity(block.set_steps, block.set_stages, block.set_contacts, rule=complementarity)
+    def push(t: int, i: int, name: str) -> Any:
+        return k[place[name]] * phi[t][i - 1][place[name]]
+
+    add_contact_law(block, (block.set_steps, block.set_stages, block.set_contacts), contact, b, softplus, push)
     return lam
 
 

@@ -244,6 +244,26 @@ def _name(block: Any) -> str:
     return f"model {block.name}"
 
 
+def add_contact_law(
+    block: Any, index: tuple[Any, ...], contact: ContactFormulation, b: float | None, softplus: Callable[..., Any], push: Callable[..., Any]
+) -> None:
+    """The law of the forces of a block.
+
+    Parameters
+    ----------
+    index : the sets of `variable_lam`
+    b : sharpness of softplus, or None
+    softplus : of an index, the equation of the smoothed law
+    push : of an index, what the force is the positive part of
+    """
+    if contact is ContactFormulation.SOFTPLUS:
+        block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
+        block.constraint_contact_softplus = pyo.Constraint(*index, rule=lambda _, *at: softplus(*at))
+        return
+    lam = block.variable_lam
+    block.complementarity_contact = Complementarity(*index, rule=lambda _, *at: equations.complementarity_contact(lam[at], push(*at)))
+
+
 def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
     """The smoothed force of a damped contact [N]."""
     if scene.contacts[contact].damping_law is DampingLaw.KELVIN_VOIGT:

@@ -56,16 +56,12 @@ def cache_folder() -> Path:
 
 def _remove_what_the_dead_left(folder: Path) -> None:
     """Of processes of this machine alone: those of another cannot be looked up here."""
-    for left in folder.glob(f"{_BUILDING}*"):
-        number, _, rest = left.name.removeprefix(_BUILDING).partition("-")
-        if rest.rpartition("-")[0] == socket.gethostname() and number.isdigit() and not _lives(int(number)):
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _lives(process: int) -> bool:
     import psutil
 
-    return psutil.pid_exists(process)
+    for left in folder.glob(f"{_BUILDING}*"):
+        number, _, rest = left.name.removeprefix(_BUILDING).partition("-")
+        if rest.rpartition("-")[0] == socket.gethostname() and number.isdigit() and not psutil.pid_exists(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:

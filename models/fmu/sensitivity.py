@@ -76,46 +76,35 @@ def sensitivity_source(scene: Scene) -> str:
     return cached_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
 
 
-def _parameter_functions(x: SceneVectors) -> list[str]:
-    d, dp = x.dynamics, tangent(x.p)
-    phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
-    a, a_bar, phi_bar, k_bar = x.q.like("a"), x.q.like("a_bar"), Vector.of("phi_bar", x.contacts), Vector.of("k_bar", x.contacts)
-    functions = [
-        forward_function("void scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", phi, [x.p]),
-        backward_function("void scene_penetration_parameter_vjp", (x.q, x.p, phi_bar), phi, phi_bar, [x.p]),
-        forward_function("void scene_stiffness_parameter_jvp", (x.p, dp), "d_k", stiffness, [x.p]),
-        backward_function("void scene_stiffness_parameter_vjp", (x.p, k_bar), stiffness, k_bar, [x.p]),
+def _by_parameters(
+    x: SceneVectors, head: str, arguments: Sequence[Vector], output: str, function: sp.Matrix, weights: Vector, tail: str = ""
+) -> list[str]:
+    """The products of a column along dp, forward and backward; head: type and name without what they end in."""
+    return [
+        forward_function(f"{head}_parameter_jvp", (*arguments, tangent(x.p)), output, function, [x.p], tail=tail),
+        backward_function(f"{head}_parameter_vjp", (*arguments, weights), function, weights, [x.p], tail=tail),
     ]
+
+
+def _parameter_functions(x: SceneVectors) -> list[str]:
+    d, a = x.dynamics, x.q.like("a")
+    phi, stiffness, by_a = x.local(d.penetration), x.local(d.stiffness), (*x.arguments, a)
+    functions = _by_parameters(x, "void scene_penetration", (x.q, x.p), "d_phi", phi, Vector.of("phi_bar", x.contacts))
+    functions += _by_parameters(x, "void scene_stiffness", (x.p,), "d_k", stiffness, Vector.of("k_bar", x.contacts))
     if d.acceleration is not None:
-        closed, back = x.local(d.acceleration), (*x.arguments, a, a_bar)
-        functions += [
-            forward_function("int scene_acceleration_parameter_jvp", (*x.arguments, a, dp), "d_a", closed, [x.p], tail="return 0;"),
-            backward_function("int scene_acceleration_parameter_vjp", back, closed, a_bar, [x.p], tail="return 0;"),
-        ]
-    else:
-        residual, w = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column, x.q.like("w")
-        functions += [
-            forward_function("void scene_residual_parameter_jvp", (*x.arguments, a, dp), "d_f", residual, [x.p]),
-            backward_function("void scene_residual_parameter_vjp", (*x.arguments, a, w), residual, w, [x.p]),
-            _SOLVES,
-        ]
-    return functions
+        closed = x.local(d.acceleration)
+        return functions + _by_parameters(x, "int scene_acceleration", by_a, "d_a", closed, x.q.like("a_bar"), "return 0;")
+    residual = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column
+    return [*functions, *_by_parameters(x, "void scene_residual", by_a, "d_f", residual, x.q.like("w")), _SOLVES]
 
 
 def _damping_functions(x: SceneVectors) -> list[str]:
     """Rates of penetration and damping coefficients along the parameters, of a scene with damped contacts."""
-    d, dp = x.dynamics, tangent(x.p)
-    if not d.structure.contact_damping:
+    if not x.dynamics.structure.contact_damping:
         return []
-    rate, damping = penetration_rate(x), x.local(d.damping)
     rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))
-    moving = (x.q, x.v, x.p)
-    return [
-        forward_function("void scene_penetration_rate_parameter_jvp", (*moving, dp), "d_rate", rate, [x.p]),
-        backward_function("void scene_penetration_rate_parameter_vjp", (*moving, rate_bar), rate, rate_bar, [x.p]),
-        forward_function("void scene_damping_parameter_jvp", (x.p, dp), "d_c", damping, [x.p]),
-        backward_function("void scene_damping_parameter_vjp", (x.p, c_bar), damping, c_bar, [x.p]),
-    ]
+    rates = _by_parameters(x, "void scene_penetration_rate", (x.q, x.v, x.p), "d_rate", penetration_rate(x), rate_bar)
+    return rates + _by_parameters(x, "void scene_damping", (x.p,), "d_c", x.local(x.dynamics.damping), c_bar)
 
 
 def _friction_functions(x: SceneVectors) -> list[str]:

@@ -118,8 +118,19 @@ class Shape:
         settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))
 
 
+class _Named:
+    """What has a symbol has its name."""
+
+    symbol: sp.Symbol
+
+    @property
+    def name(self) -> str:
+        """That of its symbol."""
+        return self.symbol.name
+
+
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class Parameter(_Named):
     """A physical constant of the scene.
 
     symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
@@ -143,14 +154,9 @@ class Parameter:
         if not self.lower <= self.value <= self.upper:
             raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
 
-    @property
-    def name(self) -> str:
-        """That of its symbol."""
-        return self.symbol.name
-
 
 @dataclass(frozen=True, kw_only=True)
-class Coordinate:
+class Coordinate(_Named):
     """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`.
 
     velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have theirs; the end belongs to the goal.
@@ -181,11 +187,6 @@ class Coordinate:
         return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
 
     @property
-    def name(self) -> str:
-        """That of its symbol."""
-        return self.symbol.name
-
-    @property
     def velocity_name(self) -> str:
         """That of its velocity's symbol."""
         return self.velocity.name
@@ -197,7 +198,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Input:
+class Input(_Named):
     """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
 
     symbol: sp.Symbol
@@ -212,11 +213,6 @@ class Input:
         check_name(where, self.symbol.name)
         check_unit(where, self.unit)
         settle_bounds(self, where, "lower", "upper")
-
-    @property
-    def name(self) -> str:
-        """That of its symbol."""
-        return self.symbol.name
 
 
 @dataclass(frozen=True, kw_only=True)

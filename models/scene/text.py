@@ -57,13 +57,9 @@ def _definitions(expression: sp.Basic) -> str:
 def _digest(kind: type) -> str:
     """Digest of where a class is from."""
     if kind not in _DIGESTS:
-        _DIGESTS[kind] = loaded_sources() or _file_digest(kind)
+        file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+        _DIGESTS[kind] = loaded_sources() or (hashlib.sha256(Path(file).read_bytes()).hexdigest() if file is not None else kind.__module__)
     return _DIGESTS[kind]
-
-
-def _file_digest(kind: type) -> str:
-    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file is not None else kind.__module__
 
 
 def equations_text(scene: Scene) -> str:
