@@ -69,6 +69,14 @@ def goal_limits(*, position: float | None = None, velocity: float | None = None,
     )
 
 
+def known_motion_limits(energy: str) -> tuple[Limit, ...]:
+    """How near is near enough where nothing drives and the continuous motion is known in closed form. energy: why it is kept, and how much there is."""
+    known = "the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong"
+    evaluated = "the time step is evaluated, not solved for: only rounding is left"
+    rows = (("answer_error", 1.0, known), ("energy_residual", 1e-8, energy), ("defect", 1e-9, evaluated))
+    return tuple(Limit(metric=metric, value=value, reason=reason) for metric, value, reason in rows)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.

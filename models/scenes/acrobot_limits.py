@@ -65,27 +65,18 @@ SCENE = Scene(
     kinetic_energy=sp.expand(TR8(sp.expand(_kinetic(m1, ELBOW) + _kinetic(m2, TIP)))),
     potential_energy=g * (m1 * ELBOW[1] + m2 * TIP[1]),
     forces=(sp.Integer(0), u),
-    contacts=(
+    contacts=tuple(
         Contact(
-            name="right",
+            name=side,
             bodies=("first link", "joint"),
-            penetration=l1 * (theta1 - d),
+            penetration=l1 * beyond,
             stiffness=k_s / l1**2,
             depth=l1 * (sp.pi - d),
             depth_reason=_TURNED_OVER,
             nominal=0.05,
-            description="shoulder against its right stop",
-        ),
-        Contact(
-            name="left",
-            bodies=("first link", "joint"),
-            penetration=l1 * (-d - theta1),
-            stiffness=k_s / l1**2,
-            depth=l1 * (sp.pi - d),
-            depth_reason=_TURNED_OVER,
-            nominal=0.05,
-            description="shoulder against its left stop",
-        ),
+            description=f"shoulder against its {side} stop",
+        )
+        for side, beyond in (("right", theta1 - d), ("left", -d - theta1))
     ),
     task=Task(
         start=(0.3, -0.5, 0.0, 0.0),

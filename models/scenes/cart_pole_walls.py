@@ -51,27 +51,18 @@ SCENE = Scene(
     kinetic_energy=m_c * vx**2 / 2 + m_p * sp.expand(TR8(sp.expand(TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2))) / 2,
     potential_energy=m_p * g * TIP[1],
     forces=(u, sp.Integer(0)),
-    contacts=(
+    contacts=tuple(
         Contact(
-            name="right",
-            bodies=("pole", "right wall"),
-            penetration=TIP[0] - w,
+            name=side,
+            bodies=("pole", f"{side} wall"),
+            penetration=penetration,
             stiffness=k,
             depth=l,
             depth_reason=_CART_BEHIND,
             nominal=0.05,
-            description="tip against the right wall",
-        ),
-        Contact(
-            name="left",
-            bodies=("pole", "left wall"),
-            penetration=-w - TIP[0],
-            stiffness=k,
-            depth=l,
-            depth_reason=_CART_BEHIND,
-            nominal=0.05,
-            description="tip against the left wall",
-        ),
+            description=f"tip against the {side} wall",
+        )
+        for side, penetration in (("right", TIP[0] - w), ("left", -w - TIP[0]))
     ),
     task=Task(
         start=(0.3, 0.4, 0.0, 0.0),

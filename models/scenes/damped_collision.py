@@ -20,6 +20,7 @@ from scipy.special import lambertw
 
 from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
 from models.scene.contacts import DampingLaw
+from models.scene.parts import known_motion_limits
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
@@ -97,17 +98,9 @@ SCENE = Scene(
             )
             for metric in ("ghost_impulse", "missed_impulse")
         ),
-        Limit(
-            metric="answer_error",
-            value=1.0,
-            reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
+        *known_motion_limits(
+            "nothing drives: of the 3.7 J that the discs have, what the dampers do not take is kept to what the replay resolves"
         ),
-        Limit(
-            metric="energy_residual",
-            value=1e-8,
-            reason="nothing drives: of the 3.7 J that the discs have, what the dampers do not take is kept to what the replay resolves",
-        ),
-        Limit(metric="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
         Limit(
             metric="replay_error",
             value=0.01,

@@ -37,27 +37,18 @@ SCENE = Scene(
     kinetic_energy=m * (v1**2 + v2**2 + v3**2) / 2,
     potential_energy=sp.Integer(0),
     forces=(u1 - c * v1, -c * v2, u3 - c * v3),
-    contacts=(
+    contacts=tuple(
         Contact(
-            name="left",
-            bodies=("left", "middle"),
-            penetration=d - (q2 - q1),
+            name=name,
+            bodies=(left, right),
+            penetration=d - distance,
             stiffness=k,
             depth=d,
             depth_reason=_PASSED,
             nominal=0.1,
-            description="left cart against middle cart",
-        ),
-        Contact(
-            name="right",
-            bodies=("middle", "right"),
-            penetration=d - (q3 - q2),
-            stiffness=k,
-            depth=d,
-            depth_reason=_PASSED,
-            nominal=0.1,
-            description="middle cart against right cart",
-        ),
+            description=f"{left} cart against {right} cart",
+        )
+        for name, left, right, distance in (("left", "left", "middle", q2 - q1), ("right", "middle", "right", q3 - q2))
     ),
     task=Task(
         start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),

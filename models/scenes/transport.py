@@ -43,27 +43,18 @@ SCENE = Scene(
     kinetic_energy=(m * v_cargo**2 + m_c * v_cart**2) / 2,
     potential_energy=sp.Integer(0),
     forces=(sp.Integer(0), u),
-    contacts=(
+    contacts=tuple(
         Contact(
-            name="front",
+            name=end,
             bodies=("cargo", "cart"),
-            penetration=cargo - cart - half,
+            penetration=penetration,
             stiffness=k,
             depth=CARGO / 2,
             depth_reason=_OFF_THE_CART,
             nominal=0.02,
-            description="cargo against the front stop",
-        ),
-        Contact(
-            name="rear",
-            bodies=("cargo", "cart"),
-            penetration=cart - cargo - half,
-            stiffness=k,
-            depth=CARGO / 2,
-            depth_reason=_OFF_THE_CART,
-            nominal=0.02,
-            description="cargo against the rear stop",
-        ),
+            description=f"cargo against the {end} stop",
+        )
+        for end, penetration in (("front", cargo - cart - half), ("rear", cart - cargo - half))
     ),
     frictions=(
         Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g, nominal=0.1, description="cargo on the cart"),
