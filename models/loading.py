@@ -85,15 +85,13 @@ def loaded_sources() -> str:
         if name == "__mp_main__":  # the second name of __main__, since somebody imported multiprocessing
             continue
         origin = getattr(module, "__file__", None)
-        if origin is not None and name.partition(".")[0] not in _OURS and _is_local(path := Path(origin).resolve()) and path.is_file():
+        if origin is None or name.partition(".")[0] in _OURS:
+            continue
+        path = Path(origin).resolve()
+        if path.is_file() and not any(path.is_relative_to(folder) for folder in _installed()):
             sources[name] = path.read_bytes()
     digests = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(sources.items()))
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
-
-
-def _is_local(path: Path) -> bool:
-    """Whether a file is somebody's own: neither of Python nor installed."""
-    return not any(path.is_relative_to(folder) for folder in _installed())
 
 
 @lru_cache(maxsize=1)

@@ -55,7 +55,8 @@ class Finder:
     def find(self, budget: SolveBudget, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> FinderResult:
         """Find the best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
         begin = perf_counter()
-        problem = self._modes_problem(budget)
+        ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
+        problem = self._models.modes(ball, budget, self._ipopt_options(self._options.tolerance))
         budget.build += perf_counter() - begin
         self._most_work = budget.most_work
         budget.most_work = min(self._most_work, budget.work + 1e6 * self._options.first_work)
@@ -80,10 +81,6 @@ class Finder:
                 outcome, message = Outcome.ITERATION_LIMIT, f"no feasible contact mode sequence was found within {limit}."
             return FinderResult(answer=None, outcome=outcome, message=message)
         return self.searched(budget, problem, answer, stride, far=not is_refined)
-
-    def _modes_problem(self, budget: SolveBudget) -> ModesProblem | NonlinearModes:
-        ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
-        return self._models.modes(ball, budget, self._ipopt_options(self._options.tolerance))
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 

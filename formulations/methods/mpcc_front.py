@@ -106,7 +106,9 @@ def front(
         if without is None:
             solve(tolerance, start)
         else:
-            skipped[tolerance] = _not_tried(without)
+            # Plans within a tolerance are among those within a larger one: where none of these was found, none is looked for.
+            message = f"Not tried: within the larger tolerance {without:g} no plan was found either."
+            skipped[tolerance] = Solution(method="mpcc", outcome=Outcome.STALLED, message=message)
     return _falling(ordered, {**skipped, **best})
 
 
@@ -118,12 +120,6 @@ def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tupl
         cheaper = points and _cost(points[-1].solution) < _cost(own)
         points.append(FrontPoint(tolerance=tolerance, solution=points[-1].solution if cheaper else own))
     return tuple(points)
-
-
-def _not_tried(larger: float) -> Solution:
-    """Plans within a tolerance are among those within a larger one: where none of these was found, none is looked for."""
-    message = f"Not tried: within the larger tolerance {larger:g} no plan was found either."
-    return Solution(method="mpcc", outcome=Outcome.STALLED, message=message)
 
 
 def _cost(solution: Solution) -> float:

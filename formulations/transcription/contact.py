@@ -139,7 +139,7 @@ def settle_separation(block: Any) -> None:
     """
     _settle_slip(block)
     _settle_springs(block)
-    if not _is_relaxed(block):
+    if not hasattr(block, "mpec_bound"):  # never relaxed
         return
     for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
@@ -227,11 +227,6 @@ def release_modes(block: Any) -> None:
         for side in (variable, pair.v):
             side.setlb(0.0)
             side.setub(None)
-
-
-def _is_relaxed(block: Any) -> bool:
-    """Whether the block's complementarity went through `relax`."""
-    return hasattr(block, "mpec_bound")
 
 
 def _checked_bound(block: Any, eps: Any) -> float:

@@ -169,7 +169,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
             *_contact_functions(vectors),
             *damping_functions(vectors),
             *friction_functions(vectors),
-            *_acceleration_functions(vectors),
+            *(_factorised_acceleration(vectors) if vectors.dynamics.acceleration is None else _closed_acceleration(vectors)),
             *_energy_functions(vectors),
         ]
     except PrintMethodNotImplementedError as error:
@@ -261,13 +261,8 @@ def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
     ]
 
 
-def _acceleration_functions(x: SceneVectors) -> list[str]:
-    closed = x.dynamics.acceleration
-    return _factorised_acceleration(x) if closed is None else _closed_acceleration(x, x.local(closed))
-
-
-def _closed_acceleration(x: SceneVectors, acceleration: sp.Matrix) -> list[str]:
-    a_bar, moving = x.q.like("a_bar"), (x.q, x.v, x.u, x.lam)
+def _closed_acceleration(x: SceneVectors) -> list[str]:
+    acceleration, a_bar, moving = x.local(x.dynamics.acceleration), x.q.like("a_bar"), (x.q, x.v, x.u, x.lam)
     along = (*x.arguments, *map(tangent, moving))
     return [
         c_function("int", "scene_acceleration", x.arguments, "a", acceleration, tail="return 0;"),

@@ -34,12 +34,10 @@ def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
 
     Differentiating the energies of a large scene for it takes seconds: it is cached, as the generated C is.
     """
-    found = json.loads(cached_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
+    found = json.loads(
+        cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene), default=lambda kind: kind.value))
+    )
     return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in found.items()}
-
-
-def _as_text(found: dict[str, dict[str, Dependency]]) -> str:
-    return json.dumps({name: {known: kind.value for known, kind in knowns.items()} for name, knowns in found.items()})
 
 
 def derived_dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:

@@ -53,15 +53,6 @@ def base_exponents(unit: str) -> dict[str, int]:
     return {base: exponent for base, exponent in total.items() if exponent}
 
 
-def unit_problem(unit: Any) -> str | None:
-    """A sentence saying what is wrong with a unit, or None."""
-    try:
-        base_exponents(unit)
-    except ValueError as error:
-        return str(error)
-    return None
-
-
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of a "positive" q to q, sin(pi*q) of an "integer" to 0.
 _NARROWING = ("zero", "integer", "rational", "irrational", "positive", "negative", "nonnegative", "nonpositive", "nonzero", "imaginary")
@@ -81,9 +72,10 @@ def check_text(what: str, text: Any, *, empty: bool = False) -> None:
 
 def check_unit(what: str, unit: Any) -> None:
     """Raise SceneError unless `unit` is one that is known."""
-    problem = unit_problem(unit)
-    if problem:
-        raise SceneError(f"{what}: {problem}")
+    try:
+        base_exponents(unit)
+    except ValueError as error:
+        raise SceneError(f"{what}: {error}") from error
 
 
 def check_symbol(what: str, symbol: Any) -> None:
