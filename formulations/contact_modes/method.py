@@ -8,6 +8,7 @@ from formulations.method import Options, option, without_inputs
 from formulations.transcription.method import TranscriptionOptions, check_smooth
 from models.errors import SceneError
 from models.scene import Scene
+from models.scene.functions import named_expressions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,19 +105,9 @@ def why_not(scene: Scene) -> str | None:
     if scene.damped:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
         return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; strict_lcp plans it."
-    # What is smooth as it was written is so once it is derived.
-    written = {
-        "the kinetic energy": (scene.kinetic_energy,),
-        "the potential energy": (scene.potential_energy,),
-        "a force": scene.forces,
-        "a penetration": [contact.penetration for contact in scene.contacts],
-        "a stiffness": [contact.stiffness for contact in scene.contacts],
-        "the running cost": (scene.task.running_cost,),
-        "the final cost": (scene.task.final_cost,),
-    }
     try:
-        for what, expressions in written.items():
-            check_smooth(scene, what, expressions)
+        for field, expression, _, _ in named_expressions(scene):  # what is smooth as it was written is so once it is derived
+            check_smooth(scene, field, (expression,))
     except SceneError as error:
         return str(error)
     return None

@@ -44,7 +44,7 @@ class NamedExpression(NamedTuple):
     unit: str | None
 
 
-def quantities(scene: Scene) -> list[NamedExpression]:
+def named_expressions(scene: Scene) -> list[NamedExpression]:
     """All that enters the equations of motion, the contact laws and the cost."""
     found = [NamedExpression(f"{kind}_energy", getattr(scene, f"{kind}_energy"), "an energy", "J") for kind in ("kinetic", "potential")]
     for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
@@ -67,7 +67,7 @@ def quantities(scene: Scene) -> list[NamedExpression]:
 
 def function_problem(scene: Scene) -> str | None:
     """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
-    for field, expression, _, _ in quantities(scene):
+    for field, expression, _, _ in named_expressions(scene):
         corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, shortened(used)))
         if corners:
             advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))

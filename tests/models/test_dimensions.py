@@ -16,7 +16,7 @@ from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.checks import check_expressions
 from models.scene.contacts import Contact, DampingLaw, Friction
 from models.scene.dimensions import dimension_problem
-from models.scene.functions import quantities
+from models.scene.functions import named_expressions
 
 q, v, theta, omega, u = sp.symbols("q v theta omega u", real=True)
 m, c, k, g, l, mu, inertia = sp.symbols("m c k g l mu inertia", positive=True)  # noqa: E741 - l is the field's name for a length
@@ -190,7 +190,7 @@ def test_the_scenes_of_the_tests_fit(path: Path):
 def test_any_parameter_of_another_unit_is_noticed(name: str):
     """Each parameter in a unit that no formula of it has, of all scenes."""
     known = load_scene(name)
-    asked = sp.Add(*(sp.Dummy() * sp.sympify(item.expression) for item in quantities(known) if item.unit is not None)).free_symbols
+    asked = sp.Add(*(sp.Dummy() * sp.sympify(item.expression) for item in named_expressions(known) if item.unit is not None)).free_symbols
     for index, parameter in enumerate(known.parameters):
         if parameter.symbol in asked and index != known.relaxation_index:  # whose unit is given by the scene itself
             odd = replace(parameter, unit=f"kg^3 s^7 {parameter.unit}")
