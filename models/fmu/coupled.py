@@ -22,7 +22,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import sympy as sp
@@ -31,12 +30,11 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
-from models.fmu.description import find_standard, render, source_epoch, standard_headers
+from models.fmu.description import find_standard, generation_date, render, standard_headers, unit_table
 from models.fmu.package import binaries, build_fmu, find_platforms, icons, pack, platform_compiler
 from models.fmu.variables import Variable, VariableKind, parameter_variables, variable_table
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
-from models.scene.values import base_exponents
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,9 +225,9 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
         "identifier": part.name,
         "title": f"Contact {part.contact.description or part.contact.name}",
         "table": table,
-        "units": {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in table})},
+        "units": unit_table(table),
         "unknowns": _unknowns(part, table),
-        "date": datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "date": generation_date(),
         "step": part.step,
         "horizon": part.horizon,
         "inputs": _inputs(part),
@@ -363,11 +361,11 @@ def system_structure(parts: Parts, border: bool = True) -> str:
     return render(
         "SystemStructure.xml.j2",
         scene=parts.scene,
-        date=datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        date=generation_date(),
         connectors=given if border else [],
         components=components,
         connections=[*inputs, *inside, *outputs] if border else inside,
-        units={unit: base_exponents(unit) for unit in sorted({v.unit for connectors in components.values() for v in connectors})},
+        units=unit_table(variable for connectors in components.values() for variable in connectors),
     )
 
 

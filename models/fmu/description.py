@@ -224,6 +224,11 @@ def source_epoch() -> int:
     return int(text)
 
 
+def generation_date() -> str:
+    """The same as FMI writes it."""
+    return datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
 @dataclass(frozen=True)
 class Unknown:
     """A row of the ModelStructure: numbers of variables as the standard counts them."""
@@ -259,9 +264,9 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
     }
 
 
-def unit_table(scene: Scene) -> dict[str, dict[str, int]]:
-    """Every unit of the FMU -> exponents of its base units, sorted by name."""
-    return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variable_table(scene) if variable.unit})}
+def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
+    """Every unit of the variables -> exponents of its base units, sorted by name."""
+    return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variables if variable.unit})}
 
 
 @dataclass(frozen=True)
@@ -299,9 +304,9 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
             scene=scene,
             identifier=identifier,
             guid=guid,
-            date=datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            date=generation_date(),
             source_files=source_files,
-            units=unit_table(scene),
+            units=unit_table(table),
             integrators=INTEGRATORS,
             tolerance=TOLERANCE,
             table=table,
