@@ -17,6 +17,6 @@ objective   a loss of the inputs: the paper's, or one's own, or its mean over ra
 descent     gradient descent (torch.optim.SGD): its limits, its stopping rule, and its messages
 quasi_newton   L-BFGS within the bounds of the inputs, and the goal met by multipliers
 stage       warm start and plan of a stage, its residuals and seconds, and how fast gradients grow on their way back over its horizon
-session     a method opened on a scene; method: what the methods share beside it, and their options
+session     a method opened on a scene; method: what the methods share beside it; options: of both kinds
 diagnosis   why a descent cannot go on, in numbers: dead contacts, growth over the horizon, a rate that would do
 """

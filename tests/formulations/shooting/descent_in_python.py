@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.shooting.method import DescentOptions
+from formulations.shooting.options import DescentOptions
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 

@@ -10,8 +10,8 @@ from descent_in_python import descend_in_python
 from example_scenes import example_scene
 
 from formulations.shooting.descent import descend
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 from models.catalog import load_scene

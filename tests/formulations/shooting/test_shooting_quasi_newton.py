@@ -8,8 +8,8 @@ from example_scenes import example_scene, solve
 
 from formulations.method import OptionError
 from formulations.pipelines import load_method
-from formulations.shooting.method import QuasiNewtonOptions
 from formulations.shooting.objective import Objective, Weights, noise
+from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.solution import Outcome
 from models.catalog import load_scene
