@@ -281,7 +281,7 @@ def pipeline_from_json(data: Mapping[str, Any]) -> Pipeline:
         )
         for leg in data["legs"]
     )
-    part = None if data["part"] is None else tuple(data["part"])
+    part = None if data["part"] is None else (data["part"][0], data["part"][1])
     return Pipeline(name=data["name"], title=data["title"], source=data["source"], legs=legs, part=part)
 
 

@@ -346,8 +346,8 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     plan, names = trajectory, _grouped_names(scene)
     held = next(word for word, hold in HOLDS.items() if hold is plan.hold)
     lines = [f"# hold: {held}", *([] if plan.scheme is None else [f"# scheme: {plan.scheme.value}"])]
-    heads_for_end = plan.hold is Hold.LINEAR and plan.u_end is not None
-    arrays = {"q": plan.q, "v": plan.v, "u": np.vstack([plan.u, plan.u_end]) if heads_for_end else plan.u}
+    end = plan.u_end if plan.hold is Hold.LINEAR else None
+    arrays = {"q": plan.q, "v": plan.v, "u": plan.u if end is None else np.vstack([plan.u, end])}
     arrays |= {"lam": plan.lam[:, : scene.nc], "friction": plan.lam[:, scene.nc :]}
     columns = {"t": plan.t}
     for group, values in arrays.items():

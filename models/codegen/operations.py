@@ -39,7 +39,7 @@ class Operations:
         return sum(astuple(self))
 
 
-_KINDS = {
+_KINDS: dict[type[ast.operator], Operations] = {
     ast.Add: Operations(add=1),
     ast.Sub: Operations(add=1),
     ast.Mult: Operations(multiply=1),
