@@ -1,4 +1,4 @@
-"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of stepping.c.
+"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of loops.c.
 
     run = simulate(package, variables, start, inputs, fineness=200)
 
@@ -16,10 +16,10 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2Fatal
 
+from validate.fmi import loops
 from validate.fmi.description import FmuError, Package
 from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
-from validate.judge.replay.compiled import library
-from validate.judge.replay.compiled.library import Fmu, Reason, address_of
+from validate.fmi.loops import Fmu, Reason, address_of
 from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
@@ -171,7 +171,7 @@ def _record_start(stepping: Stepping, run: Run) -> bool:
 
 
 class _Loop(ctypes.Structure):
-    """struct stepping of stepping.c."""
+    """struct stepping of loops.c."""
 
     _fields_ = (
         ("fmu", Fmu),
@@ -206,7 +206,7 @@ def step_through(stepping: Stepping, run: Run) -> None:
     called = ["GetReal", "SetReal", "DoStep"]
     called += ["SetRealInputDerivatives"] if stepping.slopes else []
     called += ["GetFMUstate", "SetFMUstate"] if stepping.rolls_back else []
-    loops, described = library.load(), library.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
+    compiled, described = loops.load(), loops.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
     times, values, rates = (np.array(array, dtype=float, order="C") for array in (inputs.times, inputs.values, inputs.slopes))
     outputs, local = np.empty((steps + 1, width)), np.empty((steps, width))
     outputs[0] = run.outputs[0]
@@ -219,12 +219,12 @@ def step_through(stepping: Stepping, run: Run) -> None:
     )  # fmt: skip
     reason, place = Reason.DONE, ctypes.byref(loop)
     if inputs.feedback is None:
-        reason = Reason(loops.step_through(place, 0, steps))
+        reason = Reason(compiled.step_through(place, 0, steps))
     else:
         for step in range(steps):
             values[step] = inputs.begin(step, outputs[step, :states])
             run.applied.append(values[step].copy())
-            reason = Reason(loops.step_through(place, step, step + 1))
+            reason = Reason(compiled.step_through(place, step, step + 1))
             if reason is not Reason.DONE:
                 break
     done = int(loop.done)
@@ -236,7 +236,7 @@ def step_through(stepping: Stepping, run: Run) -> None:
     if loop.place and loop.fmu.fault_status != fmi2Fatal:
         fmu.forget(ctypes.c_void_p(loop.place))
     if reason is Reason.CALL_REFUSED:
-        library.refuse(fmu, loop.fmu)
+        loops.refuse(fmu, loop.fmu)
     if reason is Reason.EARLY_RETURN:
         raise early_return(loop.reached)
     if reason is Reason.NOT_RESTORED:

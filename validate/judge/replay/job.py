@@ -20,7 +20,7 @@ from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
-from validate.judge.replay.compiled.library import adopt, library_path
+from validate.fmi.loops import adopt, library_path
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate

@@ -1,7 +1,9 @@
-"""The compiled loops: built once, found in the cache, loaded; and an FMU as they see it.
+"""The loops of a replay in C (loops.c), over the addresses of any FMU's functions: one call of Python a step of the plan, or a run, instead of one a call of FMI.
 
-loops = load()
-fmu = describe(instance, ...)
+    loops = load()                     # built once, found in the cache
+    fmu = describe(instance, ...)      # an FMU as they see it
+
+The tests hold them against the same loops in Python, call by call and bit for bit.
 """
 
 from __future__ import annotations
@@ -20,10 +22,10 @@ from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.errors import MachineError
 from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
-_SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")
+_SOURCE = Path(__file__).with_suffix(".c")
 _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
 
-# The functions of FMI 2.0 and FMI 3.0, in the order of fmu_calls.h; FMI 3.0 has no call for slopes of inputs.
+# The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of inputs.
 CALLS = (
     ("GetReal", "GetFloat64"),
     ("SetReal", "SetFloat64"),
@@ -44,7 +46,7 @@ CALLS = (
 
 
 class Reason(IntEnum):
-    """Why a loop came back, in the order of fmu_calls.h."""
+    """Why a loop came back, in the order of loops.c."""
 
     DONE = 0
     EVENT = 1
@@ -63,7 +65,7 @@ class Reason(IntEnum):
 
 
 class Fmu(ctypes.Structure):
-    """struct fmu of fmu_calls.h."""
+    """struct fmu of loops.c."""
 
     _fields_ = (
         ("component", _ADDRESS),
@@ -84,10 +86,9 @@ class Fmu(ctypes.Structure):
 
 def library_path() -> Path:
     """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
-    texts = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SOURCES}
-    compiler = find_compiler()
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in texts.items())])
-    return cached(key, ".so", lambda path: compile_shared(compiler, texts, path))
+    text, compiler = _SOURCE.read_text(encoding="utf-8"), find_compiler()
+    key = "\n".join([compiler.describe(), " ".join(FLAGS), text])
+    return cached(key, ".so", lambda path: compile_shared(compiler, {_SOURCE.name: text}, path))
 
 
 _adopted: list[Path] = []
