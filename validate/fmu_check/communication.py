@@ -14,8 +14,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour, TerminationRequested
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, run
-from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
 # Two times are the same if they differ by less than this share of a step.

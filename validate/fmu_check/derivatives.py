@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.motion import Record, run
-from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Steps: from this share of the variable's size, each a quarter of the one before.

@@ -19,9 +19,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.forked import in_fork
+from validate.fmu_check.check import Finding, Scope, check, failed, in_fork, not_offered, passed
 from validate.fmu_check.motion import compare, restart_limit, run
-from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import CheckedInstance, Subject
 
 # Where in a run states are saved.

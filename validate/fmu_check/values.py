@@ -6,8 +6,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.motion import compare, run
-from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 
 # A start value may lose its last digits on its way through text.

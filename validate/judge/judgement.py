@@ -142,8 +142,7 @@ def judge_fmu(
     FmuError, MapError, TrajectoryError, MachineError : in one sentence.
     """
     # The names of an FMU's map need pydantic, which a replay on a scene does without: 0.1 s.
-    from validate.judge.replay.equal_names import hint
-    from validate.judge.replay.map_schema import MapError, read_map
+    from validate.judge.replay.map_schema import MapError, hint, read_map
     from validate.judge.replay.mapping import wire
 
     given = read_map(map_path) if map_path is not None else None

@@ -17,8 +17,19 @@ from models.plan_table import Table
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.equal_names import CONTACT_UNITS, QUANTITIES, Dimensions, Named, by_equal_names, hint, may_be_rate
-from validate.judge.replay.map_schema import InputSignal, MapError, MapFile, Signal
+from validate.judge.replay.map_schema import (
+    CONTACT_UNITS,
+    QUANTITIES,
+    Dimensions,
+    InputSignal,
+    MapError,
+    MapFile,
+    Named,
+    Signal,
+    by_equal_names,
+    hint,
+    may_be_rate,
+)
 from validate.judge.replay.result import Difference
 from validate.judge.replay.run import Foreign
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask

@@ -20,8 +20,7 @@ from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Limits
 from validate.fmi.description import read_package
 from validate.judge.replay import Replay
-from validate.judge.replay.equal_names import hint
-from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.map_schema import hint, read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.netcdf import write_replay
 from validate.judge.replay.run import Foreign, replay_foreign
