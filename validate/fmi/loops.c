@@ -3,7 +3,7 @@
  * What is called of an FMU; then Model Exchange under CVODE, from point to point of the record until an event (validate/judge/replay/reference.py);
  * then Co-Simulation, step after step of a plan until one is refused (validate/judge/replay/everyday.py).
  *
- * The structs are filled by Python, field by field in their order; all fields are eight bytes long. */
+ * loops.py reads the fields of the structs fmu, integration and stepping from here. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -93,7 +93,7 @@ static inline bool all_finite(const double *values, int64_t count)
     return true;
 }
 
-/* Model Exchange under CVODE, the library that scikit-sundae brings (SUNDIALS 7), by the addresses of its functions; in the order of SOLVER in reference.py. */
+/* Model Exchange under CVODE, the library that scikit-sundae brings (SUNDIALS 7), by the addresses of its functions; in the order of SOLVER in loops.py. */
 enum solver_call {
     CONTEXT_CREATE, CONTEXT_CLEAR_HANDLERS, CONTEXT_FREE, VECTOR_NEW, VECTOR_DATA, VECTOR_DESTROY, MATRIX_DENSE, MATRIX_DESTROY, LINEAR_DENSE,
     LINEAR_FREE, CREATE, FREE, INIT, REINIT, TOLERANCES, SET_USER_DATA, SET_LINEAR, SET_NONLINEAR_ITERATIONS, SET_FAILURES, ROOT_INIT,

@@ -9,9 +9,10 @@ The tests hold them against the same loops in Python, call by call and bit for b
 from __future__ import annotations
 
 import ctypes
+import re
 from collections.abc import Sequence
 from enum import IntEnum
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -44,6 +45,16 @@ CALLS = (
     ("SetFMUstate", "SetFMUState"),
 )
 
+# The functions of SUNDIALS, in the order of loops.c.
+SOLVER = (
+    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
+    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
+    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
+    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
+    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
+)  # fmt: skip
+_COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
+
 
 class Reason(IntEnum):
     """Why a loop came back, in the order of loops.c."""
@@ -64,31 +75,30 @@ class Reason(IntEnum):
     EARLY_RETURN = 13
 
 
-class Fmu(ctypes.Structure):
-    """struct fmu of loops.c."""
+@lru_cache(maxsize=1)
+def _source() -> str:
+    return _SOURCE.read_text(encoding="utf-8")
 
-    _fields_ = (
-        ("component", _ADDRESS),
-        ("three", _SIZE),
-        ("states", _SIZE),
-        ("indicators", _SIZE),
-        ("inputs", _SIZE),
-        ("outputs", _SIZE),
-        ("rates", _SIZE),
-        ("input_references", _ADDRESS),
-        ("output_references", _ADDRESS),
-        ("rate_references", _ADDRESS),
-        ("call", _ADDRESS * len(CALLS)),
-        ("fault_call", _SIZE),
-        ("fault_status", _SIZE),
-    )
+
+@cache
+def structure(name: str) -> type[ctypes.Structure]:
+    """A struct of loops.c, for ctypes: its fields as they are declared there."""
+    body = re.search(rf"^struct {name} {{$(.*?)^}};$", re.sub(r"/\*.*?\*/", "", _source(), flags=re.DOTALL), re.DOTALL | re.MULTILINE)
+    assert body is not None, name
+    kinds = {"double": ctypes.c_double, "int64_t": _SIZE, "function": _ADDRESS}
+    fields: list[tuple[str, Any]] = []
+    for kind, declared in re.findall(r"(?:const )?(struct \w+|\w+) (.*?);", body[1], re.DOTALL):
+        for star, field, count in re.findall(r"(\*?)(\w+)(?:\[(\w+)\])?", declared):
+            one = _ADDRESS if star else structure(kind.removeprefix("struct ")) if kind.startswith("struct ") else kinds[kind]
+            fields.append((field, one * _COUNTS[count] if count else one))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 def library_path() -> Path:
     """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
-    text, compiler = _SOURCE.read_text(encoding="utf-8"), find_compiler()
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), text])
-    return cached(key, ".so", lambda path: compile_shared(compiler, {_SOURCE.name: text}, path))
+    compiler = find_compiler()
+    key = "\n".join([compiler.describe(), " ".join(FLAGS), _source()])
+    return cached(key, ".so", lambda path: compile_shared(compiler, {_SOURCE.name: _source()}, path))
 
 
 _adopted: list[Path] = []
@@ -130,10 +140,10 @@ def describe(
     rates: References | None = None,
     states: int = 0,
     indicators: int = 0,
-) -> Fmu:
+) -> ctypes.Structure:
     """The FMU for a loop that calls `needed` (FMI 2.0's names): FMPy loads no binary that lacks one of them. What is given must live as long as the answer."""
     is_three = instance.major == 3
-    fmu = Fmu(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
+    fmu = structure("fmu")(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
     for name, group in (("input", inputs), ("output", outputs), ("rate", rates or References([]))):
         setattr(fmu, f"{name}s", group.count)
         setattr(fmu, f"{name}_references", ctypes.addressof(group.array))
@@ -143,7 +153,7 @@ def describe(
     return fmu
 
 
-def refuse(instance: Instance, fmu: Fmu) -> NoReturn:
+def refuse(instance: Instance, fmu: Any) -> NoReturn:
     """Raise FMICallException for the call that was refused."""
     instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
 

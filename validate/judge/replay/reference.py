@@ -25,7 +25,7 @@ from models.errors import MachineError
 from validate.fmi import loops
 from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
-from validate.fmi.loops import Fmu, Reason, address_of
+from validate.fmi.loops import SOLVER, Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
@@ -36,14 +36,7 @@ STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
 ABSOLUTE_FRACTION = 0.1
 _ROOT_RETURN = 2
-# The functions of SUNDIALS in the order of loops.c, and the only major version whose arguments are known to be these.
-SOLVER = (
-    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
-    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
-    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
-    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
-    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
-)  # fmt: skip
+# The only major version of SUNDIALS whose arguments are known to be those of loops.c.
 _VERSION = 7
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
@@ -232,36 +225,6 @@ def integrate(
     return run
 
 
-class _Loop(ctypes.Structure):
-    """struct integration of loops.c."""
-
-    _fields_ = (
-        ("fmu", Fmu),
-        ("solver", ctypes.c_void_p * len(SOLVER)),
-        ("rtol", ctypes.c_double),
-        ("min_step", ctypes.c_double),
-        ("max_step", ctypes.c_double),
-        ("max_steps", ctypes.c_int64),
-        ("wants_steps", ctypes.c_int64),
-        ("linear", ctypes.c_int64),
-        ("absolute", ctypes.c_void_p),
-        ("bound", ctypes.c_void_p),
-        ("roots", ctypes.c_void_p),
-        ("begin", ctypes.c_double),
-        ("values", ctypes.c_void_p),
-        ("slopes", ctypes.c_void_p),
-        ("applied", ctypes.c_void_p),
-        ("time", ctypes.c_double),
-        ("next_event", ctypes.c_double),
-        ("y", ctypes.c_void_p),
-        ("flag", ctypes.c_int64),
-        ("reached", ctypes.c_int64),
-        ("fault_time", ctypes.c_double),
-        ("fault", ctypes.c_int64),
-        ("own", ctypes.c_void_p * 6),
-    )
-
-
 class _Integration:
     """CVODE over the plan's steps by the loop of loops.c, from event to event."""
 
@@ -284,7 +247,7 @@ class _Integration:
         self._outputs, self._sums = np.empty((steps, points, model.outputs)), np.empty((steps, points, model.accumulated))
         self._targets_at, self._outputs_at, self._sums_at = map(address_of, (self.targets, self._outputs, self._sums))
         self._absolute, self._bound = np.empty(size), np.empty(model.states)
-        self._loop = _Loop(
+        self._loop = structure("integration")(
             fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*solver_addresses()), rtol=rtol, max_steps=STEP_LIMIT,
             # Smaller steps than this do not change the time any more.
             min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
