@@ -87,8 +87,6 @@ class References:
 
 # FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass, differently. What is the same in both - terminate, reset,
 # enterEventMode, getContinuousStates, .. - is FMPy's own. A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions from that.
-_WHOLE = {"Enumeration": "Integer"}
-_WHOLE_3 = {"Enumeration": "Int64"}
 
 
 class StepAnswer(NamedTuple):
@@ -108,6 +106,8 @@ class _Calls(_FMU):
     """FMPy's one way to call, stricter: a status that FMI does not know is refused as well, and a fatal one is remembered (`fatal`)."""
 
     prefix: str
+    whole: str  # what enumerations are read and written as
+    state: str
     fatal = False
 
     def _call(self, fname: str, *args: Any) -> Any:
@@ -126,9 +126,20 @@ class _Calls(_FMU):
         """Of one of FMI's functions, named without its prefix."""
         return ctypes.cast(self._functions[self.prefix + function], ctypes.c_void_p).value or 0
 
+    def name_of(self, kind: str) -> str:
+        """How the functions that read and write a type are called."""
+        return self.whole if kind == "Enumeration" else kind
+
+    def write(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
+        made = float if kind in ("Real", "Float64", "Float32") else bool if kind == "Boolean" else int
+        getattr(self, f"set{self.name_of(kind)}")(references, [made(value) for value in values])
+
+    def save_to(self, place: Any) -> None:
+        self._call(f"{self.prefix}Get{self.state}", self.component, ctypes.byref(place))
+
 
 class _Fmi2(_Calls):
-    prefix = "fmi2"
+    prefix, whole, state = "fmi2", "Integer", "FMUstate"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         if self.callbacks is None:
@@ -146,16 +157,8 @@ class _Fmi2(_Calls):
         """Into Initialization Mode."""
         self.enterInitializationMode()
 
-    def update(self) -> tuple[bool, bool, bool, bool, bool, float]:
-        """One round of event iteration: again, ends, nominals changed, states changed, has a next event, its time."""
-        return self.newDiscreteStates()
-
     def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
-        return getattr(self, f"get{_WHOLE.get(kind, kind)}")(references)
-
-    def write(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
-        numbers = values if kind == "Real" else [int(value) for value in values]
-        getattr(self, f"set{_WHOLE.get(kind, kind)}")(references, numbers)
+        return getattr(self, f"get{self.name_of(kind)}")(references)
 
     def read_doubles(self, references: Any, memory: Any, count: int) -> None:
         """Into memory of C's, without a list."""
@@ -163,9 +166,6 @@ class _Fmi2(_Calls):
 
     def write_doubles(self, references: Any, memory: Any, count: int) -> None:
         self.fmi2SetReal(self.component, references, count, memory)
-
-    def rates(self, into: Any, count: int) -> None:
-        self.getDerivatives(into, count)
 
     def step(self, time: float, length: float) -> StepAnswer:
         """One communication step [s]."""
@@ -187,9 +187,6 @@ class _Fmi2(_Calls):
         except FMICallException:
             return None
 
-    def save_to(self, place: Any) -> None:
-        self.fmi2GetFMUstate(self.component, ctypes.byref(place))
-
     def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
         return self.getDirectionalDerivative(unknowns, knowns, seed)
 
@@ -197,7 +194,7 @@ class _Fmi2(_Calls):
 class _Fmi3(_Calls):
     """Co-Simulation without event mode and without early return, unless the options ask for them."""
 
-    prefix = "fmi3"
+    prefix, whole, state = "fmi3", "Int64", "FMUState"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         self.instantiate(logMessage=log, **options)
@@ -208,18 +205,8 @@ class _Fmi3(_Calls):
     def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
         self.enterInitializationMode(tolerance=tolerance, startTime=start, stopTime=stop)
 
-    def update(self) -> tuple[bool, bool, bool, bool, bool, float]:
-        return self.updateDiscreteStates()
-
     def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
-        return getattr(self, f"get{_WHOLE_3.get(kind, kind)}")(references, nValues=size)
-
-    def write(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
-        name = _WHOLE_3.get(kind, kind)
-        numbers: Sequence[Any] = values
-        if not name.startswith("Float"):
-            numbers = [bool(value) if name == "Boolean" else int(value) for value in values]
-        getattr(self, f"set{name}")(references, numbers)
+        return getattr(self, f"get{self.name_of(kind)}")(references, nValues=size)
 
     def read_doubles(self, references: Any, memory: Any, count: int) -> None:
         self.fmi3GetFloat64(self.component, references, count, memory, count)
@@ -227,18 +214,12 @@ class _Fmi3(_Calls):
     def write_doubles(self, references: Any, memory: Any, count: int) -> None:
         self.fmi3SetFloat64(self.component, references, count, memory, count)
 
-    def rates(self, into: Any, count: int) -> None:
-        self.getContinuousStateDerivatives(into, count)
-
     def step(self, time: float, length: float) -> StepAnswer:
         return StepAnswer(*self.doStep(time, length))
 
     def last_successful_time(self) -> float | None:
         """FMI 3.0 tells it with the step."""
         return None
-
-    def save_to(self, place: Any) -> None:
-        self.fmi3GetFMUState(self.component, ctypes.byref(place))
 
     def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
         return self.getDirectionalDerivative(unknowns, knowns, seed, nSensitivity=size)
@@ -250,6 +231,8 @@ class _Fmi3(_Calls):
 class FMU2Exchange(_Fmi2, FMU2Model):
     """FMI 2.0, Model Exchange."""
 
+    rates, update = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates
+
 
 class FMU2Stepping(_Fmi2, FMU2Slave):
     """FMI 2.0, Co-Simulation."""
@@ -257,6 +240,8 @@ class FMU2Stepping(_Fmi2, FMU2Slave):
 
 class FMU3Exchange(_Fmi3, FMU3Model):
     """FMI 3.0, Model Exchange."""
+
+    rates, update = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates
 
 
 class FMU3Stepping(_Fmi3, FMU3Slave):

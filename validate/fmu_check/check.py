@@ -68,29 +68,43 @@ def not_offered(sentence: str) -> Finding:
     return Finding(Status.NOT_OFFERED, sentence)
 
 
+class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
+    """Raised within a check that failed; the text is its sentence."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One check: its name in the table, what it claims of a sound FMU, and the function that finds out.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise.
+    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; needs: the ability that the type must claim, by its names in
+    FMI 2.0 and 3.0, empty in a version that has none.
     """
 
     name: str
     claim: str
     scope: Scope
     run: Callable[..., Finding]
+    needs: tuple[str, str] | None = None
 
     def __call__(self, *arguments: Any) -> Finding:
         """Run it: see `run`."""
-        return self.run(*arguments)
+        if self.needs is not None:
+            subject, kind = arguments
+            ability = self.needs[subject.major >= 3]
+            if not ability or not subject.can(kind, ability):
+                return not_offered(f"{ability} is false." if ability else f"FMI {subject.major}.0 has none.")
+        try:
+            return self.run(*arguments)
+        except Failed as failure:
+            return failed(str(failure))
 
 
-def check(name: str, scope: Scope) -> Callable[[Callable[..., Finding]], Check]:
+def check(name: str, scope: Scope, needs: tuple[str, str] | None = None) -> Callable[[Callable[..., Finding]], Check]:
     """Make a function a Check. Its docstring, one sentence, is what it claims of a sound FMU."""
 
     def made(function: Callable[..., Finding]) -> Check:
         claim = " ".join((function.__doc__ or "").split()).removesuffix(".")
-        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function)
+        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function, needs=needs)
 
     return made
 

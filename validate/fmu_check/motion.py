@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
@@ -64,6 +65,38 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDiffe
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
     return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), names[column], int(row))
+
+
+def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0) -> None:
+    """Raise Failed if two runs differ in any bit.
+
+    Parameters
+    ----------
+    one, other : (rows, observed) values of all variables [unit of each variable].
+    clause : what was done to the second; first: the step of row 0.
+
+    Raises
+    ------
+    Failed : with the clause, the variable and the time.
+    """
+    apart = compare(subject, one, other)
+    if not apart.equal:
+        raise Failed(f"{clause}, {apart.where(subject, first)}.")
+
+
+def fresh_run(subject: Subject, kind: str, steps: int, name: str = "check", **how: Any) -> np.ndarray:
+    """A run of a fresh instance from its start; how: see `run`.
+
+    Returns
+    -------
+    (steps + 1, observed) values of all variables [unit of each variable].
+
+    Raises
+    ------
+    FMICallException, Fault : as `run`.
+    """
+    with CheckedInstance(subject, kind, name) as instance:
+        return run(instance.begin(), 0, steps, **how)
 
 
 def restart_limit(subject: Subject) -> float:
