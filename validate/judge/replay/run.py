@@ -40,6 +40,8 @@ LOOSE, TIGHT = 1e-11, 1e-13
 FINENESS = (50, 100, 200)
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
 _CLOSER_LOOKS = 6
+# Whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+Track = bool | Callable[[Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -70,7 +72,7 @@ def replay(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
-    track: bool | Callable[[Replay], bool] = False,
+    track: Track = False,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene.
 
@@ -100,7 +102,7 @@ def replay(
 
 def _with_tracked(
     opened: Replay,
-    track: bool | Callable[[Replay], bool],
+    track: Track,
     design: Callable[[], tuple[Feedback, Growth | None]],
     run: Callable[[Feedback], tuple[Replay, np.ndarray]],
     plan: Trajectory,
@@ -148,7 +150,7 @@ def replay_foreign(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
-    track: bool | Callable[[Replay], bool] = False,
+    track: Track = False,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
