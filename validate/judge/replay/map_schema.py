@@ -66,14 +66,23 @@ class InputSignal(Signal):
         return self
 
 
+def _short(value: Any) -> Any:
+    return {"variable": value} if isinstance(value, str) else value
+
+
+OfSignal = Annotated[Signal, BeforeValidator(_short)]
+OfInput = Annotated[InputSignal, BeforeValidator(_short)]
+OfVelocity = Annotated[VelocitySignal, BeforeValidator(_short)]
+
+
 class ContactEntry(_Strict):
     """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
 
     column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's model of the contact ends, in the unit of the gap [m].
     """
 
-    force: Annotated[Signal | None, BeforeValidator(lambda value: _short(value))] = None
-    gap: Annotated[Signal | None, BeforeValidator(lambda value: _short(value))] = None
+    force: OfSignal | None = None
+    gap: OfSignal | None = None
     column: str | None = None
     depth: float | None = Field(default=None, gt=0.0)
     depth_reason: str = ""
@@ -122,17 +131,10 @@ class AccuracyEntry(_Strict):
     gap: float | None = Field(default=None, gt=0.0)
 
 
-def _short(value: Any) -> Any:
-    return {"variable": value} if isinstance(value, str) else value
-
-
 def _short_limit(value: Any) -> Any:
     return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
-OfSignal = Annotated[Signal, BeforeValidator(_short)]
-OfInput = Annotated[InputSignal, BeforeValidator(_short)]
-OfVelocity = Annotated[VelocitySignal, BeforeValidator(_short)]
 OfLimit = Annotated[MapLimit, BeforeValidator(_short_limit)]
 
 

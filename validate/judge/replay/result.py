@@ -194,11 +194,6 @@ class Replay:
         return self.outcome is ReplayOutcome.OK
 
     @property
-    def would_decide(self) -> str:
-        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty with a reference."""
-        return "" if self.method == "reference" or not self.ok else self.error.would_decide
-
-    @property
     def end(self) -> np.ndarray:
         """State where the replay ended, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]. Raises IndexError for a replay without a row."""
         return np.concatenate([self.q[-1], self.v[-1]])
