@@ -226,10 +226,10 @@ class Exchange:
         self.y = self.instance.states() if self.count else np.zeros(1)
         options: dict[str, Any] = {}
         if self.instance.indicator_count:
-            options = {"eventsfn": lambda time, y, values: self._indicate(time, y, values), "num_events": self.instance.indicator_count}
+            options = {"eventsfn": self._filling(self.instance.indicators), "num_events": self.instance.indicator_count}
         step = self.instance.subject.step
         self.solver = CVODE(
-            self._rate,
+            self._filling(self.instance.rates) if self.count else lambda time, y, rate: rate.fill(0.0),
             method=self.method,
             rtol=self.rtol,
             atol=0.1 * self.rtol * self.nominal,
@@ -302,24 +302,19 @@ class Exchange:
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
 
-    def _rate(self, time: float, y: np.ndarray, rate: np.ndarray) -> None:
-        if not self.count:
-            rate[:] = 0.0
-            return
-        try:
-            self._move(time, y)
-            rate[:] = self.instance.rates()
-        except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
-            self.problem = error
-            rate[:] = np.nan
+    def _filling(self, read: Callable[[], np.ndarray]) -> Callable[[float, np.ndarray, np.ndarray], None]:
+        """What CVODE calls for rates, or indicators, at a time and states."""
 
-    def _indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
-        try:
-            self._move(time, y)
-            values[:] = self.instance.indicators()
-        except Exception as error:  # noqa: BLE001 - as above
-            self.problem = error
-            values[:] = np.nan
+        def fill(time: float, y: np.ndarray, values: np.ndarray) -> None:
+            """Values (n,) [unit of each] at time [s] and states y (states,) [unit of each]. Raises nothing, but keeps what was raised."""
+            try:
+                self._move(time, y)
+                values[:] = read()
+            except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
+                self.problem = error
+                values[:] = np.nan
+
+        return fill
 
     def _check(self) -> None:
         if self.problem is not None:

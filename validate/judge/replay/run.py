@@ -93,6 +93,7 @@ def replay(
         growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
         def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+            """The replay, and the inputs (steps, nu) [N or N m] that it applied. Raises FmuError, MachineError."""
             found, applied = _seeing_all(scene, kernel, job, feedback)
             return with_lag_error(scene, job, twice, feedback, found), applied
 
@@ -168,6 +169,7 @@ def replay_foreign(
     job = with_steps_of(foreign.model, job)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+        """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
         simulated = job.run(None if feedback is None else feedback.in_units(*units))
         applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
         return _assemble(foreign.model, job, _in_plan_units(foreign, simulated)), applied
