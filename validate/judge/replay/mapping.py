@@ -287,7 +287,11 @@ class _Wiring:
         return Foreign(
             model=self._model(),
             variables=Variables(
-                **references,
+                q=references["q"],
+                v=references["v"],
+                lam=references["lam"],
+                gap=references["gap"],
+                u=references["u"],
                 energies={},
                 powers={},
                 zero=frozenset(),
