@@ -16,7 +16,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.checkout import find_modules_in, module_at
+from benchmarks import find_modules_in, module_at
 from benchmarks.measure import run_child
 from benchmarks.options import COUNT, SEED, json_option
 from validate.store.disk import write_durably

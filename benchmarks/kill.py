@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.checkout import find_modules_in
+from benchmarks import find_modules_in
 from benchmarks.options import COUNT, json_option, seed_option
 from validate.store.disk import write_durably
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.checkout import module_at
+from benchmarks import module_at
 from benchmarks.measure import timed
 from benchmarks.options import campaign_argument, program
 from reports.records.load import load

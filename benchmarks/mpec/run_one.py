@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import ROOT
-from benchmarks.checkout import module_at
+from benchmarks import ROOT, module_at
 
 PROBLEMS = "tests/formulations/mpec/macmpec"
 

@@ -7,6 +7,7 @@ plan that holds. On the scenes of `exact`, on relaxed plans of four scenes, on u
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +30,12 @@ from benchmarks.verdicts.plans import (
     cost,
     exact,
     found,
+    miss,
     motion_of,
+    reaches,
     scene_of,
     slider,
 )
-from benchmarks.verdicts.relaxed import RELAXED, relaxed
-from benchmarks.verdicts.through import rammed, through
 from models.errors import TouchstoneError
 
 EXPECTED = ("violates", REFUSED)
@@ -294,3 +295,118 @@ def _without_forces(reference: str) -> Plan:
 def _written_for(other: str) -> Plan:
     t, u, path = based(other)
     return exact(path, t, u, columns_of=other)
+
+
+# Plans of a relaxed contact law
+
+RELAXED = {
+    "three_cart": "softplus_dc+strict",
+    "hopper": "softplus_dc+strict",
+    "cart_chain": "softplus_dc+strict",
+    "wall_pendulum": "softplus_dc+strict",
+}
+
+
+def relaxed(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...]]]:
+    """A softplus plan, whose forces act from a distance, and what is left of it without the columns that show it."""
+
+    def plan(**changes: object) -> Callable[[], Plan]:
+        def make() -> Plan:
+            first = as_plan(found(reference, RELAXED.get(reference, "softplus_dc+strict"))[0], scene_of(reference))
+            return first.but(**changes)
+
+        return make
+
+    none: dict[str, object] = {"lam": None, "friction": None, "scheme": ""}
+    astray = (*MOTION, *GOAL)
+    return {
+        "relaxed, as its method declares it": (plan(), (*FORCES, *astray)),
+        "relaxed, its scheme not declared": (plan(scheme=""), (*FORCES, *astray)),
+        "relaxed, its forces deleted": (plan(lam=None, friction=None), astray),
+        "relaxed, forces and scheme deleted": (plan(**none), astray),
+        "relaxed, velocities deleted": (plan(v=None, scheme=""), (*FORCES, *astray)),
+        "relaxed, velocities and forces deleted": (plan(v=None, **none), astray),
+        "relaxed, states deleted": (plan(q=None, v=None, scheme=""), (*FORCES, *astray)),
+        "relaxed, inputs alone": (lambda: _that_fails(plan(q=None, v=None, **none)(), reference), astray),
+        "relaxed, printed with two decimals": (plan(digits=2, scheme=""), (*FORCES, *astray)),
+        "relaxed, true forces of its states": (lambda: _law(plan(scheme="")(), reference), astray),
+    }
+
+
+def _that_fails(plan: Plan, reference: str) -> Plan:
+    """The plan, if its inputs do not reach what the scene asks for after all: inputs alone that do are no relaxed plan any more."""
+    if not reaches(scene_of(reference), motion_of(reference).run(plan.t, plan.u), plan.u):
+        raise NoPlanError("by an integration of its own its inputs do what the scene asks for")
+    return plan
+
+
+def _law(plan: Plan, reference: str) -> Plan:
+    """Its forces replaced by those that the true law gives at its own positions."""
+    assert plan.q is not None
+    return plan.but(lam=motion_of(reference).forces(plan.q)[:-1])
+
+
+# Bodies through each other: exact motions that the model does not mean, of inputs within their bounds
+
+
+@cache
+def through() -> Plan:
+    """Three carts: the outer ones squeeze the middle one until two carts are inside each other, and all of them end at the goal.
+
+    The squeeze is 10 N for a second; the inputs after it are steered home by Gauss and Newton's steps on a semi-implicit Euler of all their changes at once.
+    """
+    scene, (t, u, _) = scene_of("three_cart"), based("three_cart")
+    u, h, pieces = u.copy(), scene.task.step, 20
+    squeezed, start, goal = round(1.2 / h), np.array(scene.task.start), np.array(scene.task.goal, dtype=float)
+    u[:squeezed] = (10.0, -10.0)
+    u[squeezed:] = u[squeezed:][:, :] * 0.0
+    wide = (len(u) - squeezed) // pieces
+
+    def ends(knobs: np.ndarray) -> np.ndarray:
+        """knobs (k, 2 pieces) -> states (k, 6)."""
+        x = np.tile(start, (len(knobs), 1))
+        q, v = x[:, :3], x[:, 3:]
+        for step in range(len(u)):
+            force = np.zeros_like(q)
+            held = np.tile(u[step], (len(knobs), 1))
+            if step >= squeezed:
+                piece = min((step - squeezed) // wide, pieces - 1)
+                held = held + knobs[:, 2 * piece : 2 * piece + 2]
+            force[:, 0] += held[:, 0]
+            force[:, 2] += held[:, 1]
+            push = 30.0 * np.maximum(0.5 - np.diff(q, axis=1), 0.0)
+            force[:, :2] -= push
+            force[:, 1:] += push
+            v = v + h * (force - 2.0 * v)
+            q = q + h * v
+        return np.hstack([q, v])
+
+    knobs = np.zeros(2 * pieces)
+    knobs[0::2] = 0.5
+    for _ in range(60):
+        rows = ends(np.vstack([knobs, knobs + 1e-6 * np.eye(len(knobs))]))
+        error, jacobian = rows[0] - goal, (rows[1:] - rows[0]).T / 1e-6
+        if np.abs(error).max() < 1e-4:
+            break
+        change = -np.linalg.lstsq(jacobian, error, rcond=1e-6)[0]
+        knobs = np.clip(knobs + change * min(1.0, 2.0 / np.abs(change).max()), -9.9, 9.9)
+    for piece in range(pieces):
+        low = squeezed + piece * wide
+        u[low : (low + wide if piece < pieces - 1 else len(u))] += knobs[2 * piece : 2 * piece + 2]
+    path = motion_of("three_cart").run(t, u)
+    off = miss(scene, np.concatenate([path.q[-1], path.v[-1]]))
+    if path.depth.max() < 0.51 or max(off) > 0.05:
+        raise NoPlanError(f"the carts are {path.depth.max():.3g} m inside each other and end {off[0]:.3g} m from the goal")
+    return exact(path, t, u)
+
+
+def rammed(reference: str) -> Plan:
+    """All inputs at their bounds, against each other. Raises NoPlanError where the model allows it."""
+    scene = scene_of(reference)
+    signs = np.array([1.0] + [-1.0] * (scene.nu - 1))
+    t, u = based(reference)[0], np.tile(signs * np.array([item.upper for item in scene.inputs]), (scene.task.steps, 1))
+    path = motion_of(reference).run(t, u)
+    depth = path.depth
+    if not (depth > np.array(scene.depths)).any():
+        raise NoPlanError(f"at full force the bodies are {depth.max():.3g} m deep, which the model allows")
+    return exact(path, t, u)

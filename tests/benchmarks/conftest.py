@@ -11,8 +11,7 @@ from types import ModuleType
 
 import pytest
 
-from benchmarks import ROOT
-from benchmarks.checkout import module_at
+from benchmarks import ROOT, module_at
 
 
 @pytest.fixture(scope="session")

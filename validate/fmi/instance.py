@@ -20,14 +20,27 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from fmpy.fmi1 import FMICallException
+from fmpy.fmi1 import _FMU, FMICallException
+from fmpy.fmi2 import (
+    FMU2Model,
+    FMU2Slave,
+    defaultCallbacks,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    fmi2Discard,
+    fmi2Fatal,
+    fmi2LastSuccessfulTime,
+    fmi2OK,
+    fmi2Terminated,
+    fmi2Warning,
+)
+from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package
-from validate.fmi.versions import CLASSES, StepAnswer
 
 # Rounds of one event iteration before it is called endless.
 EVENT_ROUNDS = 100
@@ -70,6 +83,172 @@ class References:
         self.array = (ctypes.c_uint * self.count)(*references)
         self.memory: Any = (ctypes.c_double * self.count)()
         self.values = np.frombuffer(self.memory) if self.count else np.empty(0)
+
+
+# FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass, differently. What is the same in both - terminate, reset,
+# enterEventMode, getContinuousStates, .. - is FMPy's own. A class must be called FMU2.. or FMU3..: FMPy takes the prefix of the functions from that.
+
+
+class StepAnswer(NamedTuple):
+    """What a communication step answered.
+
+    event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it returned early; reached: the time it says it reached [s]
+    (FMI 2.0 says nothing: the end of the step).
+    """
+
+    event: bool
+    ends: bool
+    early: bool
+    reached: float
+
+
+class _Calls(_FMU):
+    """FMPy's one way to call, stricter: a status that FMI does not know is refused as well, and a fatal one is remembered (`fatal`)."""
+
+    prefix: str
+    whole: str  # what enumerations are read and written as
+    state: str
+    fatal = False
+
+    def _call(self, fname: str, *args: Any) -> Any:
+        function = self._functions[fname]
+        answer = function(*args)
+        if function.restype is ctypes.c_int and answer != fmi2OK and answer != fmi2Warning:
+            self.refuse(fname, answer)
+        return answer
+
+    def refuse(self, function: str, status: int) -> NoReturn:
+        """Raise FMICallException for a call of `function` that was answered with this status."""
+        self.fatal = self.fatal or status == fmi2Fatal
+        raise FMICallException(function=function, status=status)
+
+    def address(self, function: str) -> int:
+        """Of one of FMI's functions, named without its prefix."""
+        return ctypes.cast(self._functions[self.prefix + function], ctypes.c_void_p).value or 0
+
+    def name_of(self, kind: str) -> str:
+        """How the functions that read and write a type are called."""
+        return self.whole if kind == "Enumeration" else kind
+
+    def write(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
+        made = float if kind in ("Real", "Float64", "Float32") else bool if kind == "Boolean" else int
+        getattr(self, f"set{self.name_of(kind)}")(references, [made(value) for value in values])
+
+    def save_to(self, place: Any) -> None:
+        self._call(f"{self.prefix}Get{self.state}", self.component, ctypes.byref(place))
+
+
+class _Fmi2(_Calls):
+    prefix, whole, state = "fmi2", "Integer", "FMUstate"
+
+    def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
+        if self.callbacks is None:
+            own = fmi2CallbackFunctions()
+            own.logger = fmi2CallbackLoggerTYPE(log)
+            own.allocateMemory, own.freeMemory = defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory
+            self.callbacks = own
+        self.instantiate(callbacks=self.callbacks, **options)
+
+    def setup(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        """Before values are set."""
+        self.setupExperiment(tolerance=tolerance, startTime=start, stopTime=stop)
+
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        """Into Initialization Mode."""
+        self.enterInitializationMode()
+
+    def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
+        return getattr(self, f"get{self.name_of(kind)}")(references)
+
+    def read_doubles(self, references: Any, memory: Any, count: int) -> None:
+        """Into memory of C's, without a list."""
+        self.fmi2GetReal(self.component, references, count, memory)
+
+    def write_doubles(self, references: Any, memory: Any, count: int) -> None:
+        self.fmi2SetReal(self.component, references, count, memory)
+
+    def step(self, time: float, length: float) -> StepAnswer:
+        """One communication step [s]."""
+        try:
+            self.doStep(time, length)
+        except FMICallException as error:
+            if error.status == fmi2Discard and self._status(self.getBooleanStatus, fmi2Terminated):
+                return StepAnswer(False, True, False, time + length)
+            raise
+        return StepAnswer(False, False, False, time + length)
+
+    def last_successful_time(self) -> float | None:
+        """May be asked after a step that was discarded; None if the FMU does not tell it."""
+        return self._status(self.getRealStatus, fmi2LastSuccessfulTime)
+
+    def _status(self, ask: Callable[[int], Any], what: int) -> Any:
+        try:
+            return ask(what)
+        except FMICallException:
+            return None
+
+    def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+        return self.getDirectionalDerivative(unknowns, knowns, seed)
+
+
+class _Fmi3(_Calls):
+    """Co-Simulation without event mode and without early return, unless the options ask for them."""
+
+    prefix, whole, state = "fmi3", "Int64", "FMUState"
+
+    def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
+        self.instantiate(logMessage=log, **options)
+
+    def setup(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        """FMI 3.0 is given the times on entering initialisation."""
+
+    def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
+        self.enterInitializationMode(tolerance=tolerance, startTime=start, stopTime=stop)
+
+    def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
+        return getattr(self, f"get{self.name_of(kind)}")(references, nValues=size)
+
+    def read_doubles(self, references: Any, memory: Any, count: int) -> None:
+        self.fmi3GetFloat64(self.component, references, count, memory, count)
+
+    def write_doubles(self, references: Any, memory: Any, count: int) -> None:
+        self.fmi3SetFloat64(self.component, references, count, memory, count)
+
+    def step(self, time: float, length: float) -> StepAnswer:
+        return StepAnswer(*self.doStep(time, length))
+
+    def last_successful_time(self) -> float | None:
+        """FMI 3.0 tells it with the step."""
+        return None
+
+    def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+        return self.getDirectionalDerivative(unknowns, knowns, seed, nSensitivity=size)
+
+    def adjoint(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
+        return self.getAdjointDerivative(unknowns, knowns, seed, nSensitivity=size)
+
+
+class FMU2Exchange(_Fmi2, FMU2Model):
+    """FMI 2.0, Model Exchange."""
+
+    rates, update = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates
+
+
+class FMU2Stepping(_Fmi2, FMU2Slave):
+    """FMI 2.0, Co-Simulation."""
+
+
+class FMU3Exchange(_Fmi3, FMU3Model):
+    """FMI 3.0, Model Exchange."""
+
+    rates, update = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates
+
+
+class FMU3Stepping(_Fmi3, FMU3Slave):
+    """FMI 3.0, Co-Simulation."""
+
+
+CLASSES = {(2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange, (3, "CS"): FMU3Stepping}
 
 
 class Instance:

@@ -7,7 +7,7 @@ Each check is one function that claims something of a sound FMU and finds out; h
 each with its time and memory: an FMU that hangs or crashes has failed a check, and nothing else happens.
 """
 
+from validate.fmu_check.check import CheckReport, FmuCheckRow, Status
 from validate.fmu_check.host import CHECK_SECONDS, check_fmu
-from validate.fmu_check.result import CheckReport, FmuCheckRow, Status
 
 __all__ = ["CHECK_SECONDS", "CheckReport", "FmuCheckRow", "Status", "check_fmu"]

@@ -14,8 +14,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour, TerminationRequested
-from validate.fmu_check.motion import compare, run
-from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
 # Two times are the same if they differ by less than this share of a step.
@@ -205,23 +205,18 @@ def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     return ""
 
 
-@check("event mode of Co-Simulation", Scope.COSIMULATION)
+@check("event mode of Co-Simulation", Scope.COSIMULATION, needs=("", "hasEventMode"))
 def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
-    if subject.major < 3 or not subject.can(kind, "hasEventMode"):
-        return not_offered("FMI 2.0 has none." if subject.major < 3 else "hasEventMode is false.")
     steps, log = subject.long_steps(kind), _StepLog()
-    with CheckedInstance(subject, kind) as instance:
-        plain = run(instance.begin(), 0, steps)
+    plain = fresh_run(subject, kind, steps)
     with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
         rows = _through(instance.begin(), steps, log)
         wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
-        apart = compare(subject, rows, _through(instance.begin(), steps, _StepLog()))
-        if not apart.equal:
-            return failed(f"after reset in a run with event mode, {apart.where(subject)}.")
+        require_equal(subject, rows, _through(instance.begin(), steps, _StepLog()), "after reset in a run with event mode")
     return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
@@ -286,11 +281,9 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 
 
-@check("intermediate update", Scope.COSIMULATION)
+@check("intermediate update", Scope.COSIMULATION, needs=("", _UPDATE))
 def intermediate_update(subject: Subject, kind: str) -> Finding:
     """It is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing."""
-    if subject.major < 3 or not subject.can(kind, _UPDATE):
-        return not_offered("FMI 2.0 has none." if subject.major < 3 else f"{_UPDATE} is false.")
     steps = min(subject.steps(kind), 2 * HOLD)
     wrong: list[str] = []
     calls = [0, 0]  # all, those in which values may be got
@@ -325,8 +318,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
             raise Misbehaviour(wrong[0])
 
     watched: list[FmuVariable] = [item for item in subject.outputs if item.is_float]
-    with CheckedInstance(subject, kind) as instance:
-        plain = run(instance.begin(), 0, steps)
+    plain = fresh_run(subject, kind, steps)
     options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
     with CheckedInstance(subject, kind, options=options) as instance:
         reading.append(instance)
@@ -341,11 +333,9 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     )
 
 
-@check("input derivatives", Scope.COSIMULATION)
+@check("input derivatives", Scope.COSIMULATION, needs=("canInterpolateInputs", ""))
 def input_derivatives(subject: Subject, kind: str) -> Finding:
     """A step with sloping inputs is what many small steps with stairs come to."""
-    if subject.major >= 3 or not subject.can(kind, "canInterpolateInputs"):
-        return not_offered("FMI 3.0 has none." if subject.major >= 3 else "canInterpolateInputs is false.")
     inputs = subject.continuous_inputs
     if not inputs or not subject.states or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
         return not_offered("that needs continuous inputs, states that are named, and communication steps of any length.")

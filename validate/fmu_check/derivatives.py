@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.motion import Record, run
-from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmu_check.motion import Record, fresh_run, run
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
@@ -174,8 +174,7 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     places = {int(share * steps) for share in SHARES}
     if kind == "ME":
         record = Record()
-        with CheckedInstance(subject, kind, "events") as instance:
-            run(instance.begin(), 0, steps, observe="end", record=record)
+        fresh_run(subject, kind, steps, "events", observe="end", record=record)
         ends = [math.ceil((time - subject.start_time) / subject.step) for time, crossed, _ in record.events if crossed]
         # Where events crowd, a run that starts afresh at each point could not follow.
         last = math.floor((min(record.crowded, subject.time(steps)) - subject.start_time) / subject.step) - 1
@@ -215,12 +214,9 @@ _OTHER_STEPS = 3.7e-3
 _CHANGED = 1e-9
 
 
-@check("directional derivatives", Scope.EACH)
+@check("directional derivatives", Scope.EACH, needs=("providesDirectionalDerivative", "providesDirectionalDerivatives"))
 def directional(subject: Subject, kind: str) -> Finding:
     """They equal finite differences within the error of those."""
-    ability = "providesDirectionalDerivative" if subject.major == 2 else "providesDirectionalDerivatives"
-    if not subject.can(kind, ability):
-        return not_offered(f"{ability} is false.")
     looked = sharp = kinks = places = 0
     wrong: list[str] = []
 
@@ -279,11 +275,9 @@ def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.nda
     ]
 
 
-@check("adjoint derivatives", Scope.EACH)
+@check("adjoint derivatives", Scope.EACH, needs=("", "providesAdjointDerivatives"))
 def adjoint(subject: Subject, kind: str) -> Finding:
     """They are the transpose of what finite differences give."""
-    if not subject.can(kind, "providesAdjointDerivatives"):
-        return not_offered("providesAdjointDerivatives is false." if subject.major >= 3 else "FMI 2.0 has none.")
     looked = 0
     dice = np.random.default_rng(11)
     for point in _points(subject, kind):

@@ -14,8 +14,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, run
-from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Values read in two ways are the same number.

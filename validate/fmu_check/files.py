@@ -19,8 +19,8 @@ from typing import Any
 from fmpy.validation import validate_fmu
 
 from validate.fmi.archive import binary_name, problems
-from validate.fmi.versions import CLASSES
-from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmi.instance import CLASSES
+from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import FmuVariable, Subject
 
 _HEADER = 52  # bytes of the shorter header, that of 32 bits

@@ -23,8 +23,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
-from validate.fmu_check.forked import in_fork
-from validate.fmu_check.result import Check, CheckReport, FmuCheckRow, Scope, Status
+from validate.fmu_check.check import Check, CheckReport, FmuCheckRow, Scope, Status, in_fork
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
@@ -64,6 +65,38 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDiffe
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
     return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), names[column], int(row))
+
+
+def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0) -> None:
+    """Raise Failed if two runs differ in any bit.
+
+    Parameters
+    ----------
+    one, other : (rows, observed) values of all variables [unit of each variable].
+    clause : what was done to the second; first: the step of row 0.
+
+    Raises
+    ------
+    Failed : with the clause, the variable and the time.
+    """
+    apart = compare(subject, one, other)
+    if not apart.equal:
+        raise Failed(f"{clause}, {apart.where(subject, first)}.")
+
+
+def fresh_run(subject: Subject, kind: str, steps: int, name: str = "check", **how: Any) -> np.ndarray:
+    """A run of a fresh instance from its start; how: see `run`.
+
+    Returns
+    -------
+    (steps + 1, observed) values of all variables [unit of each variable].
+
+    Raises
+    ------
+    FMICallException, Fault : as `run`.
+    """
+    with CheckedInstance(subject, kind, name) as instance:
+        return run(instance.begin(), 0, steps, **how)
 
 
 def restart_limit(subject: Subject) -> float:
@@ -193,10 +226,10 @@ class Exchange:
         self.y = self.instance.states() if self.count else np.zeros(1)
         options: dict[str, Any] = {}
         if self.instance.indicator_count:
-            options = {"eventsfn": lambda time, y, values: self._indicate(time, y, values), "num_events": self.instance.indicator_count}
+            options = {"eventsfn": self._filling(self.instance.indicators), "num_events": self.instance.indicator_count}
         step = self.instance.subject.step
         self.solver = CVODE(
-            self._rate,
+            self._filling(self.instance.rates) if self.count else lambda time, y, rate: rate.fill(0.0),
             method=self.method,
             rtol=self.rtol,
             atol=0.1 * self.rtol * self.nominal,
@@ -269,24 +302,19 @@ class Exchange:
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
 
-    def _rate(self, time: float, y: np.ndarray, rate: np.ndarray) -> None:
-        if not self.count:
-            rate[:] = 0.0
-            return
-        try:
-            self._move(time, y)
-            rate[:] = self.instance.rates()
-        except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
-            self.problem = error
-            rate[:] = np.nan
+    def _filling(self, read: Callable[[], np.ndarray]) -> Callable[[float, np.ndarray, np.ndarray], None]:
+        """What CVODE calls for rates, or indicators, at a time and states."""
 
-    def _indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
-        try:
-            self._move(time, y)
-            values[:] = self.instance.indicators()
-        except Exception as error:  # noqa: BLE001 - as above
-            self.problem = error
-            values[:] = np.nan
+        def fill(time: float, y: np.ndarray, values: np.ndarray) -> None:
+            """Values (n,) [unit of each] at time [s] and states y (states,) [unit of each]. Raises nothing, but keeps what was raised."""
+            try:
+                self._move(time, y)
+                values[:] = read()
+            except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
+                self.problem = error
+                values[:] = np.nan
+
+        return fill
 
     def _check(self) -> None:
         if self.problem is not None:

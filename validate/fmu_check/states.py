@@ -19,9 +19,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.forked import in_fork
-from validate.fmu_check.motion import compare, restart_limit, run
-from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, in_fork, not_offered, passed
+from validate.fmu_check.motion import compare, fresh_run, require_equal, restart_limit, run
 from validate.fmu_check.subject import CheckedInstance, Subject
 
 # Where in a run states are saved.
@@ -34,20 +33,13 @@ _HALF_SECONDS = 25.0
 # Memory taken before the FMU is loaded a second time, so that nothing lies where it lay: an address in the bytes shows.
 _SHIFT = 37 * 1024**2
 
-# How FMI spells it.
-STATE = {2: "state", 3: "State"}
+# How FMI 2.0 and 3.0 spell it.
+_SAVES, _SERIALISES = ("canGetAndSetFMUstate", "canGetAndSetFMUState"), ("canSerializeFMUstate", "canSerializeFMUState")
 
 
-def can_save(subject: Subject, kind: str) -> bool:
-    """Whether states can be got and set."""
-    return subject.can(kind, f"canGetAndSetFMU{STATE[subject.major]}")
-
-
-@check("set state restores", Scope.EACH)
+@check("set state restores", Scope.EACH, needs=_SAVES)
 def restores(subject: Subject, kind: str) -> Finding:
     """A saved state, set again after other steps and other inputs, continues as the first time."""
-    if not can_save(subject, kind):
-        return not_offered(f"canGetAndSetFMU{STATE[subject.major]} is false.")
     steps = subject.steps(kind)
     length = max(2, steps // 4)
     worst, limit = 0.0, restart_limit(subject)
@@ -117,11 +109,9 @@ def begin_varied(instance: CheckedInstance) -> None:
         instance.begin()
 
 
-@check("serialised state loads elsewhere", Scope.EACH)
+@check("serialised state loads elsewhere", Scope.EACH, needs=_SERIALISES)
 def serialises(subject: Subject, kind: str) -> Finding:
     """The bytes of a state, loaded in a new process, continue as the first process did."""
-    if not subject.can(kind, f"canSerializeFMU{STATE[subject.major]}"):
-        return not_offered(f"canSerializeFMU{STATE[subject.major]} is false.")
     steps = subject.steps(kind)
     place, length = steps // 2, max(2, steps // 4)
 
@@ -181,22 +171,16 @@ _RESIDENT_KEPT = 1024.0
 def repeats(subject: Subject, kind: str) -> Finding:
     """Two fresh instances with the same inputs give the same bits."""
     steps = subject.steps(kind)
-    runs = []
-    for name in ("first", "second"):
-        with CheckedInstance(subject, kind, name) as instance:
-            runs.append(run(instance.begin(), 0, steps))
-    apart = compare(subject, *runs)
-    if not apart.equal:
-        return failed(f"in a second run, {apart.where(subject)}.")
-    return passed(f"{runs[0].shape[1]} values over {len(runs[0]) - 1} steps: equal bits.")
+    first, second = (fresh_run(subject, kind, steps, name) for name in ("first", "second"))
+    require_equal(subject, first, second, "in a second run")
+    return passed(f"{first.shape[1]} values over {len(first) - 1} steps: equal bits.")
 
 
 @check("reset equals a fresh instance", Scope.EACH)
 def resets(subject: Subject, kind: str) -> Finding:
     """After a run with other parameters and inputs, reset forgets all of it."""
     steps = subject.steps(kind)
-    with CheckedInstance(subject, kind, "fresh") as instance:
-        reference = run(instance.begin(), 0, steps)
+    reference = fresh_run(subject, kind, steps, "fresh")
     with CheckedInstance(subject, kind, "reset") as instance:
         for terminated in (True, False):
             begin_varied(instance)
@@ -204,9 +188,8 @@ def resets(subject: Subject, kind: str) -> Finding:
             if terminated:
                 instance.fmu.terminate()
             instance.fmu.reset()
-            apart = compare(subject, reference, run(instance.begin(), 0, steps))
-            if not apart.equal:
-                return failed(f"after reset{' from a terminated run' if terminated else ''}, {apart.where(subject)}.")
+            clause = f"after reset{' from a terminated run' if terminated else ''}"
+            require_equal(subject, reference, run(instance.begin(), 0, steps), clause)
             instance.fmu.reset()
     return passed(f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits.")
 
@@ -230,9 +213,7 @@ def independent(subject: Subject, kind: str) -> Finding:
     for instance in pair:
         instance.close()
     for seed in (0, 1):
-        apart = compare(subject, alone[seed], np.array([row for row in rows[seed] if row is not None]))
-        if not apart.equal:
-            return failed(f"beside another instance, {apart.where(subject, 1)}.")
+        require_equal(subject, alone[seed], np.array([row for row in rows[seed] if row is not None]), "beside another instance", 1)
     return passed(f"{steps} steps each in turn, with different parameters and inputs: equal bits.")
 
 
@@ -253,7 +234,7 @@ def _stepwise(instance: CheckedInstance, steps: int, seed: int):
 def leaks(subject: Subject, kind: str) -> Finding:
     """Instantiating, running, saving states and freeing again and again does not grow the process."""
     instance = CheckedInstance(subject, kind)
-    saves = can_save(subject, kind)
+    saves = subject.can(kind, _SAVES[subject.major >= 3])
 
     made = 1
 

@@ -6,8 +6,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.motion import compare, run
-from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmu_check.motion import fresh_run, require_equal, run
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 
 # A start value may lose its last digits on its way through text.
@@ -147,8 +147,7 @@ def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarra
 def finite(subject: Subject, kind: str) -> Finding:
     """No variable becomes infinite or not a number in a run with moderate inputs."""
     steps = subject.long_steps(kind)
-    with CheckedInstance(subject, kind) as instance:
-        rows = run(instance.begin(), 0, steps)
+    rows = fresh_run(subject, kind, steps)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         names = entry_names(subject.observed)
@@ -163,8 +162,7 @@ def get_order(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), 20)
     observed = subject.observed
     dice = np.random.default_rng(5)
-    with CheckedInstance(subject, kind, "all") as instance:
-        reference = run(instance.begin(), 0, steps)
+    reference = fresh_run(subject, kind, steps, "all")
     other = []
     with CheckedInstance(subject, kind, "single") as instance:
 
@@ -177,12 +175,9 @@ def get_order(subject: Subject, kind: str) -> Finding:
         instance.begin()
         shuffled()
         run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
-    with CheckedInstance(subject, kind, "last") as instance:
-        last = run(instance.begin(), 0, steps, observe="end")
+    last = fresh_run(subject, kind, steps, "last", observe="end")
     for rows, how in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
-        apart = compare(subject, reference[-len(rows) :], rows)
-        if not apart.equal:
-            return failed(f"{how}, {apart.where(subject, len(reference) - len(rows))}.")
+        require_equal(subject, reference[-len(rows) :], rows, how, len(reference) - len(rows))
     return passed(
         f"{len(observed)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
     )

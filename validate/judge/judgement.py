@@ -12,8 +12,9 @@ limited feedback; where a plan that declares no scheme fails, a third tells whet
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,9 +27,9 @@ from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, read_csv, trajectory_from
 from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
-from validate.fmi.description import Package, read_package
+from validate.fmi.description import read_package
 from validate.judge.replay import Replay
-from validate.judge.replay.run import Foreign, replay, replay_foreign
+from validate.judge.replay.run import Track, replay, replay_foreign
 from validate.judge.replay.subject import Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
@@ -109,12 +110,17 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
     def follow(opened: Replay) -> bool:
         return wants_feedback(score(scene, plan, opened).metrics)
 
-    replayed = replay(scene, fmu, plan, limits=limits, track=True if feedback else follow)
-    result = score(scene, plan, replayed)
-    if _may_be_held_otherwise(plan, result):
-        other = replay(scene, fmu, _held_otherwise(plan), limits=limits)
-        result = score(scene, plan, replayed, other_hold=other)
-    return Judgement(scene=scene, plan=plan, replay=replayed, score=result)
+    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), True if feedback else follow)
+
+
+def _judged(subject: Subject, plan: Trajectory, run: Callable[..., Replay], track: Track) -> Judgement:
+    """A plan judged by what `run` replays of it: with feedback where `track` says so, and held the other way where that may be why it fails."""
+    replayed = run(plan, track=track)
+    result = score(subject, plan, replayed)
+    if plan.scheme is None and plan.u.shape[1] > 0 and dict(result.questions).get(Question.MOTION) == "no" and not result.verdict.is_good:
+        other = run(replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER))
+        result = score(subject, plan, replayed, other_hold=other)
+    return Judgement(scene=subject, plan=plan, replay=replayed, score=result)
 
 
 def judge_fmu(
@@ -142,8 +148,7 @@ def judge_fmu(
     FmuError, MapError, TrajectoryError, MachineError : in one sentence.
     """
     # The names of an FMU's map need pydantic, which a replay on a scene does without: 0.1 s.
-    from validate.judge.replay.equal_names import hint
-    from validate.judge.replay.map_schema import MapError, read_map
+    from validate.judge.replay.map_schema import MapError, hint, read_map
     from validate.judge.replay.mapping import wire
 
     given = read_map(map_path) if map_path is not None else None
@@ -161,27 +166,7 @@ def judge_fmu(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
     foreign, trajectory = wire(package, table, given, hold, where)
-    return judge_on_fmu(foreign, package, trajectory, feedback=feedback, limits=limits or Limits())
-
-
-def judge_on_fmu(foreign: Foreign, package: Package, plan: Trajectory, *, feedback: bool = False, limits: Limits) -> Judgement:
-    """The same of a plan on somebody's FMU, always in a child."""
-    replayed = replay_foreign(foreign, package, plan, limits=limits, track=feedback)
-    result = score(foreign.model, plan, replayed)
-    if _may_be_held_otherwise(plan, result):
-        other = replay_foreign(foreign, package, _held_otherwise(plan), limits=limits)
-        result = score(foreign.model, plan, replayed, other_hold=other)
-    return Judgement(scene=foreign.model, plan=plan, replay=replayed, score=result)
-
-
-def _may_be_held_otherwise(plan: Trajectory, result: Score) -> bool:
-    return (
-        plan.scheme is None and plan.u.shape[1] > 0 and dict(result.questions).get(Question.MOTION) == "no" and not result.verdict.is_good
-    )
-
-
-def _held_otherwise(plan: Trajectory) -> Trajectory:
-    return replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER)
+    return _judged(foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits()), feedback)
 
 
 def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:

@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,9 @@ from formulations.method import Clock, Kind, Leg, Method, Options, Pipeline, Ses
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
-from validate.judge.score.verdict import Question
+from validate.judge.judgement import Judgement
+from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
+from validate.judge.score import Metric, Question, Score, Verdict
 from validate.tasks.plugins import Plugin
 
 
@@ -164,92 +166,30 @@ PIPELINES = (
 )
 
 
-@dataclass
-class FakeDifference:
-    position: float = 1e-9
+def _judge(score, scene: Scene, fmu: Path, trajectory: Trajectory) -> Judgement:
+    nodes = len(trajectory.t)
+    still, lam = np.zeros(nodes), np.vstack([trajectory.lam, trajectory.lam[-1:]])
+    replay = Replay(
+        scene=scene.name, outcome=ReplayOutcome.OK, message="", method="everyday", t=trajectory.t, q=trajectory.q, v=trajectory.v, lam=lam,
+        gap=np.zeros((nodes, scene.nc)), friction=np.zeros((nodes, scene.nf)), knots=np.arange(nodes), kinetic_energy=still, potential_energy=still,
+        contact_energy=still, input_work=None, dissipated_work=None, contact_impulse=None, events=(), event_budget=0,
+        error=ReplayError(estimate=Difference(position=1e-9, state=1e-9, gap=1e-9)), seconds_reference=0.0, seconds_everyday=0.0, fmu="none",
+    )  # fmt: skip
+    return Judgement(scene=scene, plan=trajectory, replay=replay, score=score(scene, trajectory))
 
 
-@dataclass
-class FakeError:
-    estimate: FakeDifference = field(default_factory=FakeDifference)
-    tolerance: FakeDifference | None = None
-    rollback: FakeDifference | None = None
-    step_source: str = "none"
-    step: FakeDifference | None = None
-    everyday: FakeDifference | None = None
-
-
-class FakeReplayOutcome:
-    value = "fine"
-
-
-@dataclass
-class FakeReplay:
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    lam: np.ndarray
-    knots: np.ndarray
-    error: FakeError = field(default_factory=FakeError)
-    events: tuple = ()
-    seconds_reference: float = 0.0
-    seconds_everyday: float = 0.0
-    fmu: str = "none"
-    message: str = ""
-    outcome: object = field(default_factory=FakeReplayOutcome)
-
-
-@dataclass
-class FakeMetric:
-    name: str
-    value: float | None
-    unit: str = "m"
-    meaning: str = "fake"
-    question: Question = Question.SHOWN
-    error: float = 0.0
-    limit: float | None = None
-    reason: str = ""
-    ok: bool | None = None
-    default: bool = True
-
-
-@dataclass
-class FakeScore:
-    metrics: tuple[FakeMetric, ...]
-    verdict: str
-    why: str
-    judged: str = "open"
-    questions: tuple[tuple[Question, str], ...] = ()
-    not_asked: tuple[str, ...] = ()
-
-
-@dataclass
-class FakeJudgement:
-    replay: FakeReplay
-    score: FakeScore
-
-
-def _judge(score, scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeJudgement:
-    replay = _replay(scene, fmu, trajectory)
-    return FakeJudgement(replay, score(scene, trajectory, replay))
-
-
-def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeReplay:
-    lam = np.vstack([trajectory.lam, trajectory.lam[-1:]])
-    return FakeReplay(t=trajectory.t, q=trajectory.q, v=trajectory.v, lam=lam, knots=np.arange(len(trajectory.t)))
-
-
-def _score(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
+def _score(scene: Scene, trajectory: Trajectory) -> Score:
     error = float(np.linalg.norm(trajectory.end - np.array(scene.task.goal)))
-    metrics = (FakeMetric("terminal_error", error), FakeMetric("physics", 0.0, "N^2"), FakeMetric("replay_error", float("nan")))
-    return FakeScore(metrics, "holds", "it is a fake")
+    shown = {"terminal_error": (error, "m"), "physics": (0.0, "N^2"), "replay_error": (float("nan"), "m")}
+    metrics = [Metric(name=name, question=Question.SHOWN, value=value, unit=unit, meaning="fake") for name, (value, unit) in shown.items()]
+    return Score(metrics=tuple(metrics), verdict=Verdict.HOLDS, why="it is a fake")
 
 
-def _score_badly(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
-    return FakeScore(_score(scene, trajectory, replay).metrics, "violates", "the fake judge is strict")
+def _score_badly(scene: Scene, trajectory: Trajectory) -> Score:
+    return replace(_score(scene, trajectory), verdict=Verdict.VIOLATES, why="the fake judge is strict")
 
 
-def _stumble(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
+def _stumble(scene: Scene, trajectory: Trajectory) -> Score:
     raise ZeroDivisionError("the judge's own mistake")
 
 

@@ -11,17 +11,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hostile_mutations import spoilt_data, spoilt_text
+from hostile_mutations import spoilt_json
 from hostile_records import KEY, good_record, spoilt_campaign
 
 from models.errors import TouchstoneError
 from reports.records.load import ReportError
 
 _PLAN = b"no plan, and not read: no stage says that it has one"
-
-
-def _spoilt(rng: random.Random, data: Any) -> bytes:
-    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
 
 
 def _each(*reads: Callable[[], object]) -> None:
@@ -45,8 +41,8 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
             json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
         )
     request = {"cell": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
-    (run / "cell.json").write_bytes(_spoilt(rng, request))
-    (run / "files.json").write_bytes(_spoilt(rng, {"trajectory_0.nc": 10}))
+    (run / "cell.json").write_bytes(spoilt_json(rng, request))
+    (run / "files.json").write_bytes(spoilt_json(rng, {"trajectory_0.nc": 10}))
     return path
 
 
@@ -107,7 +103,7 @@ def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
     source = folder / "legs" / KEY
     source.mkdir(parents=True, exist_ok=True)
     (source / "trajectory_1.nc").write_bytes(_PLAN)
-    (source / "leg.json").write_bytes(_spoilt(rng, content))
+    (source / "leg.json").write_bytes(spoilt_json(rng, content))
     return folder
 
 
@@ -124,7 +120,7 @@ def take_leg(path: Path) -> None:
 
 def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
     path = folder / "scheduler.json"
-    path.write_bytes(_spoilt(rng, {"type": "Scheduler", "id": "x", "address": "tcp://127.0.0.1:9", "services": {}, "workers": {}}))
+    path.write_bytes(spoilt_json(rng, {"type": "Scheduler", "id": "x", "address": "tcp://127.0.0.1:9", "services": {}, "workers": {}}))
     return path
 
 
@@ -157,7 +153,7 @@ def _suite() -> dict[str, Any]:
 
 def spoilt_suite(rng: random.Random, folder: Path) -> Path:
     path = folder / "suite.json"
-    path.write_bytes(_spoilt(rng, _suite()))
+    path.write_bytes(spoilt_json(rng, _suite()))
     return path
 
 

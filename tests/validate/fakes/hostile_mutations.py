@@ -1,8 +1,9 @@
-"""Seeded mutations that turn a good file into a hostile one: of text, of bytes, of nested data."""
+"""Seeded mutations that turn a good file into a hostile one: of text, of bytes, of nested data, of data as JSON."""
 
 from __future__ import annotations
 
 import copy
+import json
 import random
 from typing import Any
 
@@ -62,3 +63,7 @@ def spoilt_data(rng: random.Random, data: Any) -> Any:
                 break
             node = node[key]
     return data
+
+
+def spoilt_json(rng: random.Random, data: Any) -> bytes:
+    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()

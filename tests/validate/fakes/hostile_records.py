@@ -7,7 +7,7 @@ import random
 from pathlib import Path
 from typing import Any
 
-from hostile_mutations import spoilt_data, spoilt_text
+from hostile_mutations import spoilt_json
 
 KEY = "a" * 64
 
@@ -47,11 +47,7 @@ def spoilt_campaign(rng: random.Random, folder: Path) -> Path:
         (folder / "campaign" / "campaign.json", campaign),
         (run / "cell.json", {"cell": {"key": KEY}}),
     ):
-        if rng.random() < 0.6:
-            text = spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
-            path.write_bytes(text)
-        else:
-            path.write_text(json.dumps(data), encoding="utf-8")
+        path.write_bytes(spoilt_json(rng, data) if rng.random() < 0.6 else json.dumps(data).encode())
     return folder / "campaign"
 
 

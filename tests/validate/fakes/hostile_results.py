@@ -6,18 +6,12 @@ import json
 import random
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
+from hostile_mutations import spoilt_bytes, spoilt_json, spoilt_text
 from hostile_records import KEY, good_record
 
 from models.errors import TouchstoneError
-
-
-def _spoilt_json(rng: random.Random, data: Any) -> bytes:
-    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
-
 
 # ---- somebody's plan --------------------------------------------------------------------------------------------------------------------------
 
@@ -93,7 +87,7 @@ def spoilt_leg(rng: random.Random, folder: Path) -> Path:
         "stages": [{**good_record()["stages"][0], "has_plan": False}],
     }
     (folder / "leg_1").mkdir(exist_ok=True)
-    (folder / "leg_1" / "leg.json").write_bytes(_spoilt_json(rng, content))
+    (folder / "leg_1" / "leg.json").write_bytes(spoilt_json(rng, content))
     return folder
 
 
@@ -112,7 +106,7 @@ def spoilt_answer(rng: random.Random, folder: Path) -> Path:
     if rng.random() < 0.5:
         (folder / TAKEN).write_bytes(spoilt_bytes(rng, (folder / TAKEN).read_bytes()))
     told = {"ending": rng.choice(["OK", "ERROR", "MACHINE", "EXCEPTION"]), "value": {"a": 1}, "sentence": "a sentence"}
-    (folder / ANSWER).write_bytes(json.dumps(told).encode() if rng.random() < 0.3 else _spoilt_json(rng, told))
+    (folder / ANSWER).write_bytes(json.dumps(told).encode() if rng.random() < 0.3 else spoilt_json(rng, told))
     return folder
 
 

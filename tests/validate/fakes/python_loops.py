@@ -1,7 +1,7 @@
 """The loops of a replay in Python, one call of FMI at a time: what the compiled ones must do, call by call and bit for bit.
 
 integrate(PythonModel(package, variables), ...)    # CVODE through scikit-sundae; of any ContinuousModel
-simulate(package, variables, ...)                  # validate.judge.replay.everyday.simulate with this loop in place of stepping.c
+simulate(package, variables, ...)                  # validate.judge.replay.everyday.simulate with this loop in place of that of loops.c
 """
 
 from __future__ import annotations

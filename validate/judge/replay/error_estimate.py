@@ -24,11 +24,9 @@ import numpy as np
 from models.codegen.kernel import Kernel
 from models.collocation import penetration_rates
 from models.scene import Scene
-from models.trajectory import Trajectory
-from validate.execution.isolated import Limits
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
-from validate.judge.replay.job import ReplaySettings, run_job
+from validate.judge.replay.job import Job
 from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Outputs, Subject, find_variables
 from validate.judge.replay.wiring import Feedback, Variables
@@ -84,47 +82,24 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
     return float(np.min(2.0 * np.sqrt(-2.0 * lowest[dips] / bend))) / _WITHIN
 
 
-def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings) -> ReplaySettings:
-    """Settings for a plan, however long its steps are: nothing is seen less often than on the task's own grid.
-
-    Parameters
-    ----------
-    subject : its task says the step.
-    times : (nodes,) of the plan [s].
-    settings : for a plan on the task's own grid.
-
-    Raises
-    ------
-    ValueError : for fewer than two nodes.
-    """
-    step = float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
+def with_steps_of(subject: Subject, job: Job) -> Job:
+    """The job for a plan, however long its steps are: nothing is seen less often than on the task's own grid."""
+    times, step = job.plan.t, float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
-    parts = min(settings.parts * max(1, longest), _MOST_PARTS)
-    factor = max(1, math.ceil(base_step(times) / step - 1e-6))
-    return replace(settings, parts=parts, fineness=tuple(factor * fineness for fineness in settings.fineness))
+    parts = min(job.parts * max(1, longest), _MOST_PARTS)
+    return _finer(replace(job, parts=parts), base_step(times) / step - 1e-6)
 
 
-def with_max_step(times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
-    """Settings with integrator steps of at most `longest`, in the everyday replay too.
-
-    Parameters
-    ----------
-    times : (nodes,) of the plan [s].
-    settings : the settings so far.
-    longest : [s].
-
-    Returns
-    -------
-    The settings; None where that takes more than a million steps.
-
-    Raises
-    ------
-    ZeroDivisionError : for a step of 0.
-    """
-    if np.ptp(times) / longest > _MOST:
+def with_max_step(job: Job, longest: float) -> Job | None:
+    """The job with integrator steps of at most `longest` [s], in the everyday replay too; None where that takes more than a million steps."""
+    if np.ptp(job.plan.t) / longest > _MOST:
         return None
-    factor = max(1, math.ceil(base_step(times) / min(settings.fineness, default=1) / longest))
-    return replace(settings, max_step=longest, fineness=tuple(factor * fineness for fineness in settings.fineness))
+    return _finer(replace(job, max_step=longest), base_step(job.plan.t) / min(job.fineness, default=1) / longest)
+
+
+def _finer(job: Job, factor: float) -> Job:
+    """With so many times the internal steps, or more."""
+    return replace(job, fineness=tuple(max(1, math.ceil(factor)) * fineness for fineness in job.fineness))
 
 
 # Relaxation times in the longest internal step of the everyday replay. Runge-Kutta 4 is stable below 2.78, and keeps q + tau v whatever its step: at 2 the
@@ -132,14 +107,13 @@ def with_max_step(times: np.ndarray, settings: ReplaySettings, longest: float) -
 _LAGS_IN_A_STEP = 2.0
 
 
-def fine_enough(scene: Scene, plan: Trajectory, settings: ReplaySettings) -> ReplaySettings:
-    """Settings whose coarsest everyday run is stable at this relaxation time; as they are for a scene with inertia."""
-    if scene.lag is None or not settings.fineness:
-        return settings
-    wanted = base_step(plan.t) / (_LAGS_IN_A_STEP * scene.lag)
-    factor = max(1, math.ceil(wanted / min(settings.fineness)))
+def fine_enough(scene: Scene, job: Job) -> Job:
+    """The job with a coarsest everyday run that is stable at this relaxation time; as it is for a scene with inertia."""
+    if scene.lag is None or not job.fineness:
+        return job
     # Two runs tell the error of the step; a third, for its order, would take as long as both.
-    return replace(settings, fineness=tuple(factor * fineness for fineness in sorted(settings.fineness)[:2]))
+    two = replace(job, fineness=tuple(sorted(job.fineness)[:2]))
+    return _finer(two, base_step(job.plan.t) / (_LAGS_IN_A_STEP * scene.lag) / min(job.fineness))
 
 
 def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
@@ -150,31 +124,24 @@ def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
     return None if twice == find_variables(package, scene) else twice
 
 
-def with_lag_error(
-    scene: Scene,
-    package: Package,
-    twice: Variables | None,
-    plan: Trajectory,
-    settings: ReplaySettings,
-    limits: Limits | None,
-    feedback: Feedback | None,
-    replayed: Replay,
-) -> Replay:
+def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Feedback | None, replayed: Replay) -> Replay:
     """The replay with the lag's error in its own; as it is where there is none to be told (`twice_the_lag`)."""
     if twice is None or not replayed.ok:
         return replayed
     is_reference = replayed.method == "reference"
-    one = replace(
-        settings, tolerances=settings.tolerances[:1] if is_reference else (), fineness=() if is_reference else settings.fineness[-1:]
-    )
-    simulated = run_job(package, twice, plan, plan.start, one, limits, feedback)
-    run = (simulated.reference or simulated.everyday)[-1]
+    tolerances, fineness = (job.tolerances[:1], ()) if is_reference else ((), job.fineness[-1:])
+    run = replace(job, variables=twice, tolerances=tolerances, fineness=fineness).run(feedback).judged
     if run.outcome is not ReplayOutcome.OK:
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
-        return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
+        return without_estimate(replayed, note)
     lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
     both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
     return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
+
+
+def without_estimate(replayed: Replay, note: str) -> Replay:
+    """The replay, of whose error nothing is known, and the note that says why."""
+    return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
 
 
 class _Nodes:

@@ -1,4 +1,4 @@
-"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of stepping.c.
+"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of loops.c.
 
     run = simulate(package, variables, start, inputs, fineness=200)
 
@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2Fatal
 
+from validate.fmi import loops
 from validate.fmi.description import FmuError, Package
 from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
-from validate.judge.replay.compiled import library
-from validate.judge.replay.compiled.library import Fmu, Reason, address_of
+from validate.fmi.loops import Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
@@ -170,35 +171,6 @@ def _record_start(stepping: Stepping, run: Run) -> bool:
     return bool(run.t)
 
 
-class _Loop(ctypes.Structure):
-    """struct stepping of stepping.c."""
-
-    _fields_ = (
-        ("fmu", Fmu),
-        ("times", ctypes.c_void_p),
-        ("values", ctypes.c_void_p),
-        ("slopes", ctypes.c_void_p),
-        ("linear", ctypes.c_int64),
-        ("gives_slopes", ctypes.c_int64),
-        ("orders", ctypes.c_void_p),
-        ("parts", ctypes.c_int64),
-        ("bounded", ctypes.c_int64),
-        ("bound", ctypes.c_double),
-        ("outputs", ctypes.c_void_p),
-        ("applied", ctypes.c_void_p),
-        ("rolls_back", ctypes.c_int64),
-        ("own_step_count", ctypes.c_int64),
-        ("own_step_reference", ctypes.c_void_p),
-        ("own_step", ctypes.c_double),
-        ("same", ctypes.c_double),
-        ("place", ctypes.c_void_p),
-        ("coarse", ctypes.c_void_p),
-        ("local", ctypes.c_void_p),
-        ("done", ctypes.c_int64),
-        ("reached", ctypes.c_double),
-    )
-
-
 def step_through(stepping: Stepping, run: Run) -> None:
     """All steps of the plan, recorded in `run`, which holds the first node. Raises RollbackError, FMICallException, Fault."""
     fmu, inputs, states = stepping.fmu, stepping.inputs, stepping.states
@@ -206,12 +178,12 @@ def step_through(stepping: Stepping, run: Run) -> None:
     called = ["GetReal", "SetReal", "DoStep"]
     called += ["SetRealInputDerivatives"] if stepping.slopes else []
     called += ["GetFMUstate", "SetFMUstate"] if stepping.rolls_back else []
-    loops, described = library.load(), library.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
+    compiled, described = loops.load(), loops.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
     times, values, rates = (np.array(array, dtype=float, order="C") for array in (inputs.times, inputs.values, inputs.slopes))
     outputs, local = np.empty((steps + 1, width)), np.empty((steps, width))
     outputs[0] = run.outputs[0]
     orders, applied, coarse, own = np.ones(given, dtype=np.int32), np.empty(given), np.empty(width), stepping.own_step_of
-    loop = _Loop(
+    loop: Any = structure("stepping")(
         fmu=described, times=address_of(times), values=address_of(values), slopes=address_of(rates), linear=inputs.linear,
         gives_slopes=stepping.slopes, orders=address_of(orders), parts=stepping.parts, bounded=states, bound=DIVERGENCE,
         outputs=address_of(outputs), applied=address_of(applied), rolls_back=stepping.rolls_back, own_step_count=own.count,
@@ -219,12 +191,12 @@ def step_through(stepping: Stepping, run: Run) -> None:
     )  # fmt: skip
     reason, place = Reason.DONE, ctypes.byref(loop)
     if inputs.feedback is None:
-        reason = Reason(loops.step_through(place, 0, steps))
+        reason = Reason(compiled.step_through(place, 0, steps))
     else:
         for step in range(steps):
             values[step] = inputs.begin(step, outputs[step, :states])
             run.applied.append(values[step].copy())
-            reason = Reason(loops.step_through(place, step, step + 1))
+            reason = Reason(compiled.step_through(place, step, step + 1))
             if reason is not Reason.DONE:
                 break
     done = int(loop.done)
@@ -236,7 +208,7 @@ def step_through(stepping: Stepping, run: Run) -> None:
     if loop.place and loop.fmu.fault_status != fmi2Fatal:
         fmu.forget(ctypes.c_void_p(loop.place))
     if reason is Reason.CALL_REFUSED:
-        library.refuse(fmu, loop.fmu)
+        loops.refuse(fmu, loop.fmu)
     if reason is Reason.EARLY_RETURN:
         raise early_return(loop.reached)
     if reason is Reason.NOT_RESTORED:

@@ -10,6 +10,7 @@ import math
 import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
-from validate.judge.replay.compiled.library import adopt, library_path
+from validate.fmi.loops import adopt, library_path
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
@@ -43,21 +44,6 @@ _ENDED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReplaySettings:
-    """With what a replay is simulated.
-
-    tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
-    parts, max_step: of the reference (validate.judge.replay.reference.integrate).
-    """
-
-    tolerances: tuple[float, ...]
-    fineness: tuple[int, ...]
-    event_budget: int
-    parts: int = PARTS
-    max_step: float = math.inf
-
-
-@dataclass(frozen=True, kw_only=True)
 class Simulated:
     """The runs of a replay.
 
@@ -71,6 +57,11 @@ class Simulated:
     seconds_reference: float
     seconds_everyday: float
     note: str = ""
+
+    @property
+    def judged(self) -> Run:
+        """The most accurate run: the last of the reference, or without one of the everyday replay."""
+        return (self.reference or self.everyday)[-1]
 
 
 def simulate(
@@ -153,56 +144,59 @@ def _reference(
         model.close()
 
 
-def run_job(
-    package: Package,
-    variables: Variables,
-    plan: Trajectory,
-    start: np.ndarray,
-    settings: ReplaySettings,
-    limits: Limits | None,
-    feedback: Feedback | None = None,
-) -> Simulated:
-    """Run all simulations of a replay, here or in a child; what ended the child is an outcome.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job:
+    """What is simulated, and with what.
 
-    Parameters
-    ----------
-    start : (n,) start values [unit of each variable], in the order of Variables.start.
-    limits : of the child; None: in this process.
-    feedback : in the FMU's units; None: the inputs alone.
-
-    Raises
-    ------
-    FmuError : if the FMU cannot be opened, or misbehaves.
-    MachineError : if this machine cannot run it.
+    start: (n,) start values [unit of each variable], in the order of Variables.start; limits: of the child, None: in this process.
+    tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
+    parts, max_step: of the reference (validate.judge.replay.reference.integrate).
     """
-    request = {
-        "path": str(package.path.resolve()),
-        "variables": variables.to_json(),
-        "hold": plan.hold.value,
-        "tolerances": list(settings.tolerances),
-        "fineness": list(settings.fineness),
-        "event_budget": settings.event_budget,
-        "parts": settings.parts,
-        "max_step": settings.max_step if math.isfinite(settings.max_step) else None,
-        "rolls_back": True,
-    }
-    given = {"t": plan.t, "u": plan.u, "start": start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
-    if feedback is not None:
-        given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
-    if limits is None:
-        value, arrays = simulate(request, given, package)
-        return _simulated(value, arrays, "")
-    request["loops"] = str(library_path())  # compiled here, where no limit of the FMU's holds
-    if not _only_once(package):
-        return _in_child(package, variables, request, given, limits)
-    # One instance a process: every run has a process of its own.
-    single = [{**request, "tolerances": [rtol], "fineness": []} for rtol in settings.tolerances if package.exchange is not None]
-    single += [
-        {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == settings.fineness[-1]}
-        for fineness in settings.fineness
-        if package.cosimulation is not None
-    ]
-    return _together([_in_child(package, variables, one, given, limits) for one in single])
+
+    package: Package
+    variables: Variables
+    plan: Trajectory
+    start: np.ndarray
+    limits: Limits | None
+    tolerances: tuple[float, ...]
+    fineness: tuple[int, ...]
+    event_budget: int
+    parts: int = PARTS
+    max_step: float = math.inf
+
+    def run(self, feedback: Feedback | None = None) -> Simulated:
+        """Run all simulations, here or in a child; what ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
+
+        Raises FmuError if the FMU cannot be opened, or misbehaves, MachineError if this machine cannot run it.
+        """
+        package, plan = self.package, self.plan
+        request = {
+            "path": str(package.path.resolve()),
+            "variables": self.variables.to_json(),
+            "hold": plan.hold.value,
+            "tolerances": list(self.tolerances),
+            "fineness": list(self.fineness),
+            "event_budget": self.event_budget,
+            "parts": self.parts,
+            "max_step": self.max_step if math.isfinite(self.max_step) else None,
+            "rolls_back": True,
+        }
+        given = {"t": plan.t, "u": plan.u, "start": self.start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
+        if feedback is not None:
+            given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
+        if self.limits is None:
+            value, arrays = simulate(request, given, package)
+            return _simulated(value, arrays, "")
+        request["loops"] = str(library_path())  # compiled here, where no limit of the FMU's holds
+        requests = [request]
+        if _only_once(package):  # one instance a process: every run has a process of its own
+            requests = [{**request, "tolerances": [rtol], "fineness": []} for rtol in self.tolerances if package.exchange is not None]
+            requests += [
+                {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == self.fineness[-1]}
+                for fineness in self.fineness
+                if package.cosimulation is not None
+            ]
+        return _together([_in_child(package, self.variables, one, given, self.limits) for one in requests])
 
 
 def _only_once(package: Package) -> bool:
@@ -225,24 +219,17 @@ def _together(parts: list[Simulated]) -> Simulated:
 def _in_child(
     package: Package, variables: Variables, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits
 ) -> Simulated:
-    done = run_isolated("validate.judge.replay.job:simulate", request, given, limits=limits, what=f"FMU {package.path}")
-    retried = ""
+    run = partial(run_isolated, "validate.judge.replay.job:simulate", arrays=given, limits=limits, what=f"FMU {package.path}")
+    done, retried = run(request), ""
     if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, variables):
-        again = run_isolated(
-            "validate.judge.replay.job:simulate", {**request, "rolls_back": False}, given, limits=limits, what=f"FMU {package.path}"
-        )
+        again = run({**request, "rolls_back": False})
         if again.ok:
             done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
     if done.ending in _ENDED:
-        kind = "reference" if request["tolerances"] and package.exchange is not None else "everyday"
-        ended = Run(outcome=_ENDED[done.ending], message=done.sentence)
-        empty: tuple[Run, ...] = ()
+        ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
+        reference = ended if request["tolerances"] and package.exchange is not None else ()
         return Simulated(
-            reference=(ended,) if kind == "reference" else empty,
-            everyday=(ended,) if kind == "everyday" else empty,
-            refusal=None,
-            seconds_reference=done.cpu,
-            seconds_everyday=0.0,
+            reference=reference, everyday=() if reference else ended, refusal=None, seconds_reference=done.cpu, seconds_everyday=0.0
         )
     if done.ending is Ending.MACHINE:
         raise MachineError(done.sentence)

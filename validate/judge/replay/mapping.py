@@ -17,8 +17,19 @@ from models.plan_table import Table
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.equal_names import CONTACT_UNITS, QUANTITIES, Dimensions, Named, by_equal_names, hint, may_be_rate
-from validate.judge.replay.map_schema import InputSignal, MapError, MapFile, Signal
+from validate.judge.replay.map_schema import (
+    CONTACT_UNITS,
+    QUANTITIES,
+    Dimensions,
+    InputSignal,
+    MapError,
+    MapFile,
+    Named,
+    Signal,
+    by_equal_names,
+    hint,
+    may_be_rate,
+)
 from validate.judge.replay.result import Difference
 from validate.judge.replay.run import Foreign
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
@@ -255,16 +266,20 @@ class _Wiring:
 
     def foreign(self) -> Foreign:
         given, lacks = self.map, self.lacks
-        has_v, has_lam, has_gap = "v" not in lacks, "lam" not in lacks, "gap" not in lacks
-        outputs: list[tuple[str, Signal]] = [(f"positions.{name}", signal) for name, signal in given.positions.items()]
-        count_q = len(outputs)
-        outputs += [(f"velocities.{name}", given.velocities[name]) for name in given.positions if has_v]
-        count_v = len(outputs) - count_q
-        forces = [(f"contacts.{name}.force", entry.force) for name, entry in given.contacts.items() if has_lam and entry.force]
-        gaps = [(f"contacts.{name}.gap", entry.gap) for name, entry in given.contacts.items() if has_gap and entry.gap]
-        outputs += [*forces, *gaps]
-        references = tuple(self._reference(path, signal.variable) for path, signal in outputs)
-        at_lam, at_gap = count_q + count_v, count_q + count_v + len(forces)
+        read: dict[str, list[tuple[str, Signal]]] = {
+            "q": [(f"positions.{name}", signal) for name, signal in given.positions.items()],
+            "v": [(f"velocities.{name}", given.velocities[name]) for name in given.positions if "v" not in lacks],
+            "lam": [
+                (f"contacts.{name}.force", entry.force) for name, entry in given.contacts.items() if "lam" not in lacks and entry.force
+            ],
+            "gap": [(f"contacts.{name}.gap", entry.gap) for name, entry in given.contacts.items() if "gap" not in lacks and entry.gap],
+        }
+        driven = [(f"inputs.{name}", signal) for name, signal in given.inputs.items()]
+        references = {
+            group: tuple(self._reference(path, signal.variable) for path, signal in signals)
+            for group, signals in {**read, "u": driven}.items()
+        }
+        outputs = [signal for signals in read.values() for _, signal in signals]
         settings = self._settings()
         internal = given.internal_step
         if internal is None and INTERNAL_STEP in self._by_name:
@@ -272,11 +287,11 @@ class _Wiring:
         return Foreign(
             model=self._model(),
             variables=Variables(
-                q=references[:count_q],
-                v=references[count_q:at_lam],
-                lam=references[at_lam:at_gap],
-                gap=references[at_gap:],
-                u=tuple(self._reference(f"inputs.{name}", signal.variable) for name, signal in given.inputs.items()),
+                q=references["q"],
+                v=references["v"],
+                lam=references["lam"],
+                gap=references["gap"],
+                u=references["u"],
                 energies={},
                 powers={},
                 zero=frozenset(),
@@ -284,10 +299,10 @@ class _Wiring:
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
-            scale=np.array([signal.scale for _, signal in outputs]),
-            offset=np.array([signal.offset for _, signal in outputs]),
-            input_scale=np.array([signal.scale for signal in given.inputs.values()]),
-            input_offset=np.array([signal.offset for signal in given.inputs.values()]),
+            scale=np.array([signal.scale for signal in outputs]),
+            offset=np.array([signal.offset for signal in outputs]),
+            input_scale=np.array([signal.scale for _, signal in driven]),
+            input_offset=np.array([signal.offset for _, signal in driven]),
             start=np.array([value for _, value in settings]),
         )
 
@@ -446,7 +461,7 @@ class _Wiring:
             (-math.inf if variable.min is None else (float(variable.min) - signal.offset) / signal.scale),
             (math.inf if variable.max is None else (float(variable.max) - signal.offset) / signal.scale),
         ]
-        lower, upper = min(ends), max(ends)
+        lower, upper = sorted(ends)
         for word, value, sign, end in (("lower", signal.lower, -1.0, lower), ("upper", signal.upper, 1.0, upper)):
             if value is not None and sign * (value - end) > _ROUNDING * abs(end):
                 raise self._fail(

@@ -14,6 +14,8 @@ import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from models.errors import TrajectoryError
 from models.kinematics import pose_columns
 from models.netcdf import Column, write_columns
@@ -26,12 +28,13 @@ _SERIES = {
     "kinetic_energy": "kinetic energy",
     "potential_energy": "potential energy without contacts",
     "contact_energy": "energy stored in contacts",
+    "input_work": "work of the inputs since the start",
+    "dissipated_work": "work dissipated since the start",
 }
-_WORK = {"input_work": "work of the inputs since the start", "dissipated_work": "work dissipated since the start"}
 
 
 def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
-    """(name, unit, description) of the columns of every array with more than one column."""
+    """(name, unit, description) of the columns of every array over time."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
         "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
@@ -41,7 +44,19 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
         "contact_impulse": [
             (f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts
         ],
+        **{field: [(field, "J", text)] for field, text in _SERIES.items()},
     }
+
+
+def _columns(dimension: str, array: np.ndarray | None, group: list[tuple[str, str, str]]) -> list[Column]:
+    """Of an array (rows, n) or (rows,), if there is one."""
+    if array is None:
+        return []
+    parts = array.reshape(len(array), len(group)).T
+    return [
+        Column(name=name, dimension=dimension, values=values, unit=unit, description=text)
+        for values, (name, unit, text) in zip(parts, group, strict=True)
+    ]
 
 
 def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
@@ -50,27 +65,12 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         raise TrajectoryError(f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}.")
     columns = [Column(name="t", dimension="time", values=replay.t, unit="s", description="time")]
     for field, group in _groups(scene).items():
-        array = getattr(replay, field)
-        if array is not None:
-            columns += [
-                Column(name=name, dimension="time", values=array[:, index], unit=unit, description=text)
-                for index, (name, unit, text) in enumerate(group)
-            ]
-    for field, text in {**_SERIES, **_WORK}.items():
-        if getattr(replay, field) is not None:
-            columns.append(Column(name=field, dimension="time", values=getattr(replay, field), unit="J", description=text))
+        columns += _columns("time", getattr(replay, field), group)
     columns.append(Column(name="knots", dimension="node", values=replay.knots, unit="1", description="rows that are nodes of the plan"))
     if replay.applied is not None and len(replay.applied):
-        columns += [
-            Column(
-                name=f"applied_{item.name}",
-                dimension="step",
-                values=replay.applied[:, index],
-                unit=item.unit,
-                description=f"{item.name} as applied",
-            )
-            for index, item in enumerate(scene.inputs)
-        ]
+        columns += _columns(
+            "step", replay.applied, [(f"applied_{item.name}", item.unit, f"{item.name} as applied") for item in scene.inputs]
+        )
     facts = {
         "outcome": replay.outcome.name,
         "message": replay.message,

@@ -5,7 +5,7 @@
 Between two such points the right-hand side is smooth, so the integrator's order and its error control hold; across one they
 would not. Adams' method (orders 1 to 12) needs half the evaluations of BDF here: contacts are springs, hardly damped.
 
-The loop is integration.c: one call a step of the plan, and one an event. CVODE is the library that scikit-sundae brings.
+The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is the library that scikit-sundae brings.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from models.errors import MachineError
+from validate.fmi import loops
 from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
-from validate.judge.replay.compiled import library
-from validate.judge.replay.compiled.library import Fmu, Reason, address_of
+from validate.fmi.loops import SOLVER, Reason, address_of, structure
 from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
@@ -36,14 +36,7 @@ STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
 ABSOLUTE_FRACTION = 0.1
 _ROOT_RETURN = 2
-# The functions of SUNDIALS in the order of integration.c, and the only major version whose arguments are known to be these.
-SOLVER = (
-    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
-    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
-    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
-    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
-    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
-)  # fmt: skip
+# The only major version of SUNDIALS whose arguments are known to be those of loops.c.
 _VERSION = 7
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
@@ -232,38 +225,8 @@ def integrate(
     return run
 
 
-class _Loop(ctypes.Structure):
-    """struct integration of integration.c."""
-
-    _fields_ = (
-        ("fmu", Fmu),
-        ("solver", ctypes.c_void_p * len(SOLVER)),
-        ("rtol", ctypes.c_double),
-        ("min_step", ctypes.c_double),
-        ("max_step", ctypes.c_double),
-        ("max_steps", ctypes.c_int64),
-        ("wants_steps", ctypes.c_int64),
-        ("linear", ctypes.c_int64),
-        ("absolute", ctypes.c_void_p),
-        ("bound", ctypes.c_void_p),
-        ("roots", ctypes.c_void_p),
-        ("begin", ctypes.c_double),
-        ("values", ctypes.c_void_p),
-        ("slopes", ctypes.c_void_p),
-        ("applied", ctypes.c_void_p),
-        ("time", ctypes.c_double),
-        ("next_event", ctypes.c_double),
-        ("y", ctypes.c_void_p),
-        ("flag", ctypes.c_int64),
-        ("reached", ctypes.c_int64),
-        ("fault_time", ctypes.c_double),
-        ("fault", ctypes.c_int64),
-        ("own", ctypes.c_void_p * 6),
-    )
-
-
 class _Integration:
-    """CVODE over the plan's steps by the loop of integration.c, from event to event."""
+    """CVODE over the plan's steps by the loop of loops.c, from event to event."""
 
     def __init__(
         self, model: ExchangeModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
@@ -273,9 +236,9 @@ class _Integration:
         begin, end = inputs.times[:-1], inputs.times[1:]
         inner = [begin + (end - begin) * point / parts for point in range(1, parts)]
         self.targets = np.column_stack([*inner, end])
-        self._loops = library.load()
+        self._loops = loops.load()
         rates, outputs, given = model.references
-        fmu = library.describe(
+        fmu = loops.describe(
             model.instance, _CALLED, inputs=given, outputs=outputs, rates=rates, states=model.states, indicators=model.indicators
         )
         size, (steps, points) = model.states + model.accumulated, self.targets.shape
@@ -284,7 +247,7 @@ class _Integration:
         self._outputs, self._sums = np.empty((steps, points, model.outputs)), np.empty((steps, points, model.accumulated))
         self._targets_at, self._outputs_at, self._sums_at = map(address_of, (self.targets, self._outputs, self._sums))
         self._absolute, self._bound = np.empty(size), np.empty(model.states)
-        self._loop = _Loop(
+        self._loop = structure("integration")(
             fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*solver_addresses()), rtol=rtol, max_steps=STEP_LIMIT,
             # Smaller steps than this do not change the time any more.
             min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
@@ -415,9 +378,9 @@ class _Integration:
         if reason is Reason.DONE:
             return
         if reason is Reason.CALL_REFUSED:
-            library.refuse(self.model.instance, self._loop.fmu)
+            loops.refuse(self.model.instance, self._loop.fmu)
         if reason in (Reason.WANTS_END, Reason.NEVER_SETTLES):
-            library.unsettled(reason, time)
+            loops.unsettled(reason, time)
         if reason is Reason.RATE_NOT_FINITE:
             raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {self._loop.fault_time:.6g} s.")
         if reason is Reason.OUTPUT_NOT_FINITE:

@@ -88,7 +88,7 @@ class ReplayError:
     stated: what the author of an FMU without Model Exchange says its results are good to (the map's [accuracy]), infinite in what is not stated;
     it is the estimate where no run tells one, and else the larger of the two counts, in what is stated.
 
-    rollback: what halving a step changes within that step, summed over all steps (validate.judge.replay.compiled.stepping; None: the FMU does not restore its state).
+    rollback: what halving a step changes within that step, summed over all steps (validate.fmi.loops; None: the FMU does not restore its state).
     Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
     step_source: what told the everyday replay's own error: "second run", "rollback" or "second run and rollback", and "stated" behind a comma
     or alone; "none" where nothing did.
@@ -192,11 +192,6 @@ class Replay:
     def ok(self) -> bool:
         """Whether it reached the end of the plan."""
         return self.outcome is ReplayOutcome.OK
-
-    @property
-    def would_decide(self) -> str:
-        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty with a reference."""
-        return "" if self.method == "reference" or not self.ok else self.error.would_decide
 
     @property
     def end(self) -> np.ndarray:

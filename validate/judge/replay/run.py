@@ -26,9 +26,10 @@ from validate.judge.replay.error_estimate import (
     with_lag_error,
     with_max_step,
     with_steps_of,
+    without_estimate,
 )
-from validate.judge.replay.job import ReplaySettings, Simulated, run_job
-from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome, Run
+from validate.judge.replay.job import Job, Simulated
+from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome, Run
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
 from validate.judge.replay.wiring import Feedback, Variables, measure_effort
@@ -39,6 +40,8 @@ LOOSE, TIGHT = 1e-11, 1e-13
 FINENESS = (50, 100, 200)
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
 _CLOSER_LOOKS = 6
+# Whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+Track = bool | Callable[[Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -69,7 +72,7 @@ def replay(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
-    track: bool | Callable[[Replay], bool] = False,
+    track: Track = False,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene.
 
@@ -80,62 +83,63 @@ def replay(
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
-    settings = with_steps_of(scene, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
-    settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        variables, twice = find_variables(package, scene), twice_the_lag(package, scene)
+        job = Job(
+            package=package, variables=find_variables(package, scene), plan=trajectory, start=trajectory.start, limits=limits,
+            tolerances=tolerances, fineness=fineness, event_budget=event_budget,
+        )  # fmt: skip
+        job, twice = fine_enough(scene, with_steps_of(scene, job)), twice_the_lag(package, scene)
         kernel = load_kernel(scene)
         growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
-        def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
-            found, simulated = _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
-            return with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, found), simulated
+        def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+            """The replay, and the inputs (steps, nu) [N or N m] that it applied. Raises FmuError, MachineError."""
+            found, applied = _seeing_all(scene, kernel, job, feedback)
+            return with_lag_error(scene, job, twice, feedback, found), applied
 
         opened = replace(run(None)[0], growth=growth)
-        if not (track(opened) if callable(track) else track):
-            return opened
-        try:
-            feedback = design_feedback(kernel, scene, trajectory)
-        except TrackingError as error:
-            if track is True:
-                raise
-            return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
-        tracked, simulated = run(feedback)
-    return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
+        return _with_tracked(opened, track, lambda: (design_feedback(kernel, scene, trajectory), growth), run, trajectory)
 
 
-def _seeing_all(
-    scene: Scene,
-    kernel: Kernel,
-    package: Package,
-    variables: Variables,
+def _with_tracked(
+    opened: Replay,
+    track: Track,
+    design: Callable[[], tuple[Feedback, Growth | None]],
+    run: Callable[[Feedback], tuple[Replay, np.ndarray]],
     plan: Trajectory,
-    settings: ReplaySettings,
-    limits: Limits | None,
-    feedback: Feedback | None,
-) -> tuple[Replay, Simulated]:
-    """The replay, made again with smaller steps while it steps over contacts; without an error estimate where that does not end."""
+) -> Replay:
+    """The replay of the inputs alone, and where `track` asks for it with one with feedback beside it, which `design` makes and `run` replays."""
+    if not (track(opened) if callable(track) else track):
+        return opened
+    try:
+        feedback, growth = design()
+    except TrackingError as error:
+        if track is True:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+    tracked, applied = run(feedback)
+    effort = measure_effort(plan.u, applied, plan.t, feedback)
+    return replace(opened, growth=growth, tracked=replace(tracked, feedback=feedback, applied=applied, effort=effort))
+
+
+def _seeing_all(scene: Scene, kernel: Kernel, job: Job, feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+    """The replay and what it applied, made again with smaller steps while it steps over contacts; without an error estimate where that does not end."""
     for _ in range(_CLOSER_LOOKS):
-        simulated = run_job(package, variables, plan, plan.start, settings, limits, feedback)
-        found = _assemble(scene, package, variables, simulated, settings.event_budget)
+        simulated = job.run(feedback)
+        found, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
         longest = overlooked(kernel, found)
         if longest is None:
-            return found, simulated
-        finer = with_max_step(plan.t, settings, min(longest, settings.max_step / 2.0))
+            return found, applied
+        finer = with_max_step(job, min(longest, job.max_step / 2.0))
         if finer is None:
             break
-        settings = finer
-    note = "The replay steps over a contact that is shorter than any of its steps."
-    return replace(found, error=replace(found.error, estimate=None), message=f"{found.message} {note}".lstrip()), simulated
+        job = finer
+    return without_estimate(found, "The replay steps over a contact that is shorter than any of its steps."), applied
 
 
 def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
     """(steps made, nu) inputs of the run that is judged, as the FMU got them."""
-    return np.array((simulated.reference or simulated.everyday)[-1].applied).reshape(-1, plan.u.shape[1])
-
-
-def _with_feedback(tracked: Replay, feedback: Feedback, plan: Trajectory, applied: np.ndarray) -> Replay:
-    return replace(tracked, feedback=feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, feedback))
+    return np.array(simulated.judged.applied).reshape(len(simulated.judged.applied), plan.u.shape[1])
 
 
 def replay_foreign(
@@ -147,38 +151,33 @@ def replay_foreign(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
-    track: bool | Callable[[Replay], bool] = False,
+    track: Track = False,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
     Raises TrackingError if track is True and cannot be.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
-    settings = with_steps_of(
-        foreign.model, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
-    )
-    driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
-    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
-    opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
-    if not (track(opened) if callable(track) else track):
-        return opened
-    try:
-        feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
-    except TrackingError as error:
-        if track is True:
-            raise
-        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
-    inside = feedback.in_units(*_units(foreign))
-    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits, inside)
-    applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
-    tracked = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
-    return replace(opened, growth=growth, tracked=_with_feedback(tracked, feedback, trajectory, applied))
-
-
-def _units(foreign: Foreign) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Scale and offset of the state, and of the inputs."""
     nx = len(foreign.variables.q) + len(foreign.variables.v)
-    return (foreign.scale[:nx], foreign.offset[:nx]), (foreign.input_scale, foreign.input_offset)
+    # Scale and offset of the state, and of the inputs.
+    units = (foreign.scale[:nx], foreign.offset[:nx]), (foreign.input_scale, foreign.input_offset)
+    driven = trajectory.with_inputs_in(*units[1])
+    job = Job(
+        package=package, variables=foreign.variables, plan=driven, start=foreign.start, limits=limits,
+        tolerances=tolerances, fineness=fineness, event_budget=event_budget,
+    )  # fmt: skip
+    job = with_steps_of(foreign.model, job)
+
+    def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+        """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
+        simulated = job.run(None if feedback is None else feedback.in_units(*units))
+        applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
+        return _assemble(foreign.model, job, _in_plan_units(foreign, simulated)), applied
+
+    def design() -> tuple[Feedback, Growth | None]:
+        return design_foreign(foreign.model, package, foreign.variables, trajectory, units, foreign.start, limits)
+
+    return _with_tracked(run(None)[0], track, design, run, trajectory)
 
 
 def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
@@ -193,9 +192,9 @@ def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
     return simulated
 
 
-def _assemble(subject: Subject, package: Package, variables: Variables, simulated: Simulated, event_budget: int) -> Replay:
-    reference, everyday = simulated.reference, simulated.everyday
-    judged = (reference or everyday)[-1]
+def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
+    reference, everyday, judged = simulated.reference, simulated.everyday, simulated.judged
+    variables = job.variables
     # A run that ended the process has no other beside it: what is compared must be there twice.
     nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
@@ -237,18 +236,17 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
             Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes)
             for time, index, closes in judged.events
         ),
-        event_budget=event_budget,
+        event_budget=job.event_budget,
         error=error,
         seconds_reference=simulated.seconds_reference,
         seconds_everyday=simulated.seconds_everyday,
-        fmu=package.digest,
+        fmu=job.package.digest,
     )
 
 
 def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
     """What else is to be said of a replay; is_known: whether the error of the everyday replay's step is."""
-    reference, everyday, refusal = simulated.reference, simulated.everyday, simulated.refusal
-    judged = (reference or everyday)[-1]
+    reference, everyday, refusal, judged = simulated.reference, simulated.everyday, simulated.refusal, simulated.judged
     if refusal is None and reference:
         refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
     notes = [judged.message] if judged.message else []

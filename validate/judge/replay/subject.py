@@ -167,22 +167,15 @@ class Outputs:
         known = isinstance(scene, Scene)
         chosen = slice(None) if rows is None else rows
         values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
-        self._count = len(values)
-        references = variables.outputs
-        nq, nc = scene.nq, scene.nc
-        first = nq + len(variables.v)
-        at = first + len(variables.lam)
+        self._count, nq, nc = len(values), scene.nq, scene.nc
+        widths = [nq, *map(len, (variables.v, variables.lam, variables.gap, variables.friction))]
+        self.q, v, lam, gap, friction, energies = (part.copy() for part in np.split(values, np.cumsum(widths), axis=1))
         zeros = np.zeros((self._count, nc))  # of a foreign model, for what its `lacks` names
-        self.q = values[:, :nq].copy()
-        self.v = values[:, nq:first].copy() if variables.v or not nq else np.zeros((self._count, nq))
-        self.lam = (
-            values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
-        )
-        self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
-        at += len(variables.gap)
-        self.friction = values[:, at : at + scene.nf].copy() if variables.friction else np.zeros((self._count, scene.nf))
-        first_energy = len(references) - len(variables.energies)
-        given = {name: values[:, first_energy + index].copy() for index, name in enumerate(variables.energies)}
+        self.v = v if variables.v or not nq else np.zeros((self._count, nq))
+        self.lam = lam if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
+        self.gap = gap if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
+        self.friction = friction if variables.friction else np.zeros((self._count, scene.nf))
+        given = dict(zip(variables.energies, energies.T.copy(), strict=True))
         self.kinetic, self.potential, self.contact = (self._energy(name, given) for name in ENERGIES)
         self._accumulated = None
         if run.accumulated:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from models.codegen.kernel import KernelError
 from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
@@ -231,7 +232,7 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
         if not limited or waived:
             return replace(empty, reason=str(beyond))
         return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
-    except Unmeasured as missing:
+    except (Unmeasured, KernelError) as missing:
         if not limited or waived or not (isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
             return replace(empty, reason=str(missing))
         return replace(empty, reason=str(missing), limit=stated, default=own is None)

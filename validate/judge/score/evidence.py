@@ -1,13 +1,17 @@
-"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
+"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid.
+
+Where the compiled functions refuse a state, their KernelError goes on to the score, which takes it for an Unmeasured.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
 from models import collocation
-from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
@@ -53,10 +57,13 @@ class Evidence:
     def q(self) -> np.ndarray:
         """Positions of the plan, (nodes, nq) [m or rad]. Raises Unmeasured if it does not say them."""
         self.need("q")
-        if not self.trajectory.has_states:
-            columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
-            raise Unmeasured(f"the plan does not say its positions ({columns}).")
+        self._must_say("q", "positions", [item.name for item in self.scene.coordinates])
         return self.trajectory.q
+
+    def _must_say(self, group: str, words: str, columns: Sequence[str]) -> None:
+        """Raise Unmeasured if the plan does not say these columns."""
+        if group in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its {words} ({', '.join(columns)}).")
 
     @cached_property
     def goal(self) -> np.ndarray:
@@ -137,15 +144,14 @@ class Evidence:
     @property
     def lam(self) -> np.ndarray:
         """Contact forces of the plan, (steps, nc) [N]. Raises Unmeasured if it does not say them."""
-        if "lam" in self.trajectory.missing:
-            raise Unmeasured(f"the plan does not say its contact forces ({', '.join(self.scene.force_names[: self.scene.nc])}).")
+        self._must_say("lam", "contact forces", self.scene.force_names[: self.scene.nc])
         return self.trajectory.lam[:, : self.scene.nc]
 
     @property
     def forces(self) -> np.ndarray:
         """Contact forces, then friction forces of the plan, (steps, nc + nf) [N]. Raises Unmeasured if it does not say all of them."""
-        if self.scene.nf and "friction" in self.trajectory.missing:
-            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        if self.scene.nf:
+            self.friction  # noqa: B018 - as below
         if self.scene.nc:
             self.lam  # noqa: B018 - refused where the plan does not say them
         return self.trajectory.lam
@@ -249,11 +255,8 @@ class Evidence:
             lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
             return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
 
-        try:
-            still = acceleration(0.0)
-            return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
-        except KernelError as error:
-            raise Unmeasured(str(error)) from error
+        still = acceleration(0.0)
+        return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
 
     @cached_property
     def held_inputs(self) -> HeldInputs:
@@ -268,8 +271,7 @@ class Evidence:
     @property
     def friction(self) -> np.ndarray:
         """Friction forces of the plan, (steps, nf) [N]. Raises Unmeasured if it does not say them."""
-        if "friction" in self.trajectory.missing:
-            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        self._must_say("friction", "friction forces", self.scene.force_names[self.scene.nc :])
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
@@ -300,9 +302,7 @@ class Evidence:
     @property
     def v(self) -> np.ndarray:
         """Velocities of the plan, (nodes, nq) [m/s or rad/s]. Raises Unmeasured if it does not say them."""
-        if "v" in self.trajectory.missing:
-            columns = ", ".join(coordinate.velocity_name for coordinate in self.scene.coordinates)
-            raise Unmeasured(f"the plan does not say its velocities ({columns}).")
+        self._must_say("v", "velocities", [item.velocity_name for item in self.scene.coordinates])
         return self.trajectory.v
 
     def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
@@ -316,10 +316,7 @@ class Evidence:
     def acceleration(self) -> np.ndarray:
         """Acceleration by the plan's states, inputs and own contact forces, (steps, nq) [m/s^2 or rad/s^2]. Raises Unmeasured if one is missing."""
         plan = self.trajectory
-        try:
-            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
-        except KernelError as error:
-            raise Unmeasured(str(error)) from error
+        return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
 
     @property
     def collocation_defect(self) -> np.ndarray:
@@ -328,10 +325,7 @@ class Evidence:
         Raises Unmeasured without velocities or equations.
         """
         self.v  # noqa: B018 - refused where the plan does not say it
-        try:
-            return collocation.defect(self.kernel, self.trajectory)
-        except KernelError as error:
-            raise Unmeasured(str(error)) from error
+        return collocation.defect(self.kernel, self.trajectory)
 
     def refined_motion(self, parts: int) -> np.ndarray:
         """The plan's inputs run through its own time step in so many parts, with the true contact law: (nodes, nq) [m or rad]. Raises Unmeasured."""
@@ -349,10 +343,7 @@ class Evidence:
         """q, v (nodes, nq) with each step of the plan in so many parts."""
         plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
-            try:
-                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
-            except KernelError as error:
-                raise Unmeasured(str(error)) from error
+            q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
         elif (steps == steps[0]).all():
             rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
             q, v, reached = rollout.q, rollout.v, rollout.finite_steps

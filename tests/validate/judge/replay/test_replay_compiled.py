@@ -16,10 +16,10 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.fmi import loops
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay import everyday
 from validate.judge.replay import reference as exchange
-from validate.judge.replay.compiled import library
 from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.tracking import design_feedback
@@ -158,15 +158,15 @@ def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables]
     def none() -> None:
         raise MachineError("no C compiler was found.")
 
-    monkeypatch.setattr(library, "find_compiler", none)
-    library.load.cache_clear()
+    monkeypatch.setattr(loops, "find_compiler", none)
+    loops.load.cache_clear()
     try:
         with pytest.raises(MachineError, match="no C compiler"):
             reference(*carts, plan.start, HeldInputs(plan))
         with pytest.raises(MachineError, match="no C compiler"):
             simulate(*carts, plan.start, HeldInputs(plan), 20)
     finally:
-        library.load.cache_clear()
+        loops.load.cache_clear()
 
 
 def test_cvode_that_cannot_be_reached_is_named(tmp_path: Path):

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from models.catalog import load_scene
+from models.trajectory import Trajectory
 from validate.judge.replay import Difference
-from validate.judge.replay.error_estimate import difference, estimate, heeds_step, larger, local_errors, step_ratio
+from validate.judge.replay.error_estimate import (
+    difference,
+    estimate,
+    heeds_step,
+    larger,
+    local_errors,
+    step_ratio,
+    with_max_step,
+    with_steps_of,
+)
+from validate.judge.replay.job import Job
 
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
 
@@ -149,3 +162,20 @@ def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
     assert "state [accuracy] gap in the map too" in alone.would_decide
     judged = estimate(tolerance=of(1e-9), step=None, everyday=None, stated=stated, has_reference=True)
     assert judged.estimate == of(1e-9), "with a reference it is measured"
+
+
+def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():
+    """Steps of 0.05 s where the task has 0.01 s: five times the points and internal steps; at most 0.1 ms asks for ten times the latter."""
+    scene, t = load_scene("three_cart"), 0.05 * np.arange(5)
+    plan = Trajectory(t=t, q=np.zeros((5, 3)), v=np.zeros((5, 3)), u=np.zeros((4, 2)), lam=np.zeros((4, 2)))
+    nothing: Any = None
+    job = Job(
+        package=nothing, variables=nothing, plan=plan, start=plan.start, limits=None, tolerances=(1e-9,), fineness=(50, 100), event_budget=1
+    )
+    found, own = with_steps_of(scene, job), with_steps_of(scene, replace(job, plan=replace(plan, t=t / 5.0)))
+    assert (found.fineness, found.parts) == ((250, 500), 5 * job.parts)
+    assert (own.fineness, own.parts) == (job.fineness, job.parts)
+    finer = with_max_step(job, 1e-4)
+    assert finer is not None
+    assert (finer.max_step, finer.fineness) == (1e-4, (500, 1000))
+    assert with_max_step(job, 1e-8) is None, "more than a million steps"

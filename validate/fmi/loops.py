@@ -1,15 +1,18 @@
-"""The compiled loops: built once, found in the cache, loaded; and an FMU as they see it.
+"""The loops of a replay in C (loops.c), over the addresses of any FMU's functions: one call of Python a step of the plan, or a run, instead of one a call of FMI.
 
-loops = load()
-fmu = describe(instance, ...)
+    loops = load()                     # built once, found in the cache
+    fmu = describe(instance, ...)      # an FMU as they see it
+
+The tests hold them against the same loops in Python, call by call and bit for bit.
 """
 
 from __future__ import annotations
 
 import ctypes
+import re
 from collections.abc import Sequence
 from enum import IntEnum
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -20,10 +23,10 @@ from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.errors import MachineError
 from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
-_SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")
+_SOURCE = Path(__file__).with_suffix(".c")
 _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
 
-# The functions of FMI 2.0 and FMI 3.0, in the order of fmu_calls.h; FMI 3.0 has no call for slopes of inputs.
+# The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of inputs.
 CALLS = (
     ("GetReal", "GetFloat64"),
     ("SetReal", "SetFloat64"),
@@ -42,9 +45,19 @@ CALLS = (
     ("SetFMUstate", "SetFMUState"),
 )
 
+# The functions of SUNDIALS, in the order of loops.c.
+SOLVER = (
+    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
+    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
+    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
+    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
+    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
+)  # fmt: skip
+_COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
+
 
 class Reason(IntEnum):
-    """Why a loop came back, in the order of fmu_calls.h."""
+    """Why a loop came back, in the order of loops.c."""
 
     DONE = 0
     EVENT = 1
@@ -62,32 +75,30 @@ class Reason(IntEnum):
     EARLY_RETURN = 13
 
 
-class Fmu(ctypes.Structure):
-    """struct fmu of fmu_calls.h."""
+@lru_cache(maxsize=1)
+def _source() -> str:
+    return _SOURCE.read_text(encoding="utf-8")
 
-    _fields_ = (
-        ("component", _ADDRESS),
-        ("three", _SIZE),
-        ("states", _SIZE),
-        ("indicators", _SIZE),
-        ("inputs", _SIZE),
-        ("outputs", _SIZE),
-        ("rates", _SIZE),
-        ("input_references", _ADDRESS),
-        ("output_references", _ADDRESS),
-        ("rate_references", _ADDRESS),
-        ("call", _ADDRESS * len(CALLS)),
-        ("fault_call", _SIZE),
-        ("fault_status", _SIZE),
-    )
+
+@cache
+def structure(name: str) -> type[ctypes.Structure]:
+    """A struct of loops.c, for ctypes: its fields as they are declared there."""
+    body = re.search(rf"^struct {name} {{$(.*?)^}};$", re.sub(r"/\*.*?\*/", "", _source(), flags=re.DOTALL), re.DOTALL | re.MULTILINE)
+    assert body is not None, name
+    kinds = {"double": ctypes.c_double, "int64_t": _SIZE, "function": _ADDRESS}
+    fields: list[tuple[str, Any]] = []
+    for kind, declared in re.findall(r"(?:const )?(struct \w+|\w+) (.*?);", body[1], re.DOTALL):
+        for star, field, count in re.findall(r"(\*?)(\w+)(?:\[(\w+)\])?", declared):
+            one = _ADDRESS if star else structure(kind.removeprefix("struct ")) if kind.startswith("struct ") else kinds[kind]
+            fields.append((field, one * _COUNTS[count] if count else one))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 def library_path() -> Path:
     """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
-    texts = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SOURCES}
     compiler = find_compiler()
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in texts.items())])
-    return cached(key, ".so", lambda path: compile_shared(compiler, texts, path))
+    key = "\n".join([compiler.describe(), " ".join(FLAGS), _source()])
+    return cached(key, ".so", lambda path: compile_shared(compiler, {_SOURCE.name: _source()}, path))
 
 
 _adopted: list[Path] = []
@@ -129,10 +140,10 @@ def describe(
     rates: References | None = None,
     states: int = 0,
     indicators: int = 0,
-) -> Fmu:
+) -> ctypes.Structure:
     """The FMU for a loop that calls `needed` (FMI 2.0's names): FMPy loads no binary that lacks one of them. What is given must live as long as the answer."""
     is_three = instance.major == 3
-    fmu = Fmu(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
+    fmu = structure("fmu")(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
     for name, group in (("input", inputs), ("output", outputs), ("rate", rates or References([]))):
         setattr(fmu, f"{name}s", group.count)
         setattr(fmu, f"{name}_references", ctypes.addressof(group.array))
@@ -142,7 +153,7 @@ def describe(
     return fmu
 
 
-def refuse(instance: Instance, fmu: Fmu) -> NoReturn:
+def refuse(instance: Instance, fmu: Any) -> NoReturn:
     """Raise FMICallException for the call that was refused."""
     instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
 

@@ -1,11 +1,99 @@
-/* A Model Exchange FMU and CVODE: from point to point of the record, until an event; the loop of validate/judge/replay/reference.py.
+/* The loops of a replay over any FMU's functions, FMI 2.0 or 3.0, by their addresses.
  *
- * CVODE is the library that scikit-sundae brings, by the addresses of its functions (SUNDIALS 7). */
+ * What is called of an FMU; then Model Exchange under CVODE, from point to point of the record until an event (validate/judge/replay/reference.py);
+ * then Co-Simulation, step after step of a plan until one is refused (validate/judge/replay/everyday.py).
+ *
+ * loops.py reads the fields of the structs fmu, integration and stepping from here. */
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
-#include "fmu_calls.h"
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
 
-/* In the order of integration.SOLVER. */
+/* In the order of CALLS in loops.py. */
+enum fmi_call {
+    GET_REAL, SET_REAL, SET_TIME, SET_STATES, GET_STATES, GET_DERIVATIVES, GET_INDICATORS, COMPLETED_STEP, ENTER_EVENT, UPDATE_DISCRETE,
+    ENTER_CONTINUOUS, DO_STEP, SET_SLOPES, SAVE, RESTORE, CALLS
+};
+
+/* Why a loop came back; in the order of Reason in loops.py. */
+enum reason {
+    DONE, EVENT, CALL_REFUSED, RATE_NOT_FINITE, OUT_OF_BOUNDS, SUM_NOT_FINITE, OUTPUT_NOT_FINITE, SOLVER_FAILED, STOP_TIME_REFUSED,
+    SETUP_REFUSED, WANTS_END, NEVER_SETTLES, NOT_RESTORED, EARLY_RETURN
+};
+
+typedef void (*function)(void);
+
+struct fmu {
+    void *component;
+    int64_t three; /* whether FMI 3.0, else 2.0 */
+    int64_t states, indicators, inputs, outputs, rates;
+    const uint32_t *input_references, *output_references, *rate_references;
+    function call[CALLS];
+    int64_t fault_call, fault_status; /* of the call that was refused */
+};
+
+/* 0 if the status is ok or a warning; else it is kept. */
+static inline int refused(struct fmu *fmu, enum fmi_call call, int status)
+{
+    if (status == 0 || status == 1) return 0;
+    fmu->fault_call = call;
+    fmu->fault_status = status;
+    return 1;
+}
+
+static inline int read_values(struct fmu *fmu, const uint32_t *references, int64_t count, double *values)
+{
+    if (!count) return 0;
+    function call = fmu->call[GET_REAL];
+    size_t n = (size_t)count;
+    return refused(fmu, GET_REAL, fmu->three ? ((int (*)(void *, const uint32_t *, size_t, double *, size_t))call)(fmu->component, references, n, values, n)
+                                             : ((int (*)(void *, const uint32_t *, size_t, double *))call)(fmu->component, references, n, values));
+}
+
+static inline int write_values(struct fmu *fmu, const uint32_t *references, int64_t count, const double *values)
+{
+    if (!count) return 0;
+    function call = fmu->call[SET_REAL];
+    size_t n = (size_t)count;
+    return refused(fmu, SET_REAL, fmu->three ? ((int (*)(void *, const uint32_t *, size_t, const double *, size_t))call)(fmu->component, references, n, values, n)
+                                             : ((int (*)(void *, const uint32_t *, size_t, const double *))call)(fmu->component, references, n, values));
+}
+
+/* To time [s] and states (states). */
+static inline int move(struct fmu *fmu, double time, const double *states)
+{
+    if (refused(fmu, SET_TIME, ((int (*)(void *, double))fmu->call[SET_TIME])(fmu->component, time))) return 1;
+    return refused(fmu, SET_STATES,
+        ((int (*)(void *, const double *, size_t))fmu->call[SET_STATES])(fmu->component, states, (size_t)fmu->states));
+}
+
+/* One of the functions that fill an array: derivatives, indicators, states. */
+static inline int fill(struct fmu *fmu, enum fmi_call call, double *values, int64_t count)
+{
+    return refused(fmu, call, ((int (*)(void *, double *, size_t))fmu->call[call])(fmu->component, values, (size_t)count));
+}
+
+/* One of the functions that change the mode. */
+static inline int enter(struct fmu *fmu, enum fmi_call call)
+{
+    return refused(fmu, call, ((int (*)(void *))fmu->call[call])(fmu->component));
+}
+
+static inline bool all_finite(const double *values, int64_t count)
+{
+    for (int64_t i = 0; i < count; i++)
+        if (!isfinite(values[i])) return false;
+    return true;
+}
+
+/* Model Exchange under CVODE, the library that scikit-sundae brings (SUNDIALS 7), by the addresses of its functions; in the order of SOLVER in loops.py. */
 enum solver_call {
     CONTEXT_CREATE, CONTEXT_CLEAR_HANDLERS, CONTEXT_FREE, VECTOR_NEW, VECTOR_DATA, VECTOR_DESTROY, MATRIX_DENSE, MATRIX_DESTROY, LINEAR_DENSE,
     LINEAR_FREE, CREATE, FREE, INIT, REINIT, TOLERANCES, SET_USER_DATA, SET_LINEAR, SET_NONLINEAR_ITERATIONS, SET_FAILURES, ROOT_INIT,
@@ -16,7 +104,7 @@ enum { ADAMS = 1, NORMAL = 1, ONE_STEP = 2, STOP_RETURN = 1, ROOT_RETURN = 2, MA
 /* Rounds of event iteration before an FMU is given up as never settling. */
 enum { EVENT_ROUNDS = 100 };
 
-/* Filled by validate/judge/replay/reference.py, field by field in this order. y: states, then what is accumulated. */
+/* y: states, then what is accumulated. */
 struct integration {
     struct fmu fmu;
     function solver[SOLVER_CALLS];
@@ -251,4 +339,105 @@ EXPORT int64_t integration_advance(struct integration *run, const double *target
     }
     memcpy(run->y, y, (size_t)(fmu->states + fmu->rates) * sizeof(double));
     return reason;
+}
+
+/* Co-Simulation. */
+struct stepping {
+    struct fmu fmu;
+    const double *times, *values, *slopes; /* of the plan (steps + 1), (steps, inputs), (steps, inputs) */
+    int64_t linear;                        /* inputs are lines within a step */
+    int64_t gives_slopes;                  /* and the FMU is told their slopes, else each call has the value at its middle */
+    const int32_t *orders;                 /* (inputs) ones: of the derivatives that are told */
+    int64_t parts;                         /* calls of doStep a step of the plan */
+    int64_t bounded;                       /* the first outputs, which must stay below this */
+    double bound;
+    double *outputs; /* (steps + 1, outputs): row 0 is given */
+    double *applied; /* (inputs) */
+    /* Step halving: each step is made in half as many calls and at twice the FMU's own step too, and taken back. */
+    int64_t rolls_back, own_step_count;
+    const uint32_t *own_step_reference;
+    double own_step, same; /* share of its size to which a restored output is the one before */
+    void *place;           /* the FMU's saved state */
+    double *coarse;        /* (outputs) */
+    double *local;         /* (steps, outputs): fine less coarse */
+    /* What came of it. */
+    int64_t done; /* steps */
+    double reached; /* where the FMU returned early [s] */
+};
+
+static enum reason do_step(struct stepping *run, double time, double length)
+{
+    struct fmu *fmu = &run->fmu;
+    if (!fmu->three)
+        return refused(fmu, DO_STEP, ((int (*)(void *, double, double, int))fmu->call[DO_STEP])(fmu->component, time, length, 1)) ? CALL_REFUSED : DONE;
+    bool needs_event = false, ends = false, early = false;
+    int status = ((int (*)(void *, double, double, bool, bool *, bool *, bool *, double *))fmu->call[DO_STEP])(
+        fmu->component, time, length, true, &needs_event, &ends, &early, &run->reached);
+    if (refused(fmu, DO_STEP, status)) return CALL_REFUSED;
+    return early ? EARLY_RETURN : DONE;
+}
+
+static enum reason advance(struct stepping *run, int64_t step, int64_t calls)
+{
+    struct fmu *fmu = &run->fmu;
+    const double *value = run->values + step * fmu->inputs, *slope = run->slopes + step * fmu->inputs;
+    double begin = run->times[step], length = run->times[step + 1] - begin;
+    for (int64_t call = 0; call < calls; call++) {
+        double at = run->gives_slopes || !run->linear ? (double)call : (double)call + 0.5;
+        for (int64_t i = 0; i < fmu->inputs; i++) run->applied[i] = value[i] + slope[i] * (length * at / (double)calls);
+        if (write_values(fmu, fmu->input_references, fmu->inputs, run->applied)) return CALL_REFUSED;
+        if (run->gives_slopes && fmu->inputs
+            && refused(fmu, SET_SLOPES,
+                ((int (*)(void *, const uint32_t *, size_t, const int32_t *, const double *))fmu->call[SET_SLOPES])(
+                    fmu->component, fmu->input_references, (size_t)fmu->inputs, run->orders, slope)))
+            return CALL_REFUSED;
+        enum reason reason = do_step(run, begin + length * (double)call / (double)calls, length / (double)calls);
+        if (reason != DONE) return reason;
+    }
+    return DONE;
+}
+
+static int set_own_step(struct stepping *run, double length)
+{
+    return write_values(&run->fmu, run->own_step_reference, run->own_step_count, &length);
+}
+
+/* One step twice: coarsely, taken back, and finely. Leaves the coarse outputs in run->coarse. */
+static enum reason step_twice(struct stepping *run, int64_t step, const double *before, double *after)
+{
+    struct fmu *fmu = &run->fmu;
+    if (refused(fmu, SAVE, ((int (*)(void *, void **))fmu->call[SAVE])(fmu->component, &run->place))) return CALL_REFUSED;
+    if (set_own_step(run, 2.0 * run->own_step)) return CALL_REFUSED;
+    enum reason reason = advance(run, step, run->parts / 2 > 1 ? run->parts / 2 : 1);
+    if (reason != DONE) return reason;
+    if (read_values(fmu, fmu->output_references, fmu->outputs, run->coarse)) return CALL_REFUSED;
+    if (refused(fmu, RESTORE, ((int (*)(void *, void *))fmu->call[RESTORE])(fmu->component, run->place))) return CALL_REFUSED;
+    if (read_values(fmu, fmu->output_references, fmu->outputs, after)) return CALL_REFUSED;
+    double size = 0.0;
+    for (int64_t i = 0; i < run->bounded; i++) size = fmax(size, fabs(before[i]));
+    for (int64_t i = 0; i < run->bounded; i++)
+        if (!(fabs(after[i] - before[i]) <= run->same * size)) return NOT_RESTORED;
+    if (set_own_step(run, run->own_step)) return CALL_REFUSED;
+    return advance(run, step, run->parts);
+}
+
+/* Steps first .. last - 1 of the plan; run->done counts them. */
+EXPORT int64_t step_through(struct stepping *run, int64_t first, int64_t last)
+{
+    struct fmu *fmu = &run->fmu;
+    for (int64_t step = first; step < last; step++) {
+        double *before = run->outputs + step * fmu->outputs, *after = before + fmu->outputs;
+        enum reason reason = run->rolls_back ? step_twice(run, step, before, after) : advance(run, step, run->parts);
+        if (reason != DONE) return reason;
+        if (read_values(fmu, fmu->output_references, fmu->outputs, after)) return CALL_REFUSED;
+        if (run->rolls_back) {
+            double *local = run->local + step * fmu->outputs;
+            for (int64_t i = 0; i < fmu->outputs; i++) local[i] = after[i] - run->coarse[i];
+        }
+        if (!all_finite(after, fmu->outputs)) return OUTPUT_NOT_FINITE;
+        for (int64_t i = 0; i < run->bounded; i++)
+            if (fabs(after[i]) > run->bound) return OUT_OF_BOUNDS;
+        run->done = step + 1;
+    }
+    return DONE;
 }

@@ -1,0 +1,242 @@
+"""A check of an FMU: what it claims, the fork in which it runs, and what it finds - passed, failed or not offered, and one sentence with figures.
+
+The process that forks never loads an FMU itself: libraries are imported once, and each check has a fresh process. The answer is a file written last and
+whole; what the FMU prints, and how the process exits, cannot pass for one. A Fault is raised here as it was there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import select
+import signal
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from fmpy.fmi1 import FMICallException
+
+from validate.execution.process import exit_in_words
+from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
+
+
+class Status(Enum):
+    """How a check ended; the value is the word in the table."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_OFFERED = "not offered"  # the FMU does not offer what is checked, or it cannot be told
+
+
+class Scope(Enum):
+    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only."""
+
+    FILE = "file"
+    EACH = "each type"
+    EXCHANGE = "Model Exchange"
+    COSIMULATION = "Co-Simulation"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The outcome of one check and its sentence. pace: seconds of a step, from the check that measures it."""
+
+    status: Status
+    sentence: str
+    pace: float | None = None
+
+
+def passed(sentence: str, pace: float | None = None) -> Finding:
+    """A check that passed."""
+    return Finding(Status.PASSED, sentence, pace)
+
+
+def failed(sentence: str) -> Finding:
+    """A check that failed."""
+    return Finding(Status.FAILED, sentence)
+
+
+def not_offered(sentence: str) -> Finding:
+    """A check that does not apply, or cannot be decided."""
+    return Finding(Status.NOT_OFFERED, sentence)
+
+
+class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
+    """Raised within a check that failed; the text is its sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One check: its name in the table, what it claims of a sound FMU, and the function that finds out.
+
+    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; needs: the ability that the type must claim, by its names in
+    FMI 2.0 and 3.0, empty in a version that has none.
+    """
+
+    name: str
+    claim: str
+    scope: Scope
+    run: Callable[..., Finding]
+    needs: tuple[str, str] | None = None
+
+    def __call__(self, *arguments: Any) -> Finding:
+        """Run it: see `run`."""
+        if self.needs is not None:
+            subject, kind = arguments
+            ability = self.needs[subject.major >= 3]
+            if not ability or not subject.can(kind, ability):
+                return not_offered(f"{ability} is false." if ability else f"FMI {subject.major}.0 has none.")
+        try:
+            return self.run(*arguments)
+        except Failed as failure:
+            return failed(str(failure))
+
+
+def check(name: str, scope: Scope, needs: tuple[str, str] | None = None) -> Callable[[Callable[..., Finding]], Check]:
+    """Make a function a Check. Its docstring, one sentence, is what it claims of a sound FMU."""
+
+    def made(function: Callable[..., Finding]) -> Check:
+        claim = " ".join((function.__doc__ or "").split()).removesuffix(".")
+        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function, needs=needs)
+
+    return made
+
+
+@dataclass(frozen=True, kw_only=True)
+class FmuCheckRow:
+    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took."""
+
+    name: str
+    type: str
+    claim: str
+    status: Status
+    sentence: str
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckReport:
+    """All that was found about one FMU. version: of FMI; types: those it offers; unrunnable: there is no binary for this machine, or it needs what the machine does not have."""
+
+    path: str
+    version: str
+    types: tuple[str, ...]
+    rows: tuple[FmuCheckRow, ...]
+    unrunnable: bool = False
+
+    def failures(self) -> tuple[FmuCheckRow, ...]:
+        """The rows that failed."""
+        return tuple(row for row in self.rows if row.status is Status.FAILED)
+
+    @property
+    def ok(self) -> bool:
+        """Whether no check failed."""
+        return not self.failures()
+
+
+def listed(items: list[str], most: int = 3) -> str:
+    """The first few of some texts, and how many more there are."""
+    more = len(items) - most
+    return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
+
+
+# Pause between two looks where the system cannot tell us the end of a process [s].
+_LOOK = 0.005
+
+
+def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
+    """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
+
+    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
+    """
+    descriptor, name = tempfile.mkstemp(prefix="answer-")
+    os.close(descriptor)
+    path = Path(name)
+    child = os.fork()
+    if child == 0:
+        _answer(function, path, own_group)
+    problem = _wait(child, seconds, own_group)
+    try:
+        answer = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
+    finally:
+        path.unlink(missing_ok=True)
+    if "ended" in answer:
+        raise TerminationRequested(answer["ended"])
+    if "lacking" in answer:
+        raise Lacking(answer["lacking"])
+    if "problem" in answer:
+        raise Misbehaviour(answer["problem"])
+    return answer["value"]
+
+
+def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
+    """In the child: never returns."""
+    first = os.getpid()
+    code = 1
+    try:
+        if own_group:
+            os.setpgid(0, 0)
+        gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
+        try:
+            answer = {"value": function()}
+        except TerminationRequested as end:
+            answer = {"ended": end.time}
+        except Lacking as lack:
+            answer = {"lacking": str(lack)}
+        except Misbehaviour as fault:
+            answer = {"problem": str(fault)}
+        except FMICallException as error:
+            answer = {"problem": f"a call that must be possible is refused ({str(error).rstrip('.')})"}
+        except MemoryError:
+            answer = {"problem": "it was ended at its memory limit"}
+        if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
+            aside = path.with_suffix(".part")
+            aside.write_text(json.dumps(answer), encoding="utf-8")
+            os.replace(aside, path)
+        code = 0
+    except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+def _wait(child: int, seconds: float, own_group: bool) -> str:
+    """Wait for the child, end it at the limit; how it ended if not with exit code 0."""
+    over_time = not _ended_within(child, seconds)
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if over_time:
+            os.kill(child, signal.SIGKILL)
+        if own_group:
+            os.killpg(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if over_time:
+        return f"it hung: it was ended at its time limit of {seconds:g} s"
+    if code == 0:
+        return ""
+    return f"it crashed with {exit_in_words(code)}" if code < 0 else f"its process ended without a result ({exit_in_words(code)})"
+
+
+def _ended_within(child: int, seconds: float) -> bool:
+    """Whether it ends in time; it is not waited for, so that its number stays its own."""
+    until = time.monotonic() + seconds
+    if hasattr(os, "pidfd_open"):
+        handle = os.pidfd_open(child)
+        try:
+            return bool(select.select([handle], [], [], seconds)[0])
+        finally:
+            os.close(handle)
+    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        if time.monotonic() > until:
+            return False
+        time.sleep(_LOOK)
+    return True
