@@ -46,7 +46,7 @@ def build(report: Report) -> Section:
     return Section(
         "failures",
         "What failed, by cause",
-        "failures.html",
+        "report.html#failures",
         {
             "groups": groups,
             "total": total,

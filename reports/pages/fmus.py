@@ -31,7 +31,9 @@ def build(report: Report) -> Section | None:
         return None
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
-    return Section("fmus", "FMUs under the check", "fmus.html", {"views": views, "statuses": STATUSES, "sentence": sentence}, said=sentence)
+    return Section(
+        "fmus", "FMUs under the check", "checks.html#fmus", {"views": views, "statuses": STATUSES, "sentence": sentence}, said=sentence
+    )
 
 
 def _view(record: ExaminationRecord, place: int) -> FmuView:

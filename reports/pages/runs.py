@@ -46,7 +46,7 @@ def build(report: Report) -> Section | None:
     return Section(
         "runs",
         "All runs",
-        "runs.html",
+        "run.html",
         {"listed": listed},
         tuple((first[scene.name], scene.name) for scene in report.scenes if first),
         said,

@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from reports.pages.mathml import safe_mathml
 from reports.pages.overview import best_strip
 from reports.pages.section import Report, Section
-from reports.pages.sizes import method_sizes
 from reports.paper import SCENE as PAPER_SCENE
-from reports.records.record import SceneRecord
+from reports.records.record import SceneRecord, SizeRecord
 from reports.wording import listing, number
+
+
+@dataclass(frozen=True)
+class MethodSize:
+    """The model of one method; agrees: both counts are those on paper."""
+
+    method: str
+    title: str
+    size: SizeRecord
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the solver was given as many unknowns and equations as were counted on paper."""
+        size = self.size
+        return (size.unknowns, size.equations) == (size.paper_unknowns, size.paper_equations)
+
+
+def method_sizes(report: Report, scene: str) -> tuple[MethodSize, ...]:
+    """One row a method that solved a model of the scene, in the order of the runs; a size that differs between runs has a row of its own."""
+    found: dict[tuple[str, SizeRecord], MethodSize] = {}
+    for run in report.stored.runs:
+        for stage in run.stages if run.scene.name == scene else ():
+            if stage.size is not None:
+                found.setdefault((stage.method, stage.size), MethodSize(stage.method, stage.method_title, stage.size))
+    return tuple(found.values())
 
 
 def time_step(report: Report, scene: str) -> str:
@@ -35,11 +61,11 @@ def build(report: Report, scene: SceneRecord) -> Section:
         "strip": best_strip(report, scene.name),
         "table1": report.report_link("table1") if scene.name == PAPER_SCENE else "",
     }
-    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html", values)
+    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html#scene", values)
 
 
 def model(report: Report, scene: SceneRecord) -> Section:
     """Its equations, quantities and known answers."""
     equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
     values = {"scene": scene, "equations": equations, "sizes": method_sizes(report, scene.name), "time_step": time_step(report, scene.name)}
-    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene_model.html", values)
+    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene.html#model", values)

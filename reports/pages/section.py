@@ -100,7 +100,7 @@ def scene_page(scene: SceneRecord) -> str:
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
+    """`template` in reports/templates (file.html, or file.html#block) gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
 
     said: a sentence with its main figure, for the index of report.html.
     """

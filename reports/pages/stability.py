@@ -63,7 +63,7 @@ def build(report: Report) -> Section | None:
     return Section(
         "stress-cases",
         "Stress cases",
-        "stability.html",
+        "checks.html#stress_cases",
         {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
         said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its figures and plots.",
     )

@@ -60,7 +60,7 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
         "units": _units(rows),
         "conclusions": conclude(rows),
     }
-    return Section(anchor, title, "table1.html", values)
+    return Section(anchor, title, "scene.html#stages", values)
 
 
 def _ends(row: Row) -> dict[str, TerminalError]:

@@ -57,7 +57,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     styles = styles_of(_curve(sweep) for sweep in sweeps)
     against = [plot for name in _AGAINST if (plot := _against(name, sweeps, styles)) is not None]
     values = {"sweeps": sweeps, "keys": keys_of(styles), "against": against}
-    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "tightening.html", values, entries)
+    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "scene.html#tightening", values, entries)
 
 
 def _curve(sweep: Sweep) -> str:

@@ -74,7 +74,7 @@ def build(report: Report) -> Section | None:
     return Section(
         "time-spent",
         "Where time goes",
-        "time_spent.html",
+        "campaign.html#time_spent",
         values,
         said=values["sentence"] or "The slowest runs, each by what its seconds were spent on.",
     )

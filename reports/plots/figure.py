@@ -4,7 +4,7 @@
     plot.line("plan", "p", t, force);  plot.markup()
 
 Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. Beside what is drawn stand the numbers of every
-series (reports.plots.packed), for reading values, zooming and saving.
+series (reports.plots.series), for reading values, zooming and saving.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from reports.plots.axis import Axis
-from reports.plots.packed import packed
-from reports.plots.simplify import seen
+from reports.plots.series import packed, seen
 from reports.wording import unit
 
 # A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.

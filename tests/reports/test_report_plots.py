@@ -16,7 +16,7 @@ from reports.pages.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
-from reports.plots.simplify import seen
+from reports.plots.series import seen
 from reports.records.record import QuantityRecord, TrackedRecord
 from reports.traces import Motion, contact_phases
 from reports.wording import cost, error, number, percent, product, seconds, small
