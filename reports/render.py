@@ -15,6 +15,7 @@ import contextlib
 import hashlib
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import threading
@@ -45,6 +46,7 @@ from reports.pages import (
     tolerance,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
+from reports.records.check_record import ExaminationRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 
@@ -53,7 +55,7 @@ _HERE = Path(__file__).parent
 # What report.html shows before its index of the other pages.
 _TOP = (overview.build, table1.build, failures.build)
 # What the page of a scene shows.
-_OF_SCENE = (scene.build, table1.of_scene, pareto.build, pareto.ends, tolerance.build, tightening.build, scene.model)
+_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.build, tightening.build, scene.model)
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (runs.build,),
@@ -156,6 +158,12 @@ def render_run(record: RunRecord, folder: Path) -> str:
     report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
     return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
+
+
+def render_checks(records: Sequence[ExaminationRecord]) -> str:
+    """The text of the page of FMUs that were checked outside of any campaign; at least one."""
+    names = ", ".join(record.name for record in records)
+    return page(Templates(), [fmus.of(records)], title="FMUs under the check", lead=names, again="")
 
 
 def page(
@@ -315,12 +323,26 @@ def _finalized(value: Any) -> Any:
 
 
 def _asset(name: str) -> str:
-    """One of our own files, as it stands between the tags: the hash is over exactly this text."""
-    return "\n" + (_HERE / "assets" / name).read_text(encoding="utf-8")
+    """One of our own files, as it stands between the tags, without comments and indents: a campaign has hundreds of pages with it. Hashes are over this text."""
+    text = (_HERE / "assets" / name).read_text(encoding="utf-8")
+    lines = (line.strip() for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
+    return "\n" + "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "REPORT", "Templates", "is_current", "page", "render", "render_run", "write_page", "write_report", "write_single"]
+__all__ = [
+    "PAGES",
+    "REPORT",
+    "Templates",
+    "is_current",
+    "page",
+    "render",
+    "render_checks",
+    "render_run",
+    "write_page",
+    "write_report",
+    "write_single",
+]

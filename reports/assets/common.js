@@ -14,10 +14,10 @@ const touchstone = (() => {
     return plain(copy.textContent);
   };
   const plain = (text) => text.replaceAll("\u00ad", "").replace(/(\d)\u202f(?=\d)/g, "$1").replace(/\s+/g, " ").trim();
-  // Whose table or figure it is: the run and its stage, or the scene.
+  // Whose table or figure it is: the run and its stage.
   const whose = (element) => {
-    const [run, stage, scene] = ["article.run[data-words]", "details.stage", ".of-scene"].map((place) => element.closest(place));
-    const headings = [run && run.querySelector("h3"), stage && stage.querySelector("h4"), scene && scene.querySelector("h3")];
+    const [run, stage] = ["article.run[data-words]", "details.stage"].map((place) => element.closest(place));
+    const headings = [run && run.querySelector("h3"), stage && stage.querySelector("h4")];
     return headings.filter(Boolean).map((heading) => words(heading).split(/ of \d+:/)[0]);
   };
   // Whole words, as many as each part of a file's name has room for.

@@ -248,7 +248,7 @@
   };
   // The keys of the nearest legend that this plot has lines, points or bands of.
   const keys = (svg, frame) => {
-    const within = frame.closest(".stage-body, .of-scene, section") || document.body;
+    const within = frame.closest(".stage-body, section") || document.body;
     const lists = [...within.querySelectorAll("ul.legend")].filter((list) => list.querySelector(".swatch"));
     const before = lists.filter((list) => list.compareDocumentPosition(frame) & Node.DOCUMENT_POSITION_FOLLOWING);
     const legend = before.length ? before[before.length - 1] : lists[0];

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from reports.pages.section import Report, Section
 from reports.paper import SCENE
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import ViolationPoint
+from reports.rows import Row
 from reports.wording import error, listing, number, seconds, small
 
 _LAWS = {
@@ -26,7 +28,7 @@ def build(report: Report) -> Section | None:
         "errata",
         "Errata of the paper, and what it leaves open",
         "paper.html#errata",
-        {"closed_form": _closed_form(report), "physics": _physics(report), "clock": _clock(report)},
+        {"closed_form": _closed_form(report), "physics": _physics(rows), "clock": _clock(rows)},
         said="Eight errata of the paper, each with what our records show of it, and its Fig. 2: the worst-case violation against ε.",
     )
 
@@ -40,8 +42,8 @@ def _closed_form(report: Report) -> str:
     return f"Measured here at {len(points)} values of ε: the largest relative difference to the closed form is {error(worst)}."
 
 
-def _physics(report: Report) -> str:
-    found = [(row.label, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.metric("physics")) is not None]
+def _physics(rows: Sequence[Row]) -> str:
+    found = [(row.label, value) for row in rows if row.stage.method == "relu_gd" and (value := row.metric("physics")) is not None]
     if not found:
         return ""
     if all(value == 0 for _, value in found):
@@ -49,8 +51,8 @@ def _physics(report: Report) -> str:
     return f"Here: {listing([f'{number(value, 3)} of {label}' for label, value in found])}."
 
 
-def _clock(report: Report) -> str:
-    warm = [row for row in report.rows if row.paper_total and len(row.methods) > 1 and row.stage.paper.get("time")]
+def _clock(rows: Sequence[Row]) -> str:
+    warm = [row for row in rows if row.paper_total and len(row.methods) > 1 and row.stage.paper.get("time")]
     if not warm:
         return ""
     most = max(warm, key=lambda row: (row.paper_total or 0.0) / row.stage.paper["time"])

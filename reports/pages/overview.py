@@ -12,14 +12,14 @@ from reports.judged import judged_metric
 from reports.pages.failures import notices
 from reports.pages.filmstrip import Strip, strip
 from reports.pages.pareto import SMALLEST, TICK, cpu, draw_front, keys, style_of
-from reports.pages.runs import not_applicable
+from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
 from reports.records.record import HOLD, CampaignRecord, RunRecord, SceneRecord
 from reports.rows import Row
-from reports.wording import VERDICTS, capital, cost, count, error, number, seconds, unit
+from reports.wording import VERDICTS, cost, count, error, number, seconds, unit
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _words(run: RunRecord, ratio: float | None) -> str:
         return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
     if cause is None:
         reason = not_applicable(run)
-        return f"{said}. {capital(reason)}" if reason else said
+        return f"{said}. {reason}" if reason else said
     metric = deciding(run.stages[-1]) if run.stages else None
     measured = (
         f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
@@ -118,7 +118,7 @@ def _speed(report: Report) -> Plot | None:
     points = []
     for row in report.rows:
         metric = judged_metric(row.stage, "replay_error")
-        if _ends_leg(row) and metric is not None and metric.value is not None:
+        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and metric is not None and metric.value is not None:
             own = (row.stage.replay.error_estimate if row.stage.replay else None) or 0.0
             points.append((max(cpu(row), TICK), max(metric.value, own, SMALLEST), row))
     if not points:
@@ -153,19 +153,10 @@ def _speed(report: Report) -> Plot | None:
 def _strip(report: Report) -> tuple[Strip, str, RunRecord] | None:
     """Of the paper's scene, else of the first that has one: its cheapest plan that holds."""
     for name in dict.fromkeys((PAPER_SCENE, *(scene.name for scene in report.scenes))):
-        found = best_strip(report, name)
-        if found is not None:
-            return found
-    return None
-
-
-def best_strip(report: Report, scene: str) -> tuple[Strip, str, RunRecord] | None:
-    """The cheapest plan on a scene that holds and that can be drawn: its strip, the link to its run, and the run."""
-    runs = [run for run in report.stored.runs if run.scene.name == scene and run.verdict in HOLD and last_cost(run) is not None]
-    for run in sorted(runs, key=lambda run: last_cost(run) or 0.0):
-        drawn = strip(run.scene, report.plan(run, run.stages[-1]))
-        if drawn is not None:
-            return drawn, report.link(run), run
+        for run, _ in report.cheapest(name):
+            drawn = strip(run.scene, report.plan(run, run.stages[-1]))
+            if drawn is not None:
+                return drawn, report.link(run), run
     return None
 
 
@@ -183,6 +174,6 @@ def _scene(report: Report, scene: SceneRecord) -> SceneLink:
     mine = [run for run in report.stored.runs if run.scene.name == scene.name]
     asked = [run for run in mine if run.verdict not in NOT_ASKED]
     holding = [run for run in asked if run.verdict in HOLD]
-    best = min((run for run in holding if last_cost(run) is not None), key=lambda run: last_cost(run) or 0.0, default=None)
-    said = f"{best.pipeline}, cost {cost(last_cost(best))}" if best is not None else ""
+    best = next(iter(report.cheapest(scene.name)), None)
+    said = f"{best[0].pipeline}, cost {cost(best[1])}" if best else ""
     return SceneLink(scene, report.scene_link(scene), len(holding), len(asked), said)

@@ -74,7 +74,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
         "refused": list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused")),
         "nothing": "" if views else _NOTHING if scene.inputs else _FREE,
     }
-    return Section(f"pareto-{report.scenes.index(scene) + 1}", "CPU time against error and cost", "scene.html#pareto", values)
+    return Section(f"pareto-{report.scenes.index(scene) + 1}", "All methods: speed against error", "scene.html#pareto", values)
 
 
 def cpu(row: Row) -> float:

@@ -129,7 +129,7 @@ def decision_of(run: RunRecord) -> Decision:
     metric = deciding(last) if last is not None else None
     number = metric.question if metric is not None else None
     question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
-    why = (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
+    why = not_applicable(run) or (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
     return Decision(
         question,
         metric,
@@ -139,6 +139,15 @@ def decision_of(run: RunRecord) -> Decision:
         integral_cost(run.scene, last_cost(run)),
         end_of(last, run.scene) if last is not None else "",
     )
+
+
+def not_applicable(run: RunRecord) -> str:
+    """Why a run does not apply, without the name of its method: `The scene has no inputs, so there is nothing to plan.`; empty where it does."""
+    if run.verdict != "not applicable":
+        return ""
+    head, colon, reason = run.message.partition(": ")
+    said = (reason if colon and " " not in head else run.message).partition("; ")[0]
+    return capital(said.replace(f"scene {run.scene.name} ", "the scene ", 1))
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:

@@ -1,4 +1,4 @@
-"""The stress cases, a row each: what a correct system does, what happened, the figures, and whether that passes; below them their plots."""
+"""The stress cases, a row each: what a correct system does, what happened, the metrics, and whether that passes; below them their plots."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced, unit
 
 KIND = "hard case"
-PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
-FAIL = Sign("fail", "✗", "violates", "a figure breaks its limit")
+PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
+FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
 _STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triangle"), ("c4", "circle"), ("c5", "square"))
 # Figures of a case in the table: those that fail, then the first ones.
@@ -65,7 +65,7 @@ def build(report: Report) -> Section | None:
         "Stress cases",
         "checks.html#stress_cases",
         {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
-        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its figures and plots.",
+        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots.",
     )
 
 

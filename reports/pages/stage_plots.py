@@ -225,5 +225,7 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     )
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
-    plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)}."
+    # With the digits by which they differ, if any.
+    digits = next((digits for digits in (3, 5) if number(values[0], digits) != number(values[-1], digits)), 7)
+    plot.words = f"From {number(values[0], digits)} to {number(values[-1], digits)}."
     return plot

@@ -41,8 +41,8 @@ def build(report: Report) -> Section | None:
 
 
 def of_scene(report: Report, scene: SceneRecord) -> Section | None:
-    """All stages on one scene; None where none is stored, or where Table I has them."""
-    if scene.name == SCENE:
+    """All stages on one scene; None where none is stored, or where Table I stands on the same page."""
+    if scene.name == SCENE and report.single:
         return None
     return _section(report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}")
 
