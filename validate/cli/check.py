@@ -26,7 +26,6 @@ Examples:
   python -m validate check model.fmu --html check.html
   python -m validate check build/*.fmu --junit check.xml
 
-\b
 Exit codes: 0 all that is offered passed; 1 something failed; 2 a file is no FMU of
 version 2.0 or 3.0; 3 nothing failed, but code cannot be run on this machine.
 """

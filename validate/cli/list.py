@@ -18,7 +18,6 @@ Examples:
   python -m validate list
   python -m validate list --json
 
-\b
 Exit codes: 0 listed; 2 usage.
 """
 )

@@ -24,8 +24,7 @@ Examples:
   python -m validate plan --quick --out runs/quick
   python -m validate plan -k mpcc --table
 
-\b
-Exit codes: 0 told; 2 usage, or nothing selected.
+Exit codes: 0 printed; 2 usage, or nothing selected.
 """
 
 

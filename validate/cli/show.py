@@ -21,7 +21,6 @@ Examples:
   python -m validate show "three_cart x mpcc"     by its name
   python -m validate show mpcc --in runs/mine     by part of a name
 
-\b
 Exit codes: 0 it does not make its campaign fail; 1 it does; 2 there is no such
 run, or more than one.
 """
