@@ -111,9 +111,7 @@ def _tell_run(record: RunRecord) -> None:
         return
     if last.why and last.why != record.message:
         click.echo()
-        click.echo(
-            one_line(f"the last stage: {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
-        )
+        say(f"the last stage {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
     if last.metrics:
         _tell_score(last)
     _tell_scene(record)
