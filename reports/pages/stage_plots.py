@@ -11,7 +11,7 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, column, contact_phases, force, gap
-from reports.wording import clean, error, number
+from reports.wording import ROUNDING, clean, error, number
 
 _KEYS = [
     Key("plan", "plan"),
@@ -106,11 +106,16 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
         if mine:
             plot.label(x.low, mine[0][4][0], item.name, f"strong {mine[0][1].split()[0]}")
     ends = [
-        (name, ", ".join(f"{item.name} {number(values[-1], 5)}" for item, _, other, _, values in data if other == name))
+        (name, ", ".join(f"{item.name} {number(_rounded(values[-1]), 5)}" for item, _, other, _, values in data if other == name))
         for name in ("plan", "replay")
     ]
     plot.words = " ".join(f"The {name} ends at {words} {unit}." for name, words in ends if words)
     return plot
+
+
+def _rounded(value: float) -> float:
+    """Nought for what is rounding."""
+    return 0.0 if abs(value) < ROUNDING else float(value)
 
 
 def _contact(
