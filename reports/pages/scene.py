@@ -8,34 +8,9 @@ from reports.pages.mathml import safe_mathml
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.records.record import RunRecord, SceneRecord, SizeRecord
+from reports.records.record import RunRecord, SceneRecord
 from reports.traces import Motion
 from reports.wording import cost, listing, number
-
-
-@dataclass(frozen=True)
-class MethodSize:
-    """The model of one method; agrees: both counts are those on paper."""
-
-    method: str
-    title: str
-    size: SizeRecord
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the solver was given as many unknowns and equations as were counted on paper."""
-        size = self.size
-        return (size.unknowns, size.equations) == (size.paper_unknowns, size.paper_equations)
-
-
-def method_sizes(report: Report, scene: str) -> tuple[MethodSize, ...]:
-    """One row a method that solved a model of the scene, in the order of the runs; a size that differs between runs has a row of its own."""
-    found: dict[tuple[str, SizeRecord], MethodSize] = {}
-    for run in report.stored.runs:
-        for stage in run.stages if run.scene.name == scene else ():
-            if stage.size is not None:
-                found.setdefault((stage.method, stage.size), MethodSize(stage.method, stage.method_title, stage.size))
-    return tuple(found.values())
 
 
 def time_step(report: Report, scene: str) -> str:
@@ -91,5 +66,8 @@ def _shown(report: Report, scene: SceneRecord) -> Shown | None:
 def model(report: Report, scene: SceneRecord) -> Section:
     """Its equations, quantities and known answers."""
     equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
-    values = {"scene": scene, "equations": equations, "sizes": method_sizes(report, scene.name), "time_step": time_step(report, scene.name)}
+    stages = (stage for run in report.stored.runs if run.scene.name == scene.name for stage in run.stages)
+    # A size that differs between runs has a row of its own.
+    sizes = list(dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None))
+    values = {"scene": scene, "equations": equations, "sizes": sizes, "time_step": time_step(report, scene.name)}
     return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene.html#model", values)

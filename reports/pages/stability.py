@@ -9,7 +9,7 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord
 from reports.records.record import MetricRecord
-from reports.wording import Sign, capital, count, number, spaced, unit
+from reports.wording import Sign, capital, count, number, spaced
 
 KIND = "hard case"
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
@@ -25,21 +25,8 @@ _BELOW = 0.08
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One figure with its limit in words; sign: None where there is no limit."""
-
-    name: str
-    value: str
-    unit: str
-    limit: str
-    reason: str
-    meaning: str
-    sign: Sign | None
-
-
-@dataclass(frozen=True)
 class StabilityRow:
-    """One case. number and title are parts of its name; decisive: the figures that the table shows."""
+    """One case. number and title are parts of its name; decisive: the metrics that the table shows."""
 
     anchor: str
     number: str
@@ -47,8 +34,7 @@ class StabilityRow:
     record: ExaminationRecord
     sign: Sign
     happened: str
-    decisive: tuple[Shown, ...]
-    figures: tuple[Shown, ...]
+    decisive: tuple[MetricRecord, ...]
     plots: tuple[Plot, ...]
 
 
@@ -64,7 +50,13 @@ def build(report: Report) -> Section | None:
         "stress-cases",
         "Stress cases",
         "checks.html#stress_cases",
-        {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
+        {
+            "rows": rows,
+            "passed": passed,
+            "failed": failed,
+            "marks": {True: PASS, False: FAIL},
+            "seconds": sum(row.record.cpu_seconds for row in rows),
+        },
         said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots.",
     )
 
@@ -80,18 +72,8 @@ def _row(record: ExaminationRecord) -> StabilityRow:
         record=record,
         sign=sign,
         happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
-        decisive=tuple(_shown(figure) for figure in sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
-        figures=tuple(_shown(figure) for figure in record.figures),
+        decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
         plots=tuple(_plot(chart) for chart in record.charts if any(series.x for series in chart.series)),
-    )
-
-
-def _shown(figure: MetricRecord) -> Shown:
-    of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
-    limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit, 7)}{of}"
-    value, measured = ("no number", "") if figure.value is None else (number(figure.value, 3), unit(figure.unit))
-    return Shown(
-        figure.name, value, measured, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL
     )
 
 

@@ -13,6 +13,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -223,6 +224,23 @@ class Plot:
             f'<text class="axis x" x="{right}" y="{self.height - 6}">{escape(self.x.title)}</text>',
             f'<text class="axis" x="2" y="12">{escape(self.y.title)}</text>',
         ]
+
+
+# A line: its name, its CSS class, times [s] and values, which may be one shorter.
+Line = tuple[str, str, NDArray[np.float64], NDArray[np.float64]]
+
+
+def over_time(
+    title: str, quantity: str, unit: str, lines: Sequence[Line], *, x: Axis | None = None, height: int = 240, **axis: Any
+) -> Plot | None:
+    """Lines over time on one axis; None where there are none. x: of the time (what the lines cover); axis: words of `Axis.fitted` for the values."""
+    if not lines:
+        return None
+    along = x or Axis.fitted("time", "s", [end for _, _, t, _ in lines for end in (t[0], t[-1])], margin=0.0)
+    plot = Plot(title, along, Axis.fitted(quantity, unit, np.concatenate([values for *_, values in lines]), **axis), height=height)
+    for line in lines:
+        plot.line(*line)
+    return plot
 
 
 def _pixel(place: float) -> str:
