@@ -164,7 +164,10 @@ def test_command_writes_a_page_and_junit_of_several(tmp_path: Path, sound_conten
     failure = suites[1].find("testcase/failure")
     assert failure is not None
     assert "k is 30 in the binary, 31 in the description" in failure.get("message", "")
-    assert [case.get("name") for case in suites[1] if case.find("skipped") is not None] == ["adjoint derivatives (ME)", "adjoint derivatives (CS)"]
+    assert [case.get("name") for case in suites[1] if case.find("skipped") is not None] == [
+        "adjoint derivatives (ME)",
+        "adjoint derivatives (CS)",
+    ]
 
 
 @pytest.mark.slow
