@@ -74,9 +74,10 @@
   const figure = (svg) => {
     const frame = svg.closest("figure, .film");
     const area = svg.closest("[data-read]");
-    const output = frame.querySelector("output");
     const title = words(frame.querySelector("figcaption strong")) || (frame.querySelector("[aria-label]") || {}).ariaLabel || "figure";
     const axes = svg.dataset.axes ? JSON.parse(svg.dataset.axes) : null;
+    const output = axes && make("output", { className: "readout", ariaLive: "polite" });
+    if (output) svg.closest(".draw").after(output);
     const lines = [...svg.querySelectorAll("path[data-n]")];
     let waiting = null;
     const series = () => (waiting ||= unpacked(svg, axes));

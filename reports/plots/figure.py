@@ -23,8 +23,8 @@ from reports.plots.axis import Axis
 from reports.plots.series import packed, seen
 from reports.wording import unit
 
-# A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
-_TOLERANCE = 0.25
+# Less than half a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
+_TOLERANCE = 0.4
 # Digits of the axes' ends, by which the script finds the pixels of values.
 _DIGITS = 7
 # Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
@@ -249,15 +249,15 @@ def _pixel(place: float) -> str:
 
 
 def _path(across: NDArray[np.float64], down: NDArray[np.float64]) -> str:
-    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out."""
+    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out. A sign parts numbers by itself."""
     places = np.rint(5 * np.column_stack([across, down])).astype(int)
-    steps = (f"{_fifth(right)},{_fifth(below)}" for right, below in np.diff(places, axis=0).tolist())
-    return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{' '.join(steps) or '0,0'}"
+    steps = " ".join(_fifth(step) for step in np.diff(places, axis=0).ravel().tolist())
+    return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{steps.replace(' -', '-') or '0,0'}"
 
 
 @lru_cache(maxsize=10_000)
 def _fifth(place: int) -> str:
-    return _pixel(place / 5)
+    return _pixel(place / 5).replace("0.", ".") if abs(place) < 5 else _pixel(place / 5)
 
 
 def _short(value: float) -> float:
