@@ -38,7 +38,7 @@ from reports.pages import (
     run,
     runs,
     scene,
-    stability,
+    stress_cases,
     sweeps,
     table1,
     tightening,
@@ -60,7 +60,7 @@ _OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.
 _OTHERS = {
     "runs": (runs.build,),
     "sweeps": (sweeps.build,),
-    "stress-cases": (stability.build,),
+    "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),
     "errata": (errata.build, errata.violation),
     "time-spent": (time_spent.build,),

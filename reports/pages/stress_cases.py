@@ -11,7 +11,8 @@ from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRec
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced
 
-KIND = "hard case"
+# What records call it; in those from before, the second.
+KINDS = ("stress case", "hard case")
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
 FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
@@ -25,7 +26,7 @@ _BELOW = 0.08
 
 
 @dataclass(frozen=True)
-class StabilityRow:
+class CaseRow:
     """One case. number and title are parts of its name; decisive: the metrics that the table shows."""
 
     anchor: str
@@ -40,7 +41,7 @@ class StabilityRow:
 
 def build(report: Report) -> Section | None:
     """The section, or None where no stress case ran."""
-    records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
+    records = sorted((item for item in report.stored.examinations if item.kind in KINDS), key=lambda item: item.name)
     if not records:
         return None
     rows = [_row(record) for record in records]
@@ -61,12 +62,12 @@ def build(report: Report) -> Section | None:
     )
 
 
-def _row(record: ExaminationRecord) -> StabilityRow:
+def _row(record: ExaminationRecord) -> CaseRow:
     place, _, title = record.name.partition(" ")
     sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
     judged = [figure for figure in record.figures if figure.ok is not None]
-    return StabilityRow(
-        anchor=f"hard-case-{place}",
+    return CaseRow(
+        anchor=f"stress-case-{place}",
         number=place.lstrip("0") or place,
         title=title or record.name,
         record=record,
