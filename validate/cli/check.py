@@ -169,14 +169,14 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     return render_checks(records)
 
 
-def _junit(checked: Sequence[Checked]) -> str:
+def _junit(checked: Sequence[Checked]) -> bytes:
     """JUnit XML: what was measured is the message of a failure; what an FMU does not offer is skipped."""
     suites = ElementTree.Element("testsuites", name="touchstone check")
     for report, spent, _ in checked:
         statuses = [row.status.value for row in report.rows]
         counts = {"tests": len(statuses), "failures": statuses.count("failed"), "skipped": statuses.count("not offered"), "errors": 0}
-        words = {name: str(amount) for name, amount in counts.items()}
-        suite = ElementTree.SubElement(suites, "testsuite", name=one_line(report.path), time=f"{spent:.3f}", **words)
+        suite = ElementTree.SubElement(suites, "testsuite", {"name": one_line(report.path), "time": f"{spent:.3f}"})
+        suite.attrib |= {name: str(amount) for name, amount in counts.items()}
         for row in report.rows:
             case = ElementTree.SubElement(suite, "testcase", name=_name(row), classname=one_line(report.path), time=f"{row.seconds:.3f}")
             if row.status.value == "failed":
@@ -185,4 +185,4 @@ def _junit(checked: Sequence[Checked]) -> str:
             elif row.status.value == "not offered":
                 ElementTree.SubElement(case, "skipped", message=one_line(row.sentence))
     ElementTree.indent(suites)
-    return ElementTree.tostring(suites, encoding="unicode", xml_declaration=True) + "\n"
+    return ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)
