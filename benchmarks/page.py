@@ -14,8 +14,7 @@ from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, sca
 from benchmarks.results import stored
 from reports.pages.section import Section
 from reports.records.load import ReportError
-from reports.render import page, write_page
-from reports.templating import Templates
+from reports.render import Templates, page, write_page
 
 # kind of record -> what makes its section.
 _SECTIONS = {

@@ -136,5 +136,6 @@ def _first(ranked: Sequence[Standing]) -> str:
 
 def _standing(standing: Standing) -> str:
     said = f"holds on {standing.holds} of {count(standing.able, 'scene')}"
-    said += f", {number(standing.ratio, 3)} times the best cost" if standing.ratio is not None else ""
+    if standing.ratio is not None:
+        said += ", at the best cost" if standing.ratio < 1.005 else f", {number(standing.ratio, 3)} times the best cost"
     return said + (f", {seconds(standing.cpu)} CPU s" if standing.cpu is not None else "")

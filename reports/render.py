@@ -15,62 +15,97 @@ import contextlib
 import hashlib
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from reports import wording
 from reports.pages import (
     errata,
     failures,
     fmus,
-    front,
-    index,
     overview,
     pareto,
     provenance,
     run,
     runs,
     scene,
-    stability,
+    stress_cases,
     sweeps,
     table1,
     tightening,
     time_spent,
     tolerance,
-    violation,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
+from reports.records.check_record import ExaminationRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
-from reports.templating import Templates
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
 # What report.html shows before its index of the other pages.
 _TOP = (overview.build, table1.build, failures.build)
 # What the page of a scene shows.
-_OF_SCENE = (scene.build, table1.of_scene, pareto.build, front.build, tolerance.build, tightening.build, scene.model)
+_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.build, tightening.build, scene.model)
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (runs.build,),
     "sweeps": (sweeps.build,),
-    "stress-cases": (stability.build,),
+    "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),
-    "errata": (errata.build, violation.build),
+    "errata": (errata.build, errata.violation),
     "time-spent": (time_spent.build,),
     "provenance": (provenance.build,),
 }
-_SCRIPTS = ("common.js", "report.js", "figures.js", "tables.js", "player.js")
+_SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
+_FILTERS = (
+    *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "answer"),
+    *("count", "small", "product", "unit", "capital", "exact", "prose", "ratio"),
+)
 # Fewer pages than this a process are written sooner without it.
 _WORTH = 8
+
+
+class Templates:
+    """The templates of this room, each compiled once; all know the macros of macros.html.
+
+    templates = Templates();  templates.render("run.html", view=view, anchor="run");  templates.render("scene.html#model", ...)
+    """
+
+    def __init__(self, *folders: Path) -> None:
+        """folders: of further templates, beside those of this room."""
+        self._environment = Environment(
+            loader=FileSystemLoader([Path(__file__).parent / "templates", *folders]),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+            finalize=_finalized,
+        )
+        for name in _FILTERS:
+            self._environment.filters[name] = getattr(wording, name)
+        self._environment.globals["dash"] = wording.DASH
+        self._environment.globals["windows"] = tolerance.windows_text
+        macros = self._environment.get_template("macros.html").module
+        self._environment.globals |= {name: macro for name, macro in vars(macros).items() if not name.startswith("_")}
+
+    def render(self, name: str, **values: Any) -> str:
+        """The text of one template, or of one block of it: file.html#block."""
+        file, _, block = name.partition("#")
+        template = self._environment.get_template(file)
+        return "".join(template.blocks[block](template.new_context(values))) if block else template.render(**values)
 
 
 def write_report(folder: Path, jobs: int | None = None) -> Path:
@@ -123,6 +158,12 @@ def render_run(record: RunRecord, folder: Path) -> str:
     report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
     return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
+
+
+def render_checks(records: Sequence[ExaminationRecord]) -> str:
+    """The text of the page of FMUs that were checked outside of any campaign; at least one."""
+    names = ", ".join(record.name for record in records)
+    return page(Templates(), [fmus.of(records)], title="FMUs under the check", lead=names, again="")
 
 
 def page(
@@ -189,7 +230,7 @@ def _others(report: Report) -> dict[str, list[Section]]:
 def _across(report: Report, others: Mapping[str, Sequence[Section]]) -> list[Section]:
     """The sections of report.html."""
     listed = [(name, sections[0]) for name, sections in others.items()]
-    return [*_built(_TOP, report), *_built((index.build,), report, listed)]
+    return [*_built(_TOP, report), *_built((overview.index,), report, listed)]
 
 
 def _title(report: Report) -> str:
@@ -276,13 +317,32 @@ def _time(path: Path) -> int:
         return 0
 
 
+def _finalized(value: Any) -> Any:
+    """Every string that reaches the page without being markup loses its control characters; escaping comes after."""
+    return wording.clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
 def _asset(name: str) -> str:
-    """One of our own files, as it stands between the tags: the hash is over exactly this text."""
-    return "\n" + (_HERE / "assets" / name).read_text(encoding="utf-8")
+    """One of our own files, as it stands between the tags, without comments and indents: a campaign has hundreds of pages with it. Hashes are over this text."""
+    text = (_HERE / "assets" / name).read_text(encoding="utf-8")
+    lines = (line.strip() for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
+    return "\n" + "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-__all__ = ["PAGES", "REPORT", "is_current", "page", "render", "render_run", "write_page", "write_report", "write_single"]
+__all__ = [
+    "PAGES",
+    "REPORT",
+    "Templates",
+    "is_current",
+    "page",
+    "render",
+    "render_checks",
+    "render_run",
+    "write_page",
+    "write_report",
+    "write_single",
+]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 DASH = "–"
 _THIN = "\u202f"
 # Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give or take rounding.
-_ROUNDING = 1e-15
+ROUNDING = 1e-15
 # From here on decimals would fill the page: a diverged plan may cost 1e200.
 _LARGE = 1e9
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -106,7 +106,7 @@ def error(value: float | None) -> str:
     """Errors and residuals: two digits tell all, and both are written (0.040, 2.0×10⁻⁸), so that columns read evenly."""
     if value is None or value == 0 or not math.isfinite(value):
         return number(value)
-    if abs(value) < _ROUNDING:
+    if abs(value) < ROUNDING:
         return f"<{power(-15)}"
     mantissa, exponent = f"{value:.1e}".split("e")
     if -4 <= int(exponent) <= 5:

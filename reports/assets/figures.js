@@ -74,9 +74,10 @@
   const figure = (svg) => {
     const frame = svg.closest("figure, .film");
     const area = svg.closest("[data-read]");
-    const output = frame.querySelector("output");
     const title = words(frame.querySelector("figcaption strong")) || (frame.querySelector("[aria-label]") || {}).ariaLabel || "figure";
     const axes = svg.dataset.axes ? JSON.parse(svg.dataset.axes) : null;
+    const output = axes && make("output", { className: "readout", ariaLive: "polite" });
+    if (output) svg.closest(".draw").after(output);
     const lines = [...svg.querySelectorAll("path[data-n]")];
     let waiting = null;
     const series = () => (waiting ||= unpacked(svg, axes));
@@ -248,7 +249,7 @@
   };
   // The keys of the nearest legend that this plot has lines, points or bands of.
   const keys = (svg, frame) => {
-    const within = frame.closest(".stage-body, .of-scene, section") || document.body;
+    const within = frame.closest(".stage-body, section") || document.body;
     const lists = [...within.querySelectorAll("ul.legend")].filter((list) => list.querySelector(".swatch"));
     const before = lists.filter((list) => list.compareDocumentPosition(frame) & Node.DOCUMENT_POSITION_FOLLOWING);
     const legend = before.length ? before[before.length - 1] : lists[0];

@@ -46,7 +46,7 @@ def build(report: Report) -> Section:
     return Section(
         "failures",
         "What failed, by cause",
-        "failures.html",
+        "report.html#failures",
         {
             "groups": groups,
             "total": total,
@@ -110,7 +110,7 @@ def notices(report: Report) -> list[str]:
         said.append(f"{count(stored.foreign, 'stored run')} in this folder {belongs} left out.")
     if stored.campaign is not None:
         if stored.campaign.quick:
-            said.append("This was a quick campaign; what it left out stands below.")
+            said.append("This was a quick campaign; what it left out is listed below.")
         said += [capital(item.warning) for item in stored.campaign.time_steps if item.warning]
     return said
 

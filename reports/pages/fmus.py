@@ -1,7 +1,8 @@
-"""Our own FMUs under the check: a row a scene and version of FMI, and every check of each."""
+"""FMUs under the check: those of a campaign, a row a scene and version of FMI, or anybody's; and every check of each."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
@@ -29,9 +30,16 @@ def build(report: Report) -> Section | None:
     records = [record for record in report.stored.examinations if record.kind == KIND]
     if not records:
         return None
+    return of(records)
+
+
+def of(records: Sequence[ExaminationRecord]) -> Section:
+    """The section of these checks of FMUs; of anybody's, which are of no scene, it says how they were made."""
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
-    return Section("fmus", "FMUs under the check", "fmus.html", {"views": views, "statuses": STATUSES, "sentence": sentence}, said=sentence)
+    ours = any(record.scene for record in records)
+    values = {"views": views, "statuses": STATUSES, "sentence": sentence, "ours": ours, "origin": records[0].provenance}
+    return Section("fmus", "FMUs under the check", "checks.html#fmus", values, said=sentence)
 
 
 def _view(record: ExaminationRecord, place: int) -> FmuView:
@@ -41,11 +49,12 @@ def _view(record: ExaminationRecord, place: int) -> FmuView:
 
 
 def _sentence(views: list[FmuView]) -> str:
-    scenes = len({view.name for view in views})
+    scenes = {view.record.scene for view in views} - {None}
+    of_scenes = f" of {count(len(scenes), 'scene')}" if scenes else ""
     versions = listing(sorted({view.version for view in views if view.version}))
     looked = [view.fmu for view in views if view.fmu is not None]
     counts = ", ".join(f"{sum(fmu.count(status) for fmu in looked)} {status}" for status in STATUSES)
     bad = sum(not view.record.passed for view in views)
-    told = "every one passes" if not bad else f"{bad} of them {'does' if bad == 1 else 'do'} not pass"
+    told = f"{bad} of them {'does' if bad == 1 else 'do'} not pass" if bad else "every one passes"
     cost = sum(view.record.cpu_seconds for view in views)
-    return f"{count(len(views), 'FMU')} of {count(scenes, 'scene')} in FMI {versions}: {told}. Checks: {counts}; {cost:.0f} CPU seconds."
+    return f"{count(len(views), 'FMU')}{of_scenes} in FMI {versions}: {told}. Checks: {counts}; {cost:.0f} CPU seconds."

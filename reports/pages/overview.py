@@ -1,4 +1,4 @@
-"""What a reader sees first: three findings, speed against error, every scene by every pipeline, and a film strip."""
+"""What a reader sees first: three findings, speed against error, every scene by every pipeline, a film strip; and last, what leads to the other pages."""
 
 from __future__ import annotations
 
@@ -7,31 +7,19 @@ from dataclasses import dataclass
 from statistics import median
 
 from reports.causes import cause_of, deciding
-from reports.findings import ENOUGH, cost_ratio, last_cost, least_costs, three_findings
+from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, last_cost, least_costs, three_findings
 from reports.judged import judged_metric
 from reports.pages.failures import notices
 from reports.pages.filmstrip import Strip, strip
-from reports.pages.front import draw_front
-from reports.pages.pareto import cpu
-from reports.pages.runs import not_applicable
+from reports.pages.pareto import SMALLEST, TICK, cpu, draw_front, keys, style_of
+from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
 from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
-from reports.records.record import HOLD, CampaignRecord, RunRecord
+from reports.plots.figure import Plot
+from reports.records.record import HOLD, CampaignRecord, RunRecord, SceneRecord
 from reports.rows import Row
-from reports.wording import VERDICTS, capital, cost, count, error, number, seconds, unit
-
-# Families of the methods that end a run: the paper's three, and ours. Style of their marks, and words.
-_FAMILIES = {
-    "relaxed": ("c1", "relaxed contact"),
-    "gradient": ("c3", "gradient descent"),
-    "exact": ("c0", "exact contact"),
-    "ours": ("c2", "ours"),
-}
-_OF_PAPER = {"relaxed_lcp": "relaxed", "softplus_dc": "relaxed", "softplus_gd": "gradient", "relu_gd": "gradient", "strict_lcp": "exact"}
-# Below this an error is one of rounding, and below this a clock's tick: drawn at the edge, so that they do not squeeze the rest.
-_SMALLEST, _TICK = 1e-12, 1e-3
+from reports.wording import VERDICTS, cost, count, error, number, seconds, unit
 
 
 @dataclass(frozen=True)
@@ -44,18 +32,29 @@ class Place:
     words: str
 
 
+@dataclass(frozen=True)
+class SceneLink:
+    """A scene; holds: so many of its `asked` runs, which could; best: the pipeline of its cheapest plan that holds, and that cost."""
+
+    scene: SceneRecord
+    link: str
+    holds: int
+    asked: int
+    best: str
+
+
 def build(report: Report) -> Section:
     """The first section of report.html; of a folder without runs it says that."""
     runs = report.stored.runs
     return Section(
         "overview",
         "Overview",
-        "first_screen.html",
+        "report.html#overview",
         {
             "notices": notices(report),
             "findings": three_findings(runs),
             "plot": _speed(report),
-            "keys": _keys(),
+            "keys": keys("front"),
             "scenes": [(scene, report.scene_link(scene)) for scene in report.scenes],
             "pipelines": list(dict.fromkeys(run.pipeline for run in runs)),
             "places": _places(report),
@@ -83,7 +82,7 @@ def _words(run: RunRecord, ratio: float | None) -> str:
         return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
     if cause is None:
         reason = not_applicable(run)
-        return f"{said}. {capital(reason)}" if reason else said
+        return f"{said}. {reason}" if reason else said
     metric = deciding(run.stages[-1]) if run.stages else None
     measured = (
         f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
@@ -108,11 +107,6 @@ def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[s
     }
 
 
-def _keys() -> list[Key]:
-    families = [Key(style, words, "circle") for style, words in _FAMILIES.values()]
-    return [*families, Key("c2 full", "filled: holds", "circle"), Key("front", "front")]
-
-
 def _ends_leg(row: Row) -> bool:
     """Whether it is the last stage of its method in the run: what the method came to, at its tightest eps."""
     later = row.run.stages[row.stage.index + 1 :]
@@ -124,9 +118,9 @@ def _speed(report: Report) -> Plot | None:
     points = []
     for row in report.rows:
         metric = judged_metric(row.stage, "replay_error")
-        if _ends_leg(row) and metric is not None and metric.value is not None:
+        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and metric is not None and metric.value is not None:
             own = (row.stage.replay.error_estimate if row.stage.replay else None) or 0.0
-            points.append((max(cpu(row), _TICK), max(metric.value, own, _SMALLEST), row))
+            points.append((max(cpu(row), TICK), max(metric.value, own, SMALLEST), row))
     if not points:
         return None
     plot = Plot(
@@ -137,9 +131,8 @@ def _speed(report: Report) -> Plot | None:
         height=400,
     )
     for x, y, row in points:
-        style = _FAMILIES[_OF_PAPER.get(row.stage.method, "ours")][0] + (" full" if row.holds else "")
         tip = f"{row.label} on {row.run.scene.name}: {row.stage.verdict}; {seconds(x)} CPU s, error {error(y)}"
-        plot.point(x, y, style, "circle", tip, row.link, radius=3.5, keeps_free=False)
+        plot.point(x, y, style_of(row), "circle", tip, row.link, radius=3.5, keeps_free=False)
     medians = []
     for name in dict.fromkeys(row.run.pipeline for _, _, row in points):
         mine = [(x, y) for x, y, row in points if row.run.pipeline == name and row.holds and row.stage is row.run.stages[-1]]
@@ -160,17 +153,27 @@ def _speed(report: Report) -> Plot | None:
 def _strip(report: Report) -> tuple[Strip, str, RunRecord] | None:
     """Of the paper's scene, else of the first that has one: its cheapest plan that holds."""
     for name in dict.fromkeys((PAPER_SCENE, *(scene.name for scene in report.scenes))):
-        found = best_strip(report, name)
-        if found is not None:
-            return found
+        for run, _ in report.cheapest(name):
+            drawn = strip(run.scene, report.plan(run, run.stages[-1]))
+            if drawn is not None:
+                return drawn, report.link(run), run
     return None
 
 
-def best_strip(report: Report, scene: str) -> tuple[Strip, str, RunRecord] | None:
-    """The cheapest plan on a scene that holds and that can be drawn: its strip, the link to its run, and the run."""
-    runs = [run for run in report.stored.runs if run.scene.name == scene and run.verdict in HOLD and last_cost(run) is not None]
-    for run in sorted(runs, key=lambda run: last_cost(run) or 0.0):
-        drawn = strip(run.scene, report.plan(run, run.stages[-1]))
-        if drawn is not None:
-            return drawn, report.link(run), run
-    return None
+def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | None:
+    """The last section of report.html. others: (file name, first section) of each page that is neither a scene's nor a run's."""
+    pages = [(report.page_link(name, section.anchor if report.single else ""), section.title, section.said) for name, section in others]
+    if not report.scenes and not pages:
+        return None
+    return Section(
+        "index", "More pages", "report.html#index", {"scenes": [_scene(report, scene) for scene in report.scenes], "pages": pages}
+    )
+
+
+def _scene(report: Report, scene: SceneRecord) -> SceneLink:
+    mine = [run for run in report.stored.runs if run.scene.name == scene.name]
+    asked = [run for run in mine if run.verdict not in NOT_ASKED]
+    holding = [run for run in asked if run.verdict in HOLD]
+    best = next(iter(report.cheapest(scene.name)), None)
+    said = f"{best[0].pipeline}, cost {cost(best[1])}" if best else ""
+    return SceneLink(scene, report.scene_link(scene), len(holding), len(asked), said)

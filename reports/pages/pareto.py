@@ -1,4 +1,4 @@
-"""What a plan costs to find against how good it is: CPU time against replay error, and against cost at equal terminal error, scene by scene.
+"""All methods on a scene as scatters: CPU time against replay error and against cost at equal terminal error; cost against where the replay ends.
 
 Equal means: within what the scene itself allows. A cost is compared only among plans whose judged replay ends within the scene's limits on the terminal
 error (the scene of a free end has none: there the last state is in the cost), and the front is drawn through those that hold, with feedback or without.
@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from reports.judged import TRACKED, is_tracked, judged_metric
-from reports.pages.front import draw_front, unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
@@ -19,10 +18,21 @@ from reports.records.record import MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
-# Below this an error is a rounding error: drawn at the edge, so that it does not squeeze the rest.
-_SMALLEST = 1e-12
-# A stage that took less than a tick of the clock is drawn at a tick.
-_TICK = 1e-3
+# Below this an error is a rounding error, and below this a clock's tick: drawn at the edge, so that they do not squeeze the rest.
+SMALLEST, TICK = 1e-12, 1e-3
+# Families of the methods that end a leg: the paper's three, and ours. Style of their marks, and words.
+FAMILIES = {
+    "relaxed": ("c1", "relaxed contact"),
+    "gradient": ("c3", "gradient descent"),
+    "exact": ("c0", "exact contact"),
+    "ours": ("c2", "ours"),
+}
+_OF_PAPER = {"relaxed_lcp": "relaxed", "softplus_dc": "relaxed", "softplus_gd": "gradient", "relu_gd": "gradient", "strict_lcp": "exact"}
+# Metric, title and quantity of the plots of cost against where the replay ends.
+_ENDS = (
+    ("replay_terminal_position_error", "Cost against terminal position error, after the replay", "terminal position error"),
+    ("replay_terminal_velocity_error", "Cost against terminal velocity error, after the replay", "terminal velocity error"),
+)
 # Costs that span more than this are drawn on a logarithmic axis.
 _WIDE = 20.0
 # What is better by less than this, relatively, is not worth a sentence: plans on one grid share its error, and two solves of one problem their cost.
@@ -64,7 +74,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
         "refused": list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused")),
         "nothing": "" if views else _NOTHING if scene.inputs else _FREE,
     }
-    return Section(f"pareto-{report.scenes.index(scene) + 1}", "CPU time against error and cost", "pareto.html", values)
+    return Section(f"pareto-{report.scenes.index(scene) + 1}", "All methods: speed against error", "scene.html#pareto", values)
 
 
 def cpu(row: Row) -> float:
@@ -102,12 +112,12 @@ def _why_absent(row: Row) -> str:
 
 
 def _error_view(rows: list[Row]) -> ParetoView | None:
-    points = [(max(cpu(row), _TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
+    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
     if not points:
         return None
     unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
     axis = Axis.fitted("replay error", unit, [y for _, y, _ in points], log=True, margin=0.06)
-    plot = _plot("CPU time against replay error", axis, points, unbeaten(points), error)
+    plot = _against_time("CPU time against replay error", axis, points, unbeaten(points), error)
     said = _concluded(
         unbeaten([point for point in points if point[2].holds]),
         lambda y: f"replay error {error(y)}{' ' + unit if unit in ('m', 'rad') else ''}",
@@ -122,22 +132,19 @@ def _told_error(row: Row) -> float | None:
     metric, replay = replay_error(row), row.stage.replay
     if metric is None or metric.value is None:
         return None
-    return max(metric.value, (replay.error_estimate if replay else None) or 0.0, _SMALLEST)
+    return max(metric.value, (replay.error_estimate if replay else None) or 0.0, SMALLEST)
 
 
 def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
-    points = [(max(cpu(row), _TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
+    points = [(max(cpu(row), TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
     off = len(plans) - len(points)
     if not points:
         return None
     known = known_cost(scene)
     prices = [y for _, y, _ in points] + ([known[1]] if known else [])
-    wide = min(prices) > 0 and max(prices) / min(prices) > _WIDE
     lasting = unbeaten([point for point in points if point[2].holds])
-    plot = _plot(
-        "CPU time against cost at equal terminal error", Axis.fitted("cost", "", prices, log=wide, margin=0.1), points, lasting, cost
-    )
+    plot = _against_time("CPU time against cost at equal terminal error", _costs(prices), points, lasting, cost)
     if known:
         plot.level(known[1], f"{known[0]}: {cost(known[1])}")
     said = _concluded(
@@ -189,29 +196,99 @@ def _longer(ratio: float) -> str:
     return f"{times(ratio)} as long" if ratio >= 1.05 else "as long"
 
 
-def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:
-    plot = Plot(
-        title,
-        Axis.fitted("CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06),
-        y_axis,
-        width=720,
-        height=400,
-        keys=[
-            Key("direct", "holds", "square"),
-            Key("indirect", "does not hold", "circle"),
-            Key("front", "front: no stage is both faster and better"),
-        ],
-    )
-    draw_front(plot, [(x, y) for x, y, _ in front])
-    for x, y, row in points:
-        holds = row.holds
-        quantity = y_axis.quantity
+def ends(report: Report, scene: SceneRecord) -> Section | None:
+    """Cost against terminal error after the replay, positions and velocities apart; None where no stage on the scene has a cost and an error."""
+    rows = report.rows_of_scene(scene)
+    plots, best = [], []
+    for name, title, quantity in _ENDS:
+        points = [
+            (max(value, SMALLEST), row.stage.cost, row)
+            for row in rows
+            if (value := row.metric(name)) is not None and row.stage.cost is not None
+        ]
+        if points:
+            front = unbeaten(points)
+            plots.append(_against_cost(scene, name, title, quantity, points, front))
+            best = best or [row for *_, row in front]
+    if not plots:
+        return None
+    absent = [row for row in rows if row.stage.cost is None or row.metric(_ENDS[0][0]) is None]
+    anchor = f"front-{report.scenes.index(scene) + 1}"
+    return Section(anchor, "Cost against terminal error", "scene.html#ends", {"plots": plots, "best": best, "absent": absent})
+
+
+def unbeaten(points: list[Point]) -> list[Point]:
+    """The lower-left front of (x, y, row): each point is lower than all that lie farther left."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda point: point[:2]):
+        if not front or point[1] < front[-1][1]:
+            front.append(point)
+    return front
+
+
+def draw_front(plot: Plot, corners: list[tuple[float, float]]) -> None:
+    """The staircase through the points of a front, from the left; nothing where there is none."""
+    path: list[tuple[float, float]] = []
+    for x, y in corners:
+        path += [(x, path[-1][1] if path else plot.y.high), (x, y)]
+    if path:
+        path.append((plot.x.high, path[-1][1]))
+        plot.line("front", "front", [x for x, _ in path], [y for _, y in path])
+
+
+def keys(front: str) -> list[Key]:
+    """The legend of a scatter of stages. front: what its line is."""
+    families = [Key(style, words, "circle") for style, words in FAMILIES.values()]
+    return [*families, Key("c2 full", "filled: holds", "circle"), Key("front", front)]
+
+
+def style_of(row: Row) -> str:
+    """CSS class of a stage's mark: its family, filled where its plan holds."""
+    return FAMILIES[_OF_PAPER.get(row.stage.method, "ours")][0] + (" full" if row.holds else "")
+
+
+def _scatter(title: str, x: Axis, y: Axis, points: list[Point], front: list[Point], line: str, tip: Callable[[Point], str]) -> Plot:
+    """Points that lead to their runs, the staircase through those of the front, which have their names beside them. line: what the front is."""
+    plot = Plot(title, x, y, width=720, height=400, keys=keys(line))
+    draw_front(plot, [point[:2] for point in front])
+    for point in points:
+        plot.point(*point[:2], style_of(point[2]), "circle", tip(point), point[2].link)
+    plot.name_points([(left, up, row.name) for left, up, row in front])
+    return plot
+
+
+def _costs(prices: list[float]) -> Axis:
+    return Axis.fitted("cost", "", prices, log=min(prices) > 0 and max(prices) / min(prices) > _WIDE, margin=0.1)
+
+
+def _against_time(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:
+    def tip(point: Point) -> str:
+        x, y, row = point
         ends = f", ends off the goal by {row.ends}" if row.ends else ""
-        tip = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
-        plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.link)
-    plot.name_points([(x, y, row.name) for x, y, row in front])
+        stage = f"{row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}"
+        return f"{stage}: {seconds(x)} CPU s, {y_axis.quantity} {said(y)}{ends}, {row.stage.verdict}"
+
+    x_axis = Axis.fitted("CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06)
+    plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both faster and better", tip)
     steps = [f"{row.label} ({seconds(x)} s, {said(y)})" for x, y, row in front]
     plot.words = f"{count(len(points), 'stage')}" + (
         f"; on the front, the fastest first: {listing(steps)}." if steps else "; none on a front."
     )
+    return plot
+
+
+def _against_cost(scene: SceneRecord, name: str, title: str, quantity: str, points: list[Point], front: list[Point]) -> Plot:
+    def tip(point: Point) -> str:
+        row = point[2]
+        return f"{row.label}: cost {cost(point[1])}, {row.ends}, {row.stage.verdict}"
+
+    known = known_cost(scene)
+    units = {metric.unit for *_, row in points if (metric := row.stage.metric(name))}
+    x_axis = Axis.fitted(quantity, units.pop() if len(units) == 1 else "", [x for x, *_ in points], log=True, margin=0.06)
+    y_axis = _costs([price for _, price, _ in points] + ([known[1]] if known else []))
+    plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both cheaper and closer", tip)
+    if known:
+        plot.level(known[1], f"best known cost of an exact plan: {cost(known[1])}")
+    steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
+    plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
     return plot

@@ -18,7 +18,9 @@ def build(report: Report) -> Section | None:
     runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
     others = sum(bool(differs) for _, _, differs in runs)
     said = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
-    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign}, said=said)
+    return Section(
+        "provenance", "Provenance", "campaign.html#provenance", {"first": first, "runs": runs, "campaign": stored.campaign}, said=said
+    )
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,10 +13,41 @@ from reports.judged import FEEDBACK, TRACKED, QuestionView, end_of, is_tracked, 
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
-from reports.pages.starts import Spread, spread
-from reports.records.record import HOLD, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord
+from reports.pages.tolerance import windows_text
+from reports.plots.axis import Axis
+from reports.plots.figure import Plot
+from reports.records.collected import optima
+from reports.records.record import HOLD, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
 from reports.traces import Motion
-from reports.wording import capital, small, tail
+from reports.wording import capital, cost, count, percent, small, tail
+
+_BINS = 40  # across the range of costs
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A distinct optimum: its cost, the starts that reached it, and its contact windows."""
+
+    cost: float
+    starts: list[StartRecord]
+    windows: str
+
+    @property
+    def reached_from(self) -> str:
+        """Where its starts began: softplus chain (1); random inputs (5, 7)."""
+        kinds = dict.fromkeys(start.start for start in sorted(self.starts, key=lambda start: start.number))
+        numbers = {kind: sorted(start.number for start in self.starts if start.start == kind) for kind in kinds}
+        return "; ".join(f"{kind} ({', '.join(map(str, numbers[kind]))})" for kind in kinds)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """words: how many were solved, the cheapest, the median and the dearest."""
+
+    words: str
+    plot: Plot | None
+    optima: list[Optimum]
+    failed: list[StartRecord]
 
 
 @dataclass(frozen=True)
@@ -97,7 +129,7 @@ def decision_of(run: RunRecord) -> Decision:
     metric = deciding(last) if last is not None else None
     number = metric.question if metric is not None else None
     question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
-    why = (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
+    why = not_applicable(run) or (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
     return Decision(
         question,
         metric,
@@ -107,6 +139,15 @@ def decision_of(run: RunRecord) -> Decision:
         integral_cost(run.scene, last_cost(run)),
         end_of(last, run.scene) if last is not None else "",
     )
+
+
+def not_applicable(run: RunRecord) -> str:
+    """Why a run does not apply, without the name of its method: `The scene has no inputs, so there is nothing to plan.`; empty where it does."""
+    if run.verdict != "not applicable":
+        return ""
+    head, colon, reason = run.message.partition(": ")
+    said = (reason if colon and " " not in head else run.message).partition("; ")[0]
+    return capital(said.replace(f"scene {run.scene.name} ", "the scene ", 1))
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
@@ -148,3 +189,44 @@ def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
     if _is_followed(stage):
         found.append(("with feedback", end_of(stage, scene, tracked=True)))
     return [(words, end) for words, end in found if end]
+
+
+def spread(stage: StageRecord) -> Spread | None:
+    """None for a stage with a single start."""
+    if not stage.starts:
+        return None
+    found = [Optimum(price, same, windows_text(same[0].windows)) for price, same in optima(stage.starts)]
+    failed = [start for start in stage.starts if start.cost is None]
+    costs = [start.cost for start in stage.starts if start.cost is not None]
+    total = len(stage.starts)
+    if not costs:
+        return Spread(f"None of {count(total, 'start')} was solved.", None, [], failed)
+    words = (
+        f"{len(costs)} of {count(total, 'start')} were solved ({percent(len(costs) / total).lstrip('+')}); cost {cost(min(costs))} at least, "
+        f"{cost(statistics.median(costs))} in the median, {cost(max(costs))} at most; {count(len(found), 'distinct optimum', 'distinct optima')}, "
+        f"the cheapest reached {count(len(found[0].starts), 'time')}."
+    )
+    return Spread(words, _plot(stage.starts, words), found, failed)
+
+
+def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
+    solved = sorted(((start.cost, start) for start in starts if start.cost is not None), key=lambda item: item[0])
+    low, high = solved[0][0], solved[-1][0]
+    width = (high - low) / _BINS or 1.0
+    stacks: dict[int, list[tuple[float, StartRecord]]] = {}
+    for price, start in solved:
+        stacks.setdefault(int((price - low) / width), []).append((price, start))
+    tallest = max(len(stack) for stack in stacks.values())
+    plot = Plot(
+        "Cost of every start",
+        Axis.fitted("cost", "", [low, high]),
+        Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1),
+        words,
+        width=560,
+        height=140 + 9 * tallest,
+    )
+    for stack in stacks.values():
+        for place, (price, start) in enumerate(stack, 1):
+            tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows_text(start.windows)}"
+            plot.point(price, place, "direct", "circle", tip)
+    return plot

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from reports.causes import cause_of
 from reports.findings import integral_cost, last_cost, solving_cpu
 from reports.judged import judged_metric
-from reports.pages.run import RunView, view_of
+from reports.pages.run import RunView, not_applicable, view_of
 from reports.pages.section import Report, Section
 from reports.records.record import HOLD, MetricRecord, RunRecord
 from reports.wording import count
@@ -46,19 +46,11 @@ def build(report: Report) -> Section | None:
     return Section(
         "runs",
         "All runs",
-        "runs.html",
+        "run.html",
         {"listed": listed},
         tuple((first[scene.name], scene.name) for scene in report.scenes if first),
         said,
     )
-
-
-def not_applicable(run: RunRecord) -> str:
-    """Why a run does not apply, without the names of method and scene; empty where it does."""
-    if run.verdict != "not applicable":
-        return ""
-    head, colon, reason = run.message.partition(": ")
-    return (reason if colon and " " not in head else run.message).partition("; ")[0].removeprefix(f"scene {run.scene.name} ")
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:

@@ -1,14 +1,16 @@
-"""A scene itself: what it is, its best plan at a few times, equations, what it does not need, quantities with units, known answers."""
+"""A scene itself: what it is, its best plan in motion with contact forces, equations, what it does not need, quantities with units, known answers."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from reports.pages.mathml import safe_mathml
-from reports.pages.overview import best_strip
+from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
-from reports.pages.sizes import method_sizes
-from reports.paper import SCENE as PAPER_SCENE
-from reports.records.record import SceneRecord
-from reports.wording import listing, number
+from reports.pages.stage_plots import StagePlots, stage_plots
+from reports.records.record import RunRecord, SceneRecord
+from reports.traces import Motion
+from reports.wording import cost, listing, number
 
 
 def time_step(report: Report, scene: str) -> str:
@@ -28,18 +30,44 @@ def time_step(report: Report, scene: str) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Shown:
+    """The motion that stands for a scene. said: which of its plans that is; film: None where the scene has no shapes."""
+
+    run: RunRecord
+    link: str
+    said: str
+    film: Film | None
+    plots: StagePlots
+
+
 def build(report: Report, scene: SceneRecord) -> Section:
-    """What the scene is, in a few words and a film strip, and what leads to its runs."""
-    values = {
-        "scene": scene,
-        "strip": best_strip(report, scene.name),
-        "table1": report.report_link("table1") if scene.name == PAPER_SCENE else "",
-    }
-    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html", values)
+    """What the scene is, and its best plan: in motion beside its replay and the goal, with positions and contact forces over time."""
+    values = {"scene": scene, "shown": _shown(report, scene), "model": f"model-{report.scenes.index(scene) + 1}"}
+    return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html#scene", values)
+
+
+def _shown(report: Report, scene: SceneRecord) -> Shown | None:
+    """The cheapest plan that holds; else the one whose replay stays nearest to it; None where no motion is stored."""
+    found = [(run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in report.cheapest(scene.name)]
+    others = [row for row in report.rows_of_scene(scene) if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None]
+    for row in sorted(others, key=lambda row: row.metric("replay_error") or 0.0):
+        said = "No plan holds; nearest to its replay stays" if scene.inputs else "Its free motion and the replay of it:"
+        found.append((row.run, f"{said} {row.run.pipeline}"))
+    for run, said in found:
+        stage = run.stages[-1]
+        motion = report.motion(run, stage)
+        plots = stage_plots(scene, stage, motion, whole=False)
+        if plots.motion:
+            return Shown(run, report.link(run), said, film(run, [*[Motion()] * (len(run.stages) - 1), motion]), plots)
+    return None
 
 
 def model(report: Report, scene: SceneRecord) -> Section:
     """Its equations, quantities and known answers."""
     equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
-    values = {"scene": scene, "equations": equations, "sizes": method_sizes(report, scene.name), "time_step": time_step(report, scene.name)}
-    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene_model.html", values)
+    stages = (stage for run in report.stored.runs if run.scene.name == scene.name for stage in run.stages)
+    # A size that differs between runs has a row of its own.
+    sizes = list(dict.fromkeys((stage.method, stage.size) for stage in stages if stage.size is not None))
+    values = {"scene": scene, "equations": equations, "sizes": sizes, "time_step": time_step(report, scene.name)}
+    return Section(f"model-{report.scenes.index(scene) + 1}", f"Equations and quantities of {scene.name}", "scene.html#model", values)

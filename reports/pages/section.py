@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from reports.records.load import Stored
-from reports.records.record import RunRecord, SceneRecord, StageRecord
+from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of, scenes_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
@@ -50,6 +50,11 @@ class Report:
         """The rows of one scene."""
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
+    def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
+        """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
+        priced = [(run, run.stages[-1].cost) for run in self.stored.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
+        return sorted(((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1])
+
     def anchor(self, run: RunRecord) -> str:
         """Where the run stands on a page that has all of them."""
         return self._anchors[id(run)]
@@ -74,10 +79,6 @@ class Report:
         """What a link to one of the other pages leads to; its first section has its name. anchor: of something else on it."""
         return f"#{anchor or page}" if self.single else f"{self.at}{page}.html" + (f"#{anchor}" if anchor else "")
 
-    def report_link(self, anchor: str) -> str:
-        """What a link to a section of report.html leads to."""
-        return f"#{anchor}" if self.single or self.at else f"../{REPORT}#{anchor}"
-
     def motion(self, run: RunRecord, stage: StageRecord) -> Motion:
         """Plan and replays of a stage of the run."""
         return read_motion(self.folder / "runs" / run.key, run, stage)
@@ -100,7 +101,7 @@ def scene_page(scene: SceneRecord) -> str:
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
+    """`template` in reports/templates (file.html, or file.html#block) gets `values` and the `section` itself; `entries` are lines of the table of contents below it.
 
     said: a sentence with its main figure, for the index of report.html.
     """

@@ -8,10 +8,10 @@ import numpy as np
 
 from reports.judged import is_tracked
 from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, column, contact_phases, force, gap
-from reports.wording import clean, error, number
+from reports.wording import ROUNDING, clean, error, number
 
 _KEYS = [
     Key("plan", "plan"),
@@ -87,54 +87,51 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
 
 def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | None, replay: Trace | None) -> Plot | None:
     data = [
-        (item, f"c{place % _MOST_COLOURS} {style}", name, trace, values)
+        (item, name, (f"{item.name} {name}", f"c{place % _MOST_COLOURS} {style}", trace.t, values))
         for place, item in enumerate(items)
         for name, style, trace in (("replay", "", replay), ("plan", "ghost", plan))
         if trace is not None and (values := column(trace, item.name)) is not None
     ]
-    if not data:
+    plot = over_time("Positions: plan dotted, replay solid", "position", unit, [line for *_, line in data], x=x, margin=0.1)
+    if plot is None:
         return None
-    plot = Plot(
-        "Positions: plan dotted, replay solid",
-        x,
-        Axis.fitted("position", unit, np.concatenate([values for *_, values in data]), margin=0.1),
-    )
-    for item, style, name, trace, values in data:
-        plot.line(f"{item.name} {name}", style, trace.t, values)
     for item in items:
-        mine = [entry for entry in data if entry[0] is item]
+        mine = [line for other, _, line in data if other is item]
         if mine:
-            plot.label(x.low, mine[0][4][0], item.name, f"strong {mine[0][1].split()[0]}")
+            plot.label(x.low, mine[0][3][0], item.name, f"strong {mine[0][1].split()[0]}")
     ends = [
-        (name, ", ".join(f"{item.name} {number(values[-1], 5)}" for item, _, other, _, values in data if other == name))
+        (name, ", ".join(f"{item.name} {number(_rounded(line[3][-1]), 5)}" for item, other, line in data if other == name))
         for name in ("plan", "replay")
     ]
     plot.words = " ".join(f"The {name} ends at {words} {unit}." for name, words in ends if words)
     return plot
 
 
+def _rounded(value: float) -> float:
+    """Nought for what is rounding."""
+    return 0.0 if abs(value) < ROUNDING else float(value)
+
+
 def _contact(
     scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: Trace | None, replay: Trace | None
 ) -> Plot | None:
     read = force if quantity == "force" else gap
-    data = [
-        (name, trace, values)
+    lines = [
+        (name, name, trace.t, values)
         for name, trace in (("replay", replay), ("plan", plan))
         if trace is not None and (values := read(trace, contact)) is not None
     ]
-    if not data:
+    plot = over_time(title, quantity, unit, lines, x=x, zero=True)
+    if plot is None:
         return None
-    plot = Plot(title, x, Axis.fitted(quantity, unit, np.concatenate([values for *_, values in data]), zero=True))
     phases, planned = contact_phases(replay, contact), contact_phases(plan, contact)
     for low, high in phases:
         plot.band(low, high, "touch")
     for low, high in planned:
         plot.strip(low, high, "planned-touch", 0)
-    for name, trace, values in data:
-        plot.line(name, name, trace.t, values)
     rubs = any(friction.name == contact for friction in scene.frictions)
     size = (lambda values: np.abs(values).max()) if rubs else np.max  # friction acts in two directions
-    told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, _, values in data]
+    told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, *_, values in lines]
     if replay is not None:
         windows = [f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]]
         told.append(
@@ -149,8 +146,10 @@ def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
     if replay is None or values is None:
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, values, zero=True))
-    plot.line("difference", "c5", replay.t, values)
+    plot = over_time(
+        "Position error: replay against plan", "largest difference", unit, [("difference", "c5", replay.t, values)], x=x, zero=True
+    )
+    assert plot is not None
     worst = int(np.argmax(values))
     plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(replay.t[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
     return plot
@@ -169,16 +168,12 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
     # The start is exact: below a millionth of the largest nothing needs to be read.
     floor = max(positive.min(), 1e-6 * positive.max())
-    plot = Plot(
-        "Position error: inputs alone and with feedback",
-        x,
-        Axis.fitted("largest difference", unit, np.maximum(positive, floor), log=True),
-    )
-    for name, style, times, values in lines:
-        shown = np.maximum(values, floor)
-        plot.line(name, style, times, shown)
+    shown = [(name, style, times, np.maximum(values, floor)) for name, style, times, values in lines]
+    plot = over_time("Position error: inputs alone and with feedback", "largest difference", unit, shown, x=x, log=True)
+    assert plot is not None
+    for name, style, times, values in shown:
         place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
-        plot.label(times[place], shown[place], name, f"strong {style}")
+        plot.label(times[place], values[place], name, f"strong {style}")
     plot.words = " ".join(
         f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}." for name, _, _, values in lines
     )
@@ -225,5 +220,7 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     )
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
-    plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)}."
+    # With the digits by which they differ, if any.
+    digits = next((digits for digits in (3, 5) if number(values[0], digits) != number(values[-1], digits)), 7)
+    plot.words = f"From {number(values[0], digits)} to {number(values[-1], digits)}."
     return plot

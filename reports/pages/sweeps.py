@@ -89,7 +89,9 @@ def build(report: Report) -> Section | None:
     if not found:
         return None
     said = f"{count(len(found), 'sweep')}: {listing([sweep.title for sweep in found])}; every metric against the swept number."
-    return Section("sweeps", "Sweeps", "sweeps.html", {"sweeps": found}, tuple((sweep.anchor, sweep.title) for sweep in found), said)
+    return Section(
+        "sweeps", "Sweeps", "campaign.html#sweeps", {"sweeps": found}, tuple((sweep.anchor, sweep.title) for sweep in found), said
+    )
 
 
 def _groups(runs: Iterable[RunRecord]) -> list[list[RunRecord]]:

@@ -41,8 +41,8 @@ def build(report: Report) -> Section | None:
 
 
 def of_scene(report: Report, scene: SceneRecord) -> Section | None:
-    """All stages on one scene; None where none is stored, or where Table I has them."""
-    if scene.name == SCENE:
+    """All stages on one scene; None where none is stored, or where Table I stands on the same page."""
+    if scene.name == SCENE and report.single:
         return None
     return _section(report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}")
 
@@ -60,7 +60,7 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
         "units": _units(rows),
         "conclusions": conclude(rows),
     }
-    return Section(anchor, title, "table1.html", values)
+    return Section(anchor, title, "scene.html#stages", values)
 
 
 def _ends(row: Row) -> dict[str, TerminalError]:
@@ -117,7 +117,7 @@ def _failed(both: list[Row]) -> list[str]:
         theirs, ours = row.stage.paper.get("cost"), row.stage.cost
         if theirs is None or ours is None or min(ours, theirs) <= 0:
             continue
-        pair = f"ours {cost(ours)} (replayed, it misses the goal by {_replayed(row)}), the paper's {cost(theirs)}"
+        pair = f"ours {cost(ours)}{_replayed(row, ' (replayed, it misses the goal by {})')}, the paper's {cost(theirs)}"
         if theirs / ours >= _FAILED_COST:
             dear.append((row, f"{row.label}: {pair}, {times(theirs / ours)} as much"))
         elif ours / theirs >= _FAILED_COST:
@@ -144,25 +144,23 @@ def _relaxed(rows: list[Row]) -> list[str]:
         if cold is None or not warm or cold.stage.cost is None:
             continue
         parts = [
-            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)}, {_replayed(row)} off the goal, "
+            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)}, {_replayed(row, '{} off the goal, ')}"
             f"{seconds(row.stage.seconds.total)} s in total"
             for row in warm
         ]
-        start = (
-            f"{method} cold: cost {cost(cold.stage.cost)}, replayed {_replayed(cold)} off the goal, {seconds(cold.stage.seconds.total)} s"
-        )
+        start = f"{method} cold: cost {cost(cold.stage.cost)}, {_replayed(cold, 'replayed {} off the goal, ')}{seconds(cold.stage.seconds.total)} s"
         said.append(f"{start}. Warm started after {'; after '.join(parts)}.")
     return said
 
 
-def _replayed(row: Row) -> str:
-    """How far from the goal its replay ends, by its positions."""
-    return _first_of(row.ends)
+def _replayed(row: Row, words: str) -> str:
+    """How far from the goal its replay ends, by its positions, put into `words`; empty where that is not known, or the end is free."""
+    return words.format(_first_of(row.ends)) if row.ends not in ("", "free end") else ""
 
 
 def _first_of(distance: str) -> str:
     """Of `position 0.11 m, velocity 0.10 m/s` the first: sentences are read one after the other, the table has both."""
-    return distance.partition(", velocity ")[0].removeprefix("position ").removeprefix("error ") or "an unknown distance"
+    return distance.partition(", velocity ")[0].removeprefix("position ").removeprefix("error ")
 
 
 def _against(warm: float, cold: float) -> str:
@@ -204,10 +202,13 @@ def _bought(rows: list[Row]) -> list[str]:
     said = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
         _, known = known_cost(scene) or ("", 0.0)
-        below = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
+        direct = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None]
+        below = [
+            (row, off) for row in direct if (row.stage.cost or 0.0) < known * (1 - 1e-6) and (off := distance_of(row.stage, "discrete_"))
+        ]
         if not known or not below:
             continue
-        parts = [f"{row.label} ({cost(row.stage.cost)} at {_first_of(distance_of(row.stage, 'discrete_'))})" for row in below]
+        parts = [f"{row.label} ({cost(row.stage.cost)} at {_first_of(off)})" for row, off in below]
         said.append(
             f"The best known cost of an exact plan is {cost(known)}. Plans of direct methods below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."

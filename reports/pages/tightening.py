@@ -11,8 +11,7 @@ from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.paper import TIGHTENING_FIGURES
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Array, Trace, column, force, gap
@@ -57,7 +56,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     styles = styles_of(_curve(sweep) for sweep in sweeps)
     against = [plot for name in _AGAINST if (plot := _against(name, sweeps, styles)) is not None]
     values = {"sweeps": sweeps, "keys": keys_of(styles), "against": against}
-    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "tightening.html", values, entries)
+    return Section(f"tightening-{place}", f"{figures} while ε is tightened", "scene.html#tightening", values, entries)
 
 
 def _curve(sweep: Sweep) -> str:
@@ -113,49 +112,37 @@ def _plots(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> list[Plot
 
 def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, Trace]]) -> Plot | None:
     data = [
-        (item, words, style, trace, values)
+        (item, words, (f"{item.name}, {words}", style, trace.t, values))
         for item in items
         for words, style, trace in lines
         if (values := column(trace, item.name)) is not None
     ]
-    if not data:
+    plot = over_time("Positions", "position", unit, [line for *_, line in data], height=300, margin=0.08)
+    if plot is None:
         return None
-    plot = Plot(
-        "Positions",
-        Axis.fitted("time", "s", [t for _, _, trace in lines for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted("position", unit, np.concatenate([values for *_, values in data]), margin=0.08),
-        height=300,
-    )
-    for item, words, style, trace, values in data:
-        plot.line(f"{item.name}, {words}", style, trace.t, values)
     for item in items:
-        mine = [entry for entry in data if entry[0] is item]
+        mine = [line for other, _, line in data if other is item]
         if mine:
-            plot.label(mine[-1][3].t[0], mine[-1][4][0], item.name, "strong")
+            plot.label(mine[-1][2][0], mine[-1][3][0], item.name, "strong")
     plot.words = " ".join(
         f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}."
-        for item, words, _, _, values in data
+        for item, words, (*_, values) in data
         if words == data[-1][1]
     )
     return plot
 
 
 def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, Trace, Array | None]]) -> Plot | None:
-    usable = [(words, style, trace, values) for words, style, trace, values in data if values is not None]
-    if not usable:
+    lines = [(words, style, trace.t, values) for words, style, trace, values in data if values is not None]
+    plot = over_time(title, quantity, unit, lines, zero=True)
+    if plot is None:
         return None
-    plot = Plot(
-        title,
-        Axis.fitted("time", "s", [t for _, _, trace, _ in usable for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted(quantity, unit, np.concatenate([values for *_, values in usable]), zero=True),
-    )
-    for words, style, trace, values in usable:
-        plot.line(words, style, trace.t, values)
     told = []
-    for words, style, trace, values in usable:
+    for words, style, times, values in lines:
         peak = int(np.abs(values).argmax())
-        told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(trace.t[min(peak, len(trace.t) - 1)], 3)} s.")
+        when = times[min(peak, len(times) - 1)]
+        told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(when, 3)} s.")
         if quantity == "force":
-            plot.label(trace.t[min(peak, len(trace.t) - 1)], values[peak], words, style, anchor="middle")
+            plot.label(when, values[peak], words, style, anchor="middle")
     plot.words = " ".join(told)
     return plot

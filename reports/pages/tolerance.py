@@ -47,7 +47,11 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     runs = [run for run in report.stored.runs if run.scene.name == scene.name]
     views = [view for run in runs if (view := _view(report, run)) is not None]
     anchor = f"tolerance-{report.scenes.index(scene) + 1}"
-    return Section(anchor, "Least cost within a terminal tolerance", "tolerance.html", {"scene": scene, "views": views}) if views else None
+    return (
+        Section(anchor, "Least cost within a terminal tolerance", "scene.html#tolerance", {"scene": scene, "views": views})
+        if views
+        else None
+    )
 
 
 def windows_text(windows: tuple[tuple[str, int, int], ...]) -> str:

@@ -4,7 +4,7 @@
     plot.line("plan", "p", t, force);  plot.markup()
 
 Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. Beside what is drawn stand the numbers of every
-series (reports.plots.packed), for reading values, zooming and saving.
+series (reports.plots.series), for reading values, zooming and saving.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from reports.plots.axis import Axis
-from reports.plots.packed import packed
-from reports.plots.simplify import seen
+from reports.plots.series import packed, seen
 from reports.wording import unit
 
-# A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
-_TOLERANCE = 0.25
+# Less than half a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
+_TOLERANCE = 0.4
 # Digits of the axes' ends, by which the script finds the pixels of values.
 _DIGITS = 7
 # Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
@@ -226,21 +226,38 @@ class Plot:
         ]
 
 
+# A line: its name, its CSS class, times [s] and values, which may be one shorter.
+Line = tuple[str, str, NDArray[np.float64], NDArray[np.float64]]
+
+
+def over_time(
+    title: str, quantity: str, unit: str, lines: Sequence[Line], *, x: Axis | None = None, height: int = 240, **axis: Any
+) -> Plot | None:
+    """Lines over time on one axis; None where there are none. x: of the time (what the lines cover); axis: words of `Axis.fitted` for the values."""
+    if not lines:
+        return None
+    along = x or Axis.fitted("time", "s", [end for _, _, t, _ in lines for end in (t[0], t[-1])], margin=0.0)
+    plot = Plot(title, along, Axis.fitted(quantity, unit, np.concatenate([values for *_, values in lines]), **axis), height=height)
+    for line in lines:
+        plot.line(*line)
+    return plot
+
+
 def _pixel(place: float) -> str:
     """A place to a tenth of a pixel, without a needless zero."""
     return f"{place:.1f}".removesuffix(".0")
 
 
 def _path(across: NDArray[np.float64], down: NDArray[np.float64]) -> str:
-    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out."""
+    """A line through points, each relative to the one before; to a fifth of a pixel, which is finer than what was left out. A sign parts numbers by itself."""
     places = np.rint(5 * np.column_stack([across, down])).astype(int)
-    steps = (f"{_fifth(right)},{_fifth(below)}" for right, below in np.diff(places, axis=0).tolist())
-    return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{' '.join(steps) or '0,0'}"
+    steps = " ".join(_fifth(step) for step in np.diff(places, axis=0).ravel().tolist())
+    return f"M{_fifth(int(places[0, 0]))},{_fifth(int(places[0, 1]))}l{steps.replace(' -', '-') or '0,0'}"
 
 
 @lru_cache(maxsize=10_000)
 def _fifth(place: int) -> str:
-    return _pixel(place / 5)
+    return _pixel(place / 5).replace("0.", ".") if abs(place) < 5 else _pixel(place / 5)
 
 
 def _short(value: float) -> float:

@@ -72,7 +72,7 @@ def test_pipelines_that_are_equal_are_named_together(factory):
         ended(factory, "bank", "worse", "holds", 200.0, 3.0)
     ]
     *_, first = three_findings(runs)
-    assert first == "Try first one or other: holds on 1 of 1 scene, 1 times the best cost, 2.00 CPU s."
+    assert first == "Try first one or other: holds on 1 of 1 scene, at the best cost, 2.00 CPU s."
 
 
 def test_no_plan_that_holds_is_said_and_nothing_of_nothing(factory):

@@ -10,8 +10,9 @@ import pytest
 from reports.render import PAGES, write_report
 
 SCENES, PIPELINES = 16, 19
-# Bytes: what opens at once over a slow line, and what is read on paper.
-LARGEST = {"report.html": 600_000, "overview": 150_000, "run": 300_000}
+# Bytes: what opens at once over a slow line, and what is read on paper. The page of a scene draws every relaxation at each of its eps, about ten plots
+# each of 4 kB, and lists all of its stages: as much as report.html.
+LARGEST = {"report.html": 600_000, "overview": 150_000, "run": 300_000, "scene": 600_000}
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +52,9 @@ def test_pages_keep_their_budget(folder):
     sizes = {path.name: path.stat().st_size for path in (folder / PAGES).iterdir() if re.fullmatch(r"[0-9a-f]{16}", path.stem)}
     assert len(sizes) == SCENES * PIPELINES
     assert 50_000 < max(sizes.values()) <= LARGEST["run"]
+    scenes = [path.stat().st_size for path in (folder / PAGES).glob("scene-*.html")]
+    assert len(scenes) == SCENES
+    assert 100_000 < max(scenes) <= LARGEST["scene"]
 
 
 @pytest.mark.slow

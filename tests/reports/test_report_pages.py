@@ -8,7 +8,7 @@ import shlex
 import pytest
 
 from reports.again import again
-from reports.pages import front, table1, tightening
+from reports.pages import pareto, table1, tightening
 from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.records.load import load
@@ -52,7 +52,7 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
 def test_the_front_is_unbeaten(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
     points = [(row.metric("replay_terminal_error"), row.stage.cost, row) for row in report.rows]
-    best = front.unbeaten(points)
+    best = pareto.unbeaten(points)
     for missed, price, row in points:
         beaten = any(m <= missed and c <= price and (m, c) != (missed, price) for m, c, _ in best)
         assert beaten != any(row is other for _, _, other in best)
@@ -111,7 +111,7 @@ def test_costs_far_apart_are_drawn_on_a_logarithmic_axis_and_others_are_not(fact
         stages = tuple(stage.model_copy(update={"cost": cost, "options": {"start": number}}) for stage in run.stages)
         runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages, "scene": scene}))
     report = report_of(factory, tmp_path / "all", runs)
-    section = front.build(report, report.scenes[0])
+    section = pareto.ends(report, report.scenes[0])
     assert section is not None
     assert len(section.values["plots"]) == 2, "positions and velocities apart"
     for plot in section.values["plots"]:

@@ -16,7 +16,7 @@ from reports.pages.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
-from reports.plots.simplify import seen
+from reports.plots.series import seen
 from reports.records.record import QuantityRecord, TrackedRecord
 from reports.traces import Motion, contact_phases
 from reports.wording import cost, error, number, percent, product, seconds, small
@@ -54,10 +54,9 @@ def test_a_logarithmic_axis_holds_its_values(values):
 
 
 def _points(path: str) -> list[tuple[float, float]]:
-    """Of a path Mx,yldx,dy dx,dy ..: its points [pixel]."""
-    begin, _, steps = path.partition("l")
-    pairs = [tuple(map(float, pair.split(","))) for pair in [begin, *steps.split()]]
-    return [tuple(point) for point in np.cumsum(pairs, axis=0)]
+    """Of a path Mx,yldx dy dx-dy ..: its points [pixel]; a sign parts numbers as a space does."""
+    numbers = [float(number) for number in re.findall(r"-?[\d.]+", path)]
+    return [tuple(point) for point in np.cumsum(np.reshape(numbers, (-1, 2)), axis=0)]
 
 
 def test_a_path_reads_back_as_the_values_drawn():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from reports.pages import tolerance
+from reports.pages.run import spread
 from reports.pages.section import Report
-from reports.pages.starts import spread
 from reports.records.collected import collected, optima
 from reports.records.load import load
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord

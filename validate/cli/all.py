@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import click
@@ -10,20 +9,9 @@ import click
 from reports.rule_text import RESULTS, RULE
 from validate.cli.campaign_options import result_options, running_options
 
-
-def _wrapped(text: str) -> str:
-    return textwrap.fill(text, width=77, initial_indent="  ", subsequent_indent="  ")
-
-
-_RULE = "\n\n".join(
-    [
-        "\b\nA campaign fails (exit code 1) if\n" + ";\n".join(_wrapped(line) for line in RULE) + ".",
-        "\b\n" + "\n".join(_wrapped(line) for line in RESULTS),
-    ]
-)
+_RULE = "\n\n".join(["A campaign fails (exit code 1) if", *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE), *RESULTS])
 _EPILOG = f"""{_RULE}
 
-\b
 What is stored is used again, except runs that crashed, ran out of a shorter
 time limit than they would have now, or were to be run anew (--fresh,
 --last-failed) when that was interrupted. The key of a run is the hash of its
@@ -34,12 +22,11 @@ Examples:
   python -m validate all                               everything
   python -m validate all --quick                       three pipelines
   python -m validate all -k FMU                        only our FMUs, checked
-  python -m validate all -k hard                       only the hard cases
+  python -m validate all -k stress                     only the stress cases
   python -m validate all -k "strict and not relaxed"   some
   python -m validate all --scene my/own_scene.py       a scene of your own
   python -m validate all --last-failed                 what failed last time
 
-\b
 Exit codes: 0 every required check passed; 1 one failed; 2 usage,
 configuration or nothing selected; 3 a system requirement is missing;
 130 interrupted.

@@ -15,12 +15,10 @@ Examples:
   python -m validate compare runs/before runs/after
   python -m validate compare runs/before runs/after --json
 
-\b
 A regression is a worse verdict or outcome, a metric that left its limit, a
-dearer plan of the same verdict, an examination that failed, or a row that is
-gone. Times that differ by half and by a second are told, but are none.
+dearer plan of the same verdict, a check that failed, or a row that is
+gone. Times that differ by more than half and more than a second are listed, but are no regressions.
 
-\b
 Exit codes: 0 no regression; 1 at least one; 2 a folder that is no campaign.
 """
 _WORDS = {

@@ -14,7 +14,6 @@ Examples:
   python -m validate doctor
   python -m validate doctor --out /data/campaign
 
-\b
 Exit codes: 0 the main job works here; 3 something it needs does not.
 """
 _COLOURS = {"works": "green", "not installed": "yellow", "does not work": "red"}

@@ -15,10 +15,9 @@ from validate.cli.warnings import print_warnings
     epilog="""\b
 Examples:
   python -m validate fmu three_cart -o three_cart.fmu
-  python -m validate fmu my_scene.py -o my_scene.fmu --fmi 3 --platform x86_64-linux --platform win64
+  python -m validate fmu my_scene.py -o my.fmu --fmi 3 --platform win64
   python -m validate fmu three_cart --coupled -o three_cart.ssp
 
-\b
 Exit codes: 0 written; 2 usage, or a scene that no FMU can carry; 3 no compiler,
 or it cannot be written.
 """

@@ -52,7 +52,7 @@ Examples:
 \b
 Exit codes:
   0    every required check passed
-  1    one failed (or we made a mistake: then it says so)
+  1    one failed (or touchstone has a bug: then it says so)
   2    wrong usage or configuration, or nothing selected
   3    a system requirement is missing: which, and how to get it
   130  interrupted; the same command resumes

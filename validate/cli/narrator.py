@@ -130,7 +130,7 @@ class BarNarrator(PlainNarrator):
 
 
 def _on_scene(runs: Sequence[RunRecord]) -> str:
-    """`three_cart: 14 of 15 runs that end with exact contact hold; the cheapest is mpcc, cost 490.55, replayed to position 0.0023 m, ..`."""
+    """`three_cart: 14 of 15 runs that end with exact contact hold; the cheapest is mpcc, cost 490.55, ..`."""
     from reports.findings import NOT_ASKED, last_cost
     from reports.judged import end_of
     from reports.records.record import HOLD
@@ -145,7 +145,8 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
     if cheapest is None:
         return said
     end = end_of(cheapest.stages[-1], scene)
-    return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}" + (f", replayed to {end}" if end else "")
+    off = f", its replay ends off the goal by {end}" if end not in ("", "free end") else ""
+    return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}{off}"
 
 
 def in_words(seconds: float) -> str:
@@ -162,7 +163,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
         return _examined(record)
     last = record.stages[-1]
     which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
-    parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome}"]
+    parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome.replace('_', ' ')}"]
     if record.verdict != "no plan":
         parts.append(record.verdict)
     if last.cost is not None:
@@ -174,7 +175,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
 
 
 def _examined(record: ExaminationRecord) -> str:
-    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
+    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome.replace("_", " ")
     return one_line(f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}")
 
 

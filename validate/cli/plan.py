@@ -24,8 +24,7 @@ Examples:
   python -m validate plan --quick --out runs/quick
   python -m validate plan -k mpcc --table
 
-\b
-Exit codes: 0 told; 2 usage, or nothing selected.
+Exit codes: 0 printed; 2 usage, or nothing selected.
 """
 
 
@@ -133,5 +132,5 @@ def _duration(due: Sequence[_Line], seconds: Mapping[str, float], jobs: int) -> 
     if not known:
         return "how long that takes is not known: nothing like it has run into this folder"
     cores = f", about {in_words(sum(known) / jobs)} on {jobs} cores" if jobs > 1 else ""
-    rest = f", and nothing is known of {len(due) - len(known)}" if len(known) < len(due) else ""
+    rest = f"; {len(due) - len(known)} never ran here" if len(known) < len(due) else ""
     return f"{len(known)} of them took {in_words(sum(known))} of CPU time when they ran last{cores}{rest}"

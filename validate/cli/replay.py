@@ -28,7 +28,6 @@ Examples:
   python -m validate replay plan.csv --scene three_cart --html plan.html
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
 
-\b
 Exit codes: 0 the plan holds, by its inputs alone or with feedback (--require holds:
 by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, map
 or FMU; 3 a system requirement is missing.

@@ -19,7 +19,6 @@ Examples:
   python -m validate report runs/all --single-file
   python -m validate report runs/all --json
 
-\b
 Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 """
 )

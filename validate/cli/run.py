@@ -16,15 +16,13 @@ Examples:
   python -m validate run stiffness.toml --out runs/stiffness
   python -m validate run --schema > campaign.schema.json
 
-\b
 Files to begin with are in docs/campaigns; docs/campaigns.md says what may
 stand in one. DIR then holds what `all` leaves there, and campaign.toml (the
 file as it was) and resolved.toml (with everything filled in; it runs too).
 What is changed in a scene or an option is part of a run's key.
 
-\b
 Exit codes: 0 every required check passed; 1 one failed; 2 mistakes in the
-file (all of them are told), or nothing selected; 3 a system requirement is
+file (all of them are named), or nothing selected; 3 a system requirement is
 missing; 130 interrupted.
 """
 

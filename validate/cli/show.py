@@ -21,7 +21,6 @@ Examples:
   python -m validate show "three_cart x mpcc"     by its name
   python -m validate show mpcc --in runs/mine     by part of a name
 
-\b
 Exit codes: 0 it does not make its campaign fail; 1 it does; 2 there is no such
 run, or more than one.
 """
@@ -112,9 +111,7 @@ def _tell_run(record: RunRecord) -> None:
         return
     if last.why and last.why != record.message:
         click.echo()
-        click.echo(
-            one_line(f"the last stage: {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
-        )
+        say(f"the last stage {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
     if last.metrics:
         _tell_score(last)
     _tell_scene(record)

@@ -208,7 +208,7 @@ def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
     groups: dict[str, list[str]] = {}
     for item in examinations:
         groups.setdefault(item.group or item.kind, []).append(item.title)
-    return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} examinations" for group, titles in groups.items())
+    return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} checks" for group, titles in groups.items())
 
 
 def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A hard case: what a correct system does, and a function that measures what happened.
+"""A stress case: what a correct system does, and a function that measures what happened.
 
     CASE = HardCase(name="h02_restitution", title="...", expected="...", measure=measure)
 

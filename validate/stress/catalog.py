@@ -1,4 +1,4 @@
-"""Finds hard cases by file name and reads what they say of themselves, without importing them: some need PyTorch, some Pyomo."""
+"""Finds stress cases by file name and reads what they say of themselves, without importing them: some need PyTorch, some Pyomo."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CaseDescription:
 
 
 def case_names() -> tuple[str, ...]:
-    """Names of all hard cases in the order of their numbers; reads file names only."""
+    """Names of all stress cases in the order of their numbers; reads file names only."""
     return tuple(sorted(path.stem for path in FOLDER.glob("h*.py")))
 
 
@@ -50,7 +50,7 @@ def describe_case(name: str) -> CaseDescription:
         ):
             literals = {word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg and word.arg != "measure"}
             return CaseDescription(**literals)
-    raise UnknownNameError(f"hard case file {name}.py: it must define CASE = HardCase(...) with literals for all but `measure`.")
+    raise UnknownNameError(f"stress case file {name}.py: it must define CASE = HardCase(...) with literals for all but `measure`.")
 
 
 def load_case(name: str) -> HardCase:
@@ -58,7 +58,7 @@ def load_case(name: str) -> HardCase:
     _path(name)
     case = importlib.import_module(f"validate.stress.cases.{name}").CASE
     if case.name != name:
-        raise UnknownNameError(f"hard case file {name}.py: CASE.name is {case.name!r} but must equal the file's name.")
+        raise UnknownNameError(f"stress case file {name}.py: CASE.name is {case.name!r} but must equal the file's name.")
     return case
 
 
@@ -66,6 +66,6 @@ def _path(name: str) -> Path:
     if name not in case_names():
         close = difflib.get_close_matches(name, case_names(), n=1)
         raise UnknownNameError(
-            f"there is no hard case {name!r}; " + (f"did you mean {close[0]}?" if close else f"there are {', '.join(case_names())}.")
+            f"there is no stress case {name!r}; " + (f"did you mean {close[0]}?" if close else f"there are {', '.join(case_names())}.")
         )
     return FOLDER / f"{name}.py"

@@ -1,4 +1,4 @@
-"""Hard cases as examinations of a campaign: which there are, and how one is measured in its child and recorded.
+"""Stress cases as examinations of a campaign: which there are, and how one is measured in its child and recorded.
 
 plugin.EXAMINATIONS = (..., "validate.stress.tasks:examinations")
 """
@@ -18,7 +18,7 @@ from validate.tasks.examination import Course, Examination, Found, SceneReferenc
 if TYPE_CHECKING:
     from validate.stress.case import CaseFinding, Chart, Figure
 
-KIND = "hard case"
+KIND = "stress case"
 # What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
 _SOURCES = (
     "models/",
@@ -34,7 +34,7 @@ _SOURCES = (
 
 
 def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
-    """All hard cases, whatever the scenes of the campaign."""
+    """All stress cases, whatever the scenes of the campaign."""
     found = []
     for name in case_names():
         case = describe_case(name)

@@ -9,13 +9,17 @@ import hashlib
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene.text import scene_text
 from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.examination import Course, Examination, Found, SceneReference
+
+if TYPE_CHECKING:
+    from validate.fmu_check import CheckReport
 
 VERSIONS = ("2.0", "3.0")
 # What a quick campaign runs: the version that its replays use, too.
@@ -53,7 +57,7 @@ def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
 
 def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
-    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu  # imports FMPy: in the child alone
+    from validate.fmu_check import CHECK_SECONDS, check_fmu  # imports FMPy: in the child alone
 
     began = time.perf_counter()
     course.at("the export")
@@ -62,6 +66,13 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     course.at("the check")
     report = check_fmu(path, seconds=min(CHECK_SECONDS, course.seconds_left))
     checked = time.perf_counter()
+    return found_by(report, path, exported - began, checked - exported)
+
+
+def found_by(report: CheckReport, path: Path, export_seconds: float, check_seconds: float) -> Found:
+    """What a check of the FMU in a file found, as a record has it; the sentence names what failed."""
+    from validate.fmu_check import Status
+
     data = path.read_bytes()
     rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value}) for row in report.rows)
     failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
@@ -72,8 +83,8 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
         types=report.types,
         bytes=len(data),
         sha256=hashlib.sha256(data).hexdigest(),
-        export_seconds=exported - began,
-        check_seconds=checked - exported,
+        export_seconds=export_seconds,
+        check_seconds=check_seconds,
         rows=rows,
     )
     missing = "there is no binary for this machine" if report.unrunnable else ""

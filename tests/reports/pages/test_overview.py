@@ -56,7 +56,7 @@ def test_a_cell_is_a_symbol_and_the_cost_over_the_cheapest_plan_that_holds(facto
     assert tips[0] == "a on bank: holds, cost 150.00, 1.5 times the cheapest"
     assert tips[1] == "b on bank: holds with feedback, cost 100.00, the cheapest"
     assert tips[2].startswith("c on bank: violates. ")
-    assert tips[3] == "a on hill: not applicable. Has no inputs."
+    assert tips[3] == "a on hill: not applicable. The scene has no inputs."
     assert tips[5] == "c on hill: no plan. No plan: infeasible"
 
 

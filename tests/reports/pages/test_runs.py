@@ -43,7 +43,7 @@ def test_a_row_has_errors_apart_with_units_and_the_integral_cost(factory, tmp_pa
     # 496.63 times 0.01 s; 4.1e-3 off, 0.8 of it in position and 0.6 in velocity.
     assert row == ["three_cart", "strict", "✓ holds", "496.63", "4.9663", "0.0033 m", "0.0025 m/s", "0.0090 m", "0.71", ""]
     assert other[:3] == ["three_cart", "refused", "⊘ not applicable"]
-    assert other[-1] == "has no wall."
+    assert other[-1] == "The scene has no wall."
 
 
 def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.plots.axis import Axis
-from reports.plots.packed import packed
+from reports.plots.series import packed
 
 
 def _unpacked(text: str, x: Axis, y: Axis) -> list[tuple[np.ndarray, np.ndarray]]:

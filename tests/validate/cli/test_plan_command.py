@@ -135,4 +135,4 @@ def test_what_ran_before_says_how_long_it_takes(cli, ran):
     assert "of CPU time when they ran last, about " in known
     assert known.endswith(" on 2 cores")
     partly = cli(*words, "-k", "only_good or only_raises", "-j", "1").stdout.splitlines()[-1]
-    assert partly.endswith("when they ran last, and nothing is known of 1")
+    assert partly.endswith("when they ran last; 1 never ran here")

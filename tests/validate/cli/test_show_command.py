@@ -36,7 +36,7 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
     assert lines[0] == "three_cart x strict: solved, holds with feedback"
     for told in (
-        "the last stage: holds with feedback: with LQR feedback it holds.",
+        "the last stage holds with feedback: with LQR feedback it holds.",
         "question, of the replay with feedback answer",
         "4 Do its inputs give its motion, and the goal? yes",
         "question metric inputs alone with feedback +- unit limit reason",

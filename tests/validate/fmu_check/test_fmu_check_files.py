@@ -6,6 +6,7 @@ import json
 import stat
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -132,6 +133,52 @@ def test_command_in_json_and_plain(tmp_path: Path, sound_content, cli):
     assert done.returncode == 1
     assert "k is 30 in the binary, 31 in the description" in done.stdout
     assert "2 failed" in done.stdout
+
+
+@pytest.mark.slow
+def test_command_writes_a_page_and_junit_of_several(tmp_path: Path, sound_content, cli):
+    content = sound_content("2.0")
+    content["modelDescription.xml"] = content["modelDescription.xml"].replace(b'start="30.0"', b'start="31.0"')
+    sound, bad = _pack(tmp_path / "sound.fmu", sound_content("2.0")), _pack(tmp_path / "b<a>d.fmu", content)
+    page, junit = tmp_path / "new" / "check.html", tmp_path / "new" / "check.xml"
+    only = ("--only", "start values are the XML's", "--only", "adjoint derivatives")
+    done = cli("check", str(sound), str(bad), *only, "--html", str(page), "--junit", str(junit))
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.count("(FMI 2.0, ME and CS): ") == 2
+
+    text = page.read_text(encoding="utf-8")
+    assert "2 FMUs in FMI 2.0: 1 of them does not pass." in text
+    assert "k is 30 in the binary, 31 in the description" in text
+    assert "b&lt;a&gt;d.fmu" in text
+    assert "b<a>d.fmu" not in text
+    assert "--junit" in text, "it says how it was made"
+    assert "Export s" not in text
+
+    suites = ElementTree.parse(junit).getroot()
+    assert [suite.get("name") for suite in suites] == [str(sound), str(bad)]
+    assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("0", "2"), ("2", "2")]
+    for suite in suites:
+        cases = suite.findall("testcase")
+        assert len(cases) == int(suite.get("tests", "")) == 6
+        assert all(float(case.get("time", "nan")) >= 0.0 for case in cases)
+    failure = suites[1].find("testcase/failure")
+    assert failure is not None
+    assert "k is 30 in the binary, 31 in the description" in failure.get("message", "")
+    assert [case.get("name") for case in suites[1] if case.find("skipped") is not None] == [
+        "adjoint derivatives (ME)",
+        "adjoint derivatives (CS)",
+    ]
+
+
+@pytest.mark.slow
+def test_a_page_that_cannot_be_written_is_one_sentence(tmp_path: Path, sound_content, cli):
+    path = _pack(tmp_path / "sound.fmu", sound_content("2.0"))
+    (tmp_path / "taken").write_text("")
+    for option in ("--html", "--junit"):
+        done = cli("check", str(path), "--only", "archive", option, str(tmp_path / "taken" / "x"))
+        assert done.returncode in (2, 3)
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert str(tmp_path / "taken") in done.stderr
 
 
 def test_command_needs_neither_solver_nor_torch(cli_environment):

@@ -109,7 +109,7 @@ def test_selection_by_words_and_scenes_and_quick():
     assert left_out == ("question: maybe of three_cart",)
     everywhere, left_out = select(replace(settings, quick=True, scenes=()))
     assert [entry.task.title for entry in everywhere][-1] == "question: yes of nothing"
-    assert re.fullmatch(r"question: \d+ examinations", left_out[0])
+    assert re.fullmatch(r"question: \d+ checks", left_out[0])
     with pytest.raises(CampaignError, match="-k 'asked' selects no run and no check"):
         select(replace(settings, plugin="campaign_fakes:PLUGIN"))
 

@@ -32,7 +32,7 @@ def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_
     quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
     assert {entry.task.arguments["version"] for entry in quick} == {"2.0"}
     assert {entry.task.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
-    assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} examinations"
+    assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} checks"
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The stress cases, a row each: what a correct system does, what happened, the figures, and whether that passes; below them their plots."""
+"""The stress cases, a row each: what a correct system does, what happened, the metrics, and whether that passes; below them their plots."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord
 from reports.records.record import MetricRecord
-from reports.wording import Sign, capital, count, number, spaced, unit
+from reports.wording import Sign, capital, count, number, spaced
 
-KIND = "hard case"
-PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
-FAIL = Sign("fail", "✗", "violates", "a figure breaks its limit")
+# What records call it; in those from before, the second.
+KINDS = ("stress case", "hard case")
+PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
+FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
 _STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triangle"), ("c4", "circle"), ("c5", "square"))
 # Figures of a case in the table: those that fail, then the first ones.
@@ -25,21 +26,8 @@ _BELOW = 0.08
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One figure with its limit in words; sign: None where there is no limit."""
-
-    name: str
-    value: str
-    unit: str
-    limit: str
-    reason: str
-    meaning: str
-    sign: Sign | None
-
-
-@dataclass(frozen=True)
-class StabilityRow:
-    """One case. number and title are parts of its name; decisive: the figures that the table shows."""
+class CaseRow:
+    """One case. number and title are parts of its name; decisive: the metrics that the table shows."""
 
     anchor: str
     number: str
@@ -47,14 +35,13 @@ class StabilityRow:
     record: ExaminationRecord
     sign: Sign
     happened: str
-    decisive: tuple[Shown, ...]
-    figures: tuple[Shown, ...]
+    decisive: tuple[MetricRecord, ...]
     plots: tuple[Plot, ...]
 
 
 def build(report: Report) -> Section | None:
     """The section, or None where no stress case ran."""
-    records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
+    records = sorted((item for item in report.stored.examinations if item.kind in KINDS), key=lambda item: item.name)
     if not records:
         return None
     rows = [_row(record) for record in records]
@@ -63,35 +50,31 @@ def build(report: Report) -> Section | None:
     return Section(
         "stress-cases",
         "Stress cases",
-        "stability.html",
-        {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
-        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its figures and plots.",
+        "checks.html#stress_cases",
+        {
+            "rows": rows,
+            "passed": passed,
+            "failed": failed,
+            "marks": {True: PASS, False: FAIL},
+            "seconds": sum(row.record.cpu_seconds for row in rows),
+        },
+        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots.",
     )
 
 
-def _row(record: ExaminationRecord) -> StabilityRow:
+def _row(record: ExaminationRecord) -> CaseRow:
     place, _, title = record.name.partition(" ")
     sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
     judged = [figure for figure in record.figures if figure.ok is not None]
-    return StabilityRow(
-        anchor=f"hard-case-{place}",
+    return CaseRow(
+        anchor=f"stress-case-{place}",
         number=place.lstrip("0") or place,
         title=title or record.name,
         record=record,
         sign=sign,
         happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
-        decisive=tuple(_shown(figure) for figure in sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
-        figures=tuple(_shown(figure) for figure in record.figures),
+        decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
         plots=tuple(_plot(chart) for chart in record.charts if any(series.x for series in chart.series)),
-    )
-
-
-def _shown(figure: MetricRecord) -> Shown:
-    of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
-    limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit, 7)}{of}"
-    value, measured = ("no number", "") if figure.value is None else (number(figure.value, 3), unit(figure.unit))
-    return Shown(
-        figure.name, value, measured, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL
     )
 
 
