@@ -65,9 +65,9 @@ def _entry() -> Any:
 
 def resume(path: Path) -> None:
     from reports.records.load import load
+    from validate.cli.compare import compare
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.plan.warnings import time_steps
-    from validate.store.compare import compare
     from validate.store.store import Store
     from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema
 

@@ -15,7 +15,7 @@ from reports.records.check_record import ExaminationRecord
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, RunRecord, SecondsRecord, StageRecord
 from tests.reports import record_factory as factory
-from validate.store.compare import Change, ChangeKind, Comparison, compare
+from validate.cli.compare import Change, ChangeKind, Comparison, compare
 
 
 @pytest.fixture(scope="module")
@@ -181,8 +181,8 @@ def test_an_examination_that_no_longer_passes_is_a_regression():
     good, bad = stored((), [examination(True, scene="push_box")]), stored((), [examination(False, scene="push_box")])
     where = "stress case push_box"
     down, up, same = compare(good, bad), compare(bad, good), compare(bad, bad)
-    assert down.changes == (Change(kind=ChangeKind.REGRESSION, where=where, what="examination", before="passed", after="failed"),)
-    assert up.changes == (Change(kind=ChangeKind.IMPROVEMENT, where=where, what="examination", before="failed", after="passed"),)
+    assert down.changes == (Change(kind=ChangeKind.REGRESSION, where=where, what="check", before="passed", after="failed"),)
+    assert up.changes == (Change(kind=ChangeKind.IMPROVEMENT, where=where, what="check", before="failed", after="passed"),)
     assert (down.pairs, same.changes, down.regressions, up.regressions) == (1, (), down.changes, ())
 
 
