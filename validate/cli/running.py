@@ -124,11 +124,11 @@ def _named(names: Sequence[str]) -> str:
 
 
 def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
-    from validate.store.results import examination_rows, rows
+    from validate.store.results import check_rows, rows
 
     data = {
         "results": rows(outcome.records),
-        "examinations": examination_rows(outcome.examinations),
+        "checks": check_rows(outcome.examinations),
         "conclusions": list(outcome.conclusions),
         "failures": list(outcome.failures),
         "findings": list(outcome.findings),

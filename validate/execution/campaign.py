@@ -30,7 +30,7 @@ from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_
 from validate.plan.warnings import doubts, time_steps
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
-from validate.store.results import EXAMINATIONS, RESULTS, VIOLATION, write_examinations, write_results, write_sweeps, write_violation
+from validate.store.results import write_tables
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, of_content, stored_campaign, with_others
 from validate.tasks.leg import PlannedLeg, forget, must_wait
@@ -96,7 +96,7 @@ class Narrator(Protocol):
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
-    """Run what is not stored and write campaign.json, results.csv, examinations.csv, violation.csv, starts.csv, front.csv and the report.
+    """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
     """
@@ -128,10 +128,7 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
         if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
-        write_results(settings.out / RESULTS, merged)
-        write_examinations(settings.out / EXAMINATIONS, examinations)
-        write_violation(settings.out / VIOLATION, about["violation"])
-        write_sweeps(settings.out, merged)
+        write_tables(settings.out, merged, examinations, about["violation"])
         return merged
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]

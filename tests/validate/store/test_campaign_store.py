@@ -11,7 +11,7 @@ from validate.execution.campaign import CampaignSettings, select, with_stored
 from validate.judge.score import metric_names
 from validate.plan.runs import reasons
 from validate.store.provenance import gather
-from validate.store.results import COLUMNS, results_text
+from validate.store.results import COLUMNS, RESULTS, tables
 from validate.store.store import Store
 from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
@@ -93,7 +93,7 @@ def test_results_have_the_columns_of_the_design(entry):
     first = tuple(design.split(", "))
     assert (*first, *(name for name in metric_names() if name not in first)) == COLUMNS
     assert len(set(COLUMNS)) == len(COLUMNS)
-    header, row = results_text([_record(entry, "infeasible")]).splitlines()
+    header, row = tables([_record(entry, "infeasible")], (), ())[RESULTS].splitlines()
     assert header == ",".join(COLUMNS)
     told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}
     assert row.split(",") == [told.get(name, "") for name in COLUMNS]
