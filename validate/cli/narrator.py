@@ -159,7 +159,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
     from reports.records.check_record import ExaminationRecord
 
     if isinstance(record, ExaminationRecord):
-        return _examined(record)
+        return _checked(record)
     last = record.stages[-1]
     which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
     parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome}"]
@@ -173,7 +173,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
     return one_line(", ".join(parts))
 
 
-def _examined(record: ExaminationRecord) -> str:
+def _checked(record: ExaminationRecord) -> str:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
     return one_line(f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}")
 

@@ -199,9 +199,9 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 
 
 def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
-    from validate.judge.shown import JudgedPlan
     from validate.store.disk import make_folder, write_durably
     from validate.store.provenance import command_line
+    from validate.tasks.shown import JudgedPlan
 
     make_folder(target.parent)
     write_durably(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))

@@ -73,8 +73,8 @@ def _print_summary(outcome: CampaignResult, settings: CampaignSettings) -> None:
         say(sentence, begin="- ", indent="  ")
     if outcome.conclusions:
         click.echo()
-    for kind in dict.fromkeys(record.kind for record in outcome.examinations):
-        passed = [record.passed for record in outcome.examinations if record.kind == kind]
+    for kind in dict.fromkeys(record.kind for record in outcome.checks):
+        passed = [record.passed for record in outcome.checks if record.kind == kind]
         say(f"{kind}: {sum(passed)} of {len(passed)} checks passed")
     if settings.quick:
         say(f"left out by --quick: {_named(outcome.left_out)}")
@@ -128,7 +128,7 @@ def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
 
     data = {
         "results": rows(outcome.records),
-        "checks": check_rows(outcome.examinations),
+        "checks": check_rows(outcome.checks),
         "conclusions": list(outcome.conclusions),
         "failures": list(outcome.failures),
         "findings": list(outcome.findings),

@@ -51,7 +51,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
     else:
         if isinstance(record, ExaminationRecord):
-            _tell_examination(record)
+            _print_check(record)
         else:
             _tell_run(record)
         _tell_end(record, folder)
@@ -201,7 +201,7 @@ def _tell_scene(record: RunRecord) -> None:
         say(f"the scene is unstable in the open loop: {record.scene.unstable}")
 
 
-def _tell_examination(record: ExaminationRecord) -> None:
+def _print_check(record: ExaminationRecord) -> None:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
     say(f"{record.title}: {ended}")
     say(f"expected: {record.expected}")

@@ -36,12 +36,11 @@ from reports.records.record import ProvenanceRecord
 from validate.execution.engine import CAMPAIGN, ExecutionContext
 from validate.execution.fork_server import WORTH, start_fork_server, terminal_blocked
 from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
-from validate.execution.worker import Worker, write_request
+from validate.execution.worker import Worker, record_for_crash, write_request
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import fingerprint, machine
 from validate.store.store import LOG, RECORD, Store
-from validate.tasks.run import ChildExit
-from validate.tasks.task import Task, TaskRecord, record_for_crash
+from validate.tasks.task import ChildExit, Task, TaskRecord
 
 # How long a scheduler may take to answer [s].
 _CONNECT = 10.0

@@ -18,8 +18,8 @@ from validate.plan.pipelines import chosen_pipelines
 from validate.plan.scenes import references
 from validate.plan.schema import CampaignFile, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
-from validate.tasks.examination import SceneReference
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin
+from validate.tasks.variant import SceneReference
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
@@ -52,7 +52,7 @@ class Campaign:
         return {
             "chosen": self.scenes,
             "pipelines": self.pipelines,
-            "examined": self.bases if self.file.examinations else (),
+            "checked": self.bases if self.file.checks else (),
             "time_limit": self.file.time_limit,
             "title": self.file.title,
             "files": {GIVEN: self.text, RESOLVED: self.resolved},

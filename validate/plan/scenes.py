@@ -16,8 +16,7 @@ from models.scene.checks import check_expressions
 from validate.judge.score import check_limits, metric_names
 from validate.plan.mistakes import hint
 from validate.plan.schema import FREE, SceneEntry
-from validate.tasks.examination import SceneReference
-from validate.tasks.variant import Variant, state_names, varied
+from validate.tasks.variant import SceneReference, Variant, state_names, varied
 
 # A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by each pipeline.
 MOST_VARIANTS = 1000

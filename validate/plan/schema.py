@@ -19,7 +19,7 @@ from validate.plan.toml_text import toml_text, toml_value
 
 if TYPE_CHECKING:
     from formulations.method import Method
-    from validate.tasks.examination import SceneReference
+    from validate.tasks.variant import SceneReference
 
 # A plan of a million steps is far beyond what any method here can hold.
 MOST_STEPS = 1_000_000
@@ -131,8 +131,8 @@ class CampaignFile(_Strict):
     seeds: list[Annotated[int, Field(ge=0)]] = Field(
         default=[], max_length=1000, description="Each pipeline that draws at random is run once for each of them."
     )
-    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each cell, all its stages and replays.")
-    examinations: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
+    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each run, all its stages and replays.")
+    checks: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
 
 
 def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_method: Callable[[str], Method], name: str) -> str:
@@ -143,7 +143,7 @@ def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_met
         f"# {' '.join(name.split())}, with everything filled in",
         f"title = {toml_text(file.title)}",
         f"time_limit = {toml_value(float(file.time_limit))}",
-        f"examinations = {toml_value(file.examinations)}",
+        f"checks = {toml_value(file.checks)}",
         f"pipelines = {toml_value(names)}",
         *seeds.splitlines(),
     ]

@@ -1,6 +1,6 @@
-"""Hard cases as examinations of a campaign: which there are, and how one is measured in its child and recorded.
+"""Hard cases as checks of a campaign: which there are, and how one is measured in its child and recorded.
 
-plugin.EXAMINATIONS = (..., "validate.stress.tasks:examinations")
+plugin.CHECKS = (..., "validate.stress.tasks:checks")
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from models.catalog import scene_path
 from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
 from reports.records.record import MetricRecord
 from validate.stress.catalog import case_names, describe_case, load_case
-from validate.tasks.examination import Course, Examination, Found, SceneReference
+from validate.tasks.check import Course, Found
+from validate.tasks.task import CheckTask
+from validate.tasks.variant import SceneReference
 
 if TYPE_CHECKING:
     from validate.stress.case import CaseFinding, Chart, Figure
@@ -33,17 +35,17 @@ _SOURCES = (
 )
 
 
-def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
     """All hard cases, whatever the scenes of the campaign."""
     found = []
     for name in case_names():
         case = describe_case(name)
         found.append(
-            Examination(
+            CheckTask(
                 kind=KIND,
                 name=case.heading,
                 expected=case.expected,
-                function="validate.stress.tasks:examine",
+                function="validate.stress.tasks:check",
                 arguments={"case": name},
                 content="\n".join(scene_path(scene).read_text(encoding="utf-8") for scene in case.scenes),
                 sources=(*_SOURCES, f"validate/stress/cases/{name}.py"),
@@ -55,7 +57,7 @@ def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     return found
 
 
-def examine(arguments: Mapping[str, Any], course: Course) -> Found:
+def check(arguments: Mapping[str, Any], course: Course) -> Found:
     """Measure the case of that name, in the child."""
     case = load_case(str(arguments["case"]))
     course.at(f"the measurement of {case.name}")

@@ -26,16 +26,17 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from validate.tasks.examination import Examination, SceneReference
+    from validate.tasks.task import CheckTask
+from validate.tasks.variant import SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.tasks.examination.Examination.
-EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", "validate.stress.tasks:examinations")
+# What a campaign checks beside scenes by pipelines: functions of its scenes that give validate.tasks.task.CheckTask.
+CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.tasks:checks")
 
 
-def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
     found = []
-    for reference in EXAMINATIONS:
+    for reference in CHECKS:
         module, _, name = reference.partition(":")
         found += getattr(importlib.import_module(module), name)(scenes)
     return found
@@ -88,7 +89,7 @@ class Plugin:
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
     quick: tuple[str, ...] | None = None
-    examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
+    checks: Callable[[Sequence[SceneReference]], Sequence[CheckTask]] = _checks
     compile: Callable[[Scene], None] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
     from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
-    from validate.tasks.run import RunTask
+    from validate.tasks.task import RunTask
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:

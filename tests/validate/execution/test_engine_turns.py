@@ -20,11 +20,11 @@ from validate.execution import campaign as module
 from validate.execution.campaign import CampaignSettings, run_tasks, select
 from validate.execution.dask import DaskEngine, Request, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.execution.worker import record_for_crash
 from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
 from validate.store.store import Store
-from validate.tasks.run import ChildExit
-from validate.tasks.task import record_for_crash
+from validate.tasks.task import ChildExit
 
 pytestmark = pytest.mark.process
 

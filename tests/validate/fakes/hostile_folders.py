@@ -44,8 +44,8 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
         (run / "record.json").write_text(
             json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
         )
-    request = {"cell": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
-    (run / "cell.json").write_bytes(_spoilt(rng, request))
+    request = {"task": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
+    (run / "task.json").write_bytes(_spoilt(rng, request))
     (run / "files.json").write_bytes(_spoilt(rng, {"trajectory_0.nc": 10}))
     return path
 
@@ -56,7 +56,7 @@ def _entry() -> Any:
     from models.catalog import load_scene
     from validate.plan.runs import PlannedRun
     from validate.tasks.path import LoadedRun
-    from validate.tasks.run import RunTask
+    from validate.tasks.task import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
     task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)

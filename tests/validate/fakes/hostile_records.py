@@ -45,7 +45,7 @@ def spoilt_campaign(rng: random.Random, folder: Path) -> Path:
     for path, data in (
         (run / "record.json", record),
         (folder / "campaign" / "campaign.json", campaign),
-        (run / "cell.json", {"cell": {"key": KEY}}),
+        (run / "task.json", {"task": {"key": KEY}}),
     ):
         if rng.random() < 0.6:
             text = spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()

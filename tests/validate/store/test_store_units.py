@@ -66,7 +66,7 @@ def put(store: Store, name: str, record: object = None, cell: object = None, fil
     if record is not None:
         (folder / RECORD).write_text(record.model_dump_json())  # type: ignore[attr-defined]
     if cell is not None:
-        (folder / REQUEST).write_text(json.dumps({"cell": cell}))
+        (folder / REQUEST).write_text(json.dumps({"task": cell}))
     if files is not None:
         (folder / FILES).write_text(json.dumps(files))
     return folder

@@ -20,7 +20,8 @@ from reports.rule import failures
 from validate.store.provenance import gather
 from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
 from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
-from validate.stress.tasks import examinations, found_of
+from validate.stress.tasks import checks, found_of
+from validate.tasks.task import task_to_json
 
 NAMES = case_names()
 # What is made shorter here; a campaign runs all of it.
@@ -103,10 +104,10 @@ def test_a_case_says_what_it_depends_on(name: str):
 
 def test_all_rows_are_there_once_and_offered_to_a_campaign():
     assert [int(name[1:3]) for name in NAMES] == list(range(1, 22))
-    offered = examinations(())
+    offered = checks(())
     assert [item.name for item in offered] == [describe_case(name).heading for name in NAMES]
     assert 0 < sum(item.quick for item in offered) < len(offered)
-    assert all(json.dumps(item.to_json()) for item in offered)
+    assert all(json.dumps(task_to_json(item)) for item in offered)
 
 
 def test_an_unknown_case_is_named():

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 import models.fmu
-import validate.tasks.fmu_examination
+import validate.tasks.fmu_checks
 from models.catalog import load_scene, scene_names
 from reports.records.check_record import StoredRecord
 from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import scene_cost
-from validate.tasks.examination import Course
-from validate.tasks.fmu_examination import VERSIONS, examine
+from validate.tasks.check import Course
+from validate.tasks.fmu_checks import VERSIONS, check
 
 
-def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():
+def test_every_scene_in_every_version_is_checked_and_quick_says_what_it_leaves_out():
     chosen = CampaignSettings(out=Path(), expression="fmu_check")
     entries, _ = select(chosen)
     assert [(entry.task.scene, entry.task.arguments["version"]) for entry in entries] == [
@@ -32,7 +32,7 @@ def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_
     quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
     assert {entry.task.arguments["version"] for entry in quick} == {"2.0"}
     assert {entry.task.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
-    assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} examinations"
+    assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} checks"
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
                 target.writestr(name, data)
         return path
 
-    monkeypatch.setattr(validate.tasks.fmu_examination, "build_fmu", defective)
-    found = examine({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
+    monkeypatch.setattr(validate.tasks.fmu_checks, "build_fmu", defective)
+    found = check({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
     assert not found.passed
     assert "start values are the XML's (CS)" in found.sentence
     assert found.details["fmu"].failed
