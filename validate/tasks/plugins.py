@@ -31,7 +31,7 @@ from validate.tasks.variant import SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
 # What a campaign checks beside scenes by pipelines: functions of its scenes that give validate.tasks.task.CheckTask.
-CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.tasks:checks")
+CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
 
 
 def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
