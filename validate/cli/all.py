@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from reports.rule_text import RESULTS, RULE
-from validate.cli.campaign_options import result_options, running_options
+from validate.cli.options import result_options, running_options
 
 
 def _wrapped(text: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from validate.cli.options import FiniteRange
-from validate.cli.table import one_line, say, table, use_colour, wide_option
+from validate.cli.table import print_table, say, wide_option
 
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport
@@ -83,15 +83,15 @@ def _summary(report: CheckReport) -> str:
     counts = ", ".join(f"{words.count(word)} {word}" for word in _COLOURS)
     about = f" (FMI {report.version}, {' and '.join(report.types)})" if report.types else ""
     missing = "; its code cannot be run on this machine" if report.unrunnable else ""
-    return one_line(f"{report.path}{about}: {counts}{missing}")
+    return f"{report.path}{about}: {counts}{missing}"
 
 
 def _print(report: CheckReport) -> None:
     rows = [
-        [f"{_SIGNS[row.status.value]} {row.status.value}", f"{row.name} ({row.type})" if row.type else row.name, one_line(row.sentence)]
+        [f"{_SIGNS[row.status.value]} {row.status.value}", f"{row.name} ({row.type})" if row.type else row.name, row.sentence]
         for row in report.rows
     ]
     colours = {f"{_SIGNS[name]} {name}": colour for name, colour in _COLOURS.items()}
-    click.echo(table(["", "check", "what was found"], rows, colours=colours), color=use_colour())
+    print_table(["", "check", "what was found"], rows, colours=colours)
     click.echo()
     say(_summary(report))

@@ -22,7 +22,7 @@ import click
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import ReportError, Stored, load
 from reports.records.record import HOLD, RunRecord, StageRecord
-from validate.cli.table import one_line, say, table, use_colour, wide_option
+from validate.cli.table import one_line, print_table, say, wide_option
 
 _EPILOG = """\b
 Examples:
@@ -81,8 +81,8 @@ def command(before: Path, after: Path, as_json: bool) -> int:
         click.echo(json.dumps({"pairs": comparison.pairs, "changes": changes, "exit_code": code}, indent=1))
         return code
     if changes:
-        rows = [[one_line(text) for text in change.values()] for change in changes]
-        click.echo(table(["", "where", "what", "before", "after"], rows, drop=("before",), colours=_COLOURS), color=use_colour())
+        rows = [list(change.values()) for change in changes]
+        print_table(["", "where", "what", "before", "after"], rows, drop=("before",), colours=_COLOURS)
         click.echo()
     counts = Counter(change["kind"] for change in changes)
     found = ", ".join(f"{count} {word}" for word, count in counts.items()) or "none"

@@ -56,7 +56,7 @@ def command(as_json: bool) -> int:
     click.echo()
     click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
     click.echo()
-    told = [[item["name"], "quick" if item["quick"] else "", one_line(item["title"])] for item in data["hard cases"]]
+    told = [[item["name"], "quick" if item["quick"] else "", item["title"]] for item in data["hard cases"]]
     click.echo(table(["hard case", "", "what it is"], told))
     return 0
 

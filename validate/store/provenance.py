@@ -197,7 +197,7 @@ def machine() -> dict[str, Any]:
     return {"platform": platform.platform(), "cpu": _cpu(), "cores": usable_cores()}
 
 
-def command_line(arguments: Iterable[str], program: str = "validate") -> str:
+def command_line(arguments: Iterable[str], program: str = "python -m validate") -> str:
     """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
     words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
-    return " ".join(["python", "-m", program, *words])
+    return " ".join([program, *words])
