@@ -183,23 +183,19 @@ def _about(
 ) -> dict[str, Any]:
     """What campaign.json says of the campaign as a whole. earlier: the campaign of the folder whose other runs stay, if there are any."""
     steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
-    if earlier is None:
-        return {
-            "title": settings.title or TITLE,
-            "command": settings.command,
-            "quick": settings.quick,
-            "left_out": left_out,
-            "violation": _violation(entries),
-            "time_steps": steps,
-        }
-    named = {item.scene for item in steps}
+    title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
+    if earlier is not None:
+        title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
+        command = earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else command
+        named = {item.scene for item in steps}
+        steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
     return {
-        "title": settings.title or earlier.title,
-        "command": earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else settings.command,
-        "quick": settings.quick and earlier.quick,
-        "left_out": left_out if settings.quick and earlier.quick else (),
-        "violation": earlier.violation or _violation(entries),
-        "time_steps": (*(item for item in earlier.time_steps if item.scene not in named), *steps),
+        "title": title,
+        "command": command,
+        "quick": quick,
+        "left_out": left_out if quick == settings.quick else (),
+        "violation": violation or _violation(entries),
+        "time_steps": steps,
     }
 
 

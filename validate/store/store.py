@@ -19,6 +19,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from models.errors import TouchstoneError
 from reports.records.check_record import ExaminationRecord, record_of
 from reports.records.record import RunRecord
@@ -195,10 +197,4 @@ def _owner_lives(name: str) -> bool:
         return False
     if parts[4].removesuffix(_OLD) != socket.gethostname():
         return True
-    try:
-        os.kill(int(parts[3]), 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+    return psutil.pid_exists(int(parts[3]))
