@@ -4,7 +4,7 @@
     python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
     python -m benchmarks golden table                                # of it, the table of docs/results.md
 
-A row is a stage of a run, or an examination (hard case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
+A row is a stage of a run, or an examination (stress case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
 the main figures to nine digits, and `bits`, a hash of every number of the record at full precision. Two rows of equal bits are equal; of the
 others the figures say by how much they differ.
 """

@@ -9,7 +9,7 @@ RULE = (
     "a plan of a direct method stands beside a row of the paper, and does not hold",
     "direct methods ran on a scene, and no run of that scene holds, with feedback or without",
     "on a scene with nothing to plan the replay misses a closed form, or is not well otherwise",
-    "a check (of one of our own FMUs, a hard case) finds what must not be, or ends without an answer",
+    "a check (of one of our own FMUs, a stress case) finds what must not be, or ends without an answer",
 )
 # What does not.
 RESULTS = (

@@ -11,7 +11,7 @@ from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRec
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced, unit
 
-KIND = "hard case"
+KIND = "stress case"
 PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
 FAIL = Sign("fail", "✗", "violates", "a figure breaks its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
@@ -74,7 +74,7 @@ def _row(record: ExaminationRecord) -> StabilityRow:
     sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
     judged = [figure for figure in record.figures if figure.ok is not None]
     return StabilityRow(
-        anchor=f"hard-case-{place}",
+        anchor=f"stress-case-{place}",
         number=place.lstrip("0") or place,
         title=title or record.name,
         record=record,

@@ -197,7 +197,7 @@ def test_a_chain_of_no_such_length_is_refused(n: object):
 
 
 def test_coincident_centres_have_a_defined_normal():
-    """No direction is better than another: no force, and finite derivatives (hard case 11)."""
+    """No direction is better than another: no force, and finite derivatives (stress case 11)."""
     kernel = kernel_of("two_discs")
     start = np.array([0.3, -0.2, 0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
     plan = kernel.rollout(start, np.ones((5, 2)), 1e-3)

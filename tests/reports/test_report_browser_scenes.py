@@ -13,7 +13,7 @@ _PAPER = 1032
 
 @pytest.fixture(scope="module")
 def many(factory, tmp_path_factory):
-    """The folder of one pipeline's runs on sixteen scenes, and of hard cases whose sentences are long."""
+    """The folder of one pipeline's runs on sixteen scenes, and of stress cases whose sentences are long."""
     one = factory.run("strict", None, "strict_lcp")
     runs = [
         one.model_copy(update={"key": f"strict-{place:016d}", "scene": factory.scene(f"a_scene_of_number_{place}")}) for place in range(16)
@@ -21,7 +21,7 @@ def many(factory, tmp_path_factory):
     cases = [
         ExaminationRecord(
             key=f"{place:064d}",
-            kind="hard case",
+            kind="stress case",
             name=f"{place:02d} A case",
             expected="What is expected of it, at some length. " * 4,
             outcome="answered",

@@ -1,4 +1,4 @@
-"""The stability page: a row a hard case with a word and a symbol, plots from the record's own data, and what the time step was known to be."""
+"""The stability page: a row a stress case with a word and a symbol, plots from the record's own data, and what the time step was known to be."""
 
 import html
 import re
@@ -28,7 +28,7 @@ def chart(**changes) -> ChartRecord:
 def case(factory, place: int, title: str, **changes) -> ExaminationRecord:
     said = {
         "key": f"{place:064d}",
-        "kind": "hard case",
+        "kind": "stress case",
         "name": f"{place:02d} {title}",
         "expected": f"What is expected of {title}.",
         "outcome": "answered",
@@ -44,7 +44,7 @@ def case(factory, place: int, title: str, **changes) -> ExaminationRecord:
 
 @pytest.fixture
 def page(factory, tmp_path):
-    """The report's text over these hard cases, beside one run."""
+    """The report's text over these stress cases, beside one run."""
 
     def made(*cases: ExaminationRecord, **campaign) -> str:
         folder, run = tmp_path / "all", factory.runs()[0]
@@ -96,9 +96,9 @@ def test_a_failing_row_is_shown_and_fails_the_campaign(page, factory):
     assert "✗</span> fail" in row
     assert "✓</span> pass" in right
     assert "order: 1 m (≥ 1.8 m); fine: 0.99 m (≤ 1 m)" in row
-    assert '1 of 2 stress cases pass; <a href="#hard-case-03">3</a> does not.' in text
-    assert "The campaign fails: hard case: 03 wrong: failed - What happened to wrong." in text
-    assert re.search(r'id="hard-case-03".*?<details open>', text, flags=re.DOTALL)
+    assert '1 of 2 stress cases pass; <a href="#stress-case-03">3</a> does not.' in text
+    assert "The campaign fails: stress case: 03 wrong: failed - What happened to wrong." in text
+    assert re.search(r'id="stress-case-03".*?<details open>', text, flags=re.DOTALL)
 
 
 def test_a_case_without_an_answer_says_how_it_ended(page, factory):
@@ -128,7 +128,7 @@ def test_a_figure_that_is_no_number_is_said(page, factory):
 def test_plots_are_drawn_from_the_record(page, factory):
     """A zero on a logarithmic axis lies at its low end; its tip tells the true value."""
     text = page(case(factory, 1, "stiff", charts=(chart(), chart(title="Nothing in it", series=(SeriesRecord(name="none", x=(), y=()),)))))
-    section = text[text.index('id="hard-case-01"') :].split("</article>")[0]
+    section = text[text.index('id="stress-case-01"') :].split("</article>")[0]
     assert "Radius against k" in section
     assert "Nothing in it" not in section
     assert section.count("<title>") == 3

@@ -34,7 +34,7 @@ Examples:
   python -m validate all                               everything
   python -m validate all --quick                       three pipelines
   python -m validate all -k FMU                        only our FMUs, checked
-  python -m validate all -k hard                       only the hard cases
+  python -m validate all -k stress                     only the stress cases
   python -m validate all -k "strict and not relaxed"   some
   python -m validate all --scene my/own_scene.py       a scene of your own
   python -m validate all --last-failed                 what failed last time

@@ -25,7 +25,7 @@ Exit codes: 0 listed; 2 usage.
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @wide_option
 def command(as_json: bool) -> int:
-    """Scenes, pipelines, methods and hard cases, with what each is."""
+    """Scenes, pipelines, methods and stress cases, with what each is."""
     from formulations.pipelines import PIPELINES, QUICK, method_names
     from models.catalog import scene_names, scene_path
     from validate.stress.catalog import case_names, describe_case
@@ -44,7 +44,7 @@ def command(as_json: bool) -> int:
             for pipeline in PIPELINES
         ],
         "methods": [{"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()],
-        "hard cases": [{"name": name, "title": case.title, "quick": case.quick, "expected": case.expected} for name, case in cases],
+        "stress cases": [{"name": name, "title": case.title, "quick": case.quick, "expected": case.expected} for name, case in cases],
     }
     if as_json:
         click.echo(json.dumps(data, indent=1))
@@ -56,8 +56,8 @@ def command(as_json: bool) -> int:
     click.echo()
     click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
     click.echo()
-    told = [[item["name"], "quick" if item["quick"] else "", item["title"]] for item in data["hard cases"]]
-    click.echo(table(["hard case", "", "what it is"], told))
+    told = [[item["name"], "quick" if item["quick"] else "", item["title"]] for item in data["stress cases"]]
+    click.echo(table(["stress case", "", "what it is"], told))
     return 0
 
 

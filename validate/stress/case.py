@@ -24,7 +24,7 @@ from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask
 from validate.tasks.variant import SceneReference
 
-KIND = "hard case"
+KIND = "stress case"
 # What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
 _SOURCES = (
     "models/",

@@ -1,4 +1,4 @@
-"""Plans and replays as the hard cases need them: a scene's own compiled step for the plan, its FMU for the replay.
+"""Plans and replays as the stress cases need them: a scene's own compiled step for the plan, its FMU for the replay.
 
 plan = rolled(scene, start=..., u=..., step=..., steps=...)       # a Trajectory by the compiled step
 motion = replayed(scene, plan)                                      # a Replay by the scene's FMU

@@ -312,7 +312,7 @@ def _of_score(judged: Judged) -> dict[str, Any]:
                 QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in judged.score.questions
             ),
             "not_asked": judged.score.not_asked,
-            "cause": judged.score.cause,
+            "cause": getattr(judged.score, "cause", ""),
         }
     return found
 

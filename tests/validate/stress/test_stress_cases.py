@@ -46,7 +46,7 @@ def record_of(name: str, found: Found) -> ExaminationRecord:
     """The record that a campaign would store, through JSON and back."""
     record = ExaminationRecord(
         key="0" * 64,
-        kind="hard case",
+        kind="stress case",
         name=heading(name),
         expected=describe_case(name).expected,
         outcome="answered",
@@ -169,7 +169,7 @@ def campaign(cli, tmp_path_factory):
 def test_the_cases_are_run_and_pass(campaign):
     out, done = campaign
     assert done.returncode == 0, done.stderr
-    assert "hard case: 2 of 2 checks passed" in done.stdout
+    assert "stress case: 2 of 2 checks passed" in done.stdout
     records = [json.loads(path.read_text()) for path in out.glob("runs/*/record.json")]
     assert sorted(record["name"][:2] for record in records) == ["12", "13"]
     assert all(record["passed"] and record["figures"] for record in records)
@@ -178,7 +178,7 @@ def test_the_cases_are_run_and_pass(campaign):
 def test_the_report_has_their_rows(campaign):
     text = (campaign[0] / "pages" / "stress-cases.html").read_text(encoding="utf-8")
     assert 'id="stress-cases"' in text
-    assert 'id="hard-case-12"' in text
+    assert 'id="stress-case-12"' in text
     assert "2 of 2 stress cases pass" in text
 
 
@@ -193,10 +193,10 @@ def test_they_are_used_again(campaign, cli):
 @pytest.mark.slow
 def test_a_quick_campaign_says_that_it_leaves_cases_out(cli, tmp_path):
     done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(tmp_path))
-    assert "left out by --quick: hard case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout
+    assert "left out by --quick: stress case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout
 
 
 def test_list_names_them(cli):
-    listed = json.loads(cli("list", "--json").stdout)["hard cases"]
+    listed = json.loads(cli("list", "--json").stdout)["stress cases"]
     assert [item["name"] for item in listed] == list(case_names())
     assert {item["name"] for item in listed if item["quick"]} == {name for name in case_names() if describe_case(name).quick}

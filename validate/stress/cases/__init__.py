@@ -1,1 +1,1 @@
-"""One file, one hard case: h<number>_<name>.py defines CASE."""
+"""One file, one stress case: h<number>_<name>.py defines CASE."""
