@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from validate.execution.campaign import CampaignResult
     from validate.fmu_check import CheckReport
     from validate.judge.score import Verdict
-    from validate.judge.shown import JudgedPlan as Judgement
-    from validate.judge.shown import SolvedPlan as Solution
+    from validate.tasks.shown import JudgedPlan as Judgement
+    from validate.tasks.shown import SolvedPlan as Solution
 
 # The types that the functions below give and take, and where each is at home: imported when one is asked for.
 _HOME = {
     "CampaignResult": ("validate.execution.campaign", "CampaignResult"),
     "CheckReport": ("validate.fmu_check", "CheckReport"),
-    "Judgement": ("validate.judge.shown", "JudgedPlan"),
+    "Judgement": ("validate.tasks.shown", "JudgedPlan"),
     "Outcome": ("formulations.solution", "Outcome"),
     "Scene": ("models.scene", "Scene"),
-    "Solution": ("validate.judge.shown", "SolvedPlan"),
+    "Solution": ("validate.tasks.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
     "Verdict": ("validate.judge.score", "Verdict"),
 }
@@ -167,7 +167,7 @@ def solve(
     """
     from formulations.pipelines import solve_scene
     from validate.judge.judgement import as_trajectory
-    from validate.judge.shown import SolvedPlan
+    from validate.tasks.shown import SolvedPlan
 
     wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
     first = None if start is None else as_trajectory(start, wanted)
@@ -220,7 +220,7 @@ def judge(
     """
     from validate.judge.judgement import judge as judge_scene
     from validate.judge.judgement import judge_fmu
-    from validate.judge.shown import JudgedPlan
+    from validate.tasks.shown import JudgedPlan
 
     if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
         map_path = None if map is None else Path(map)

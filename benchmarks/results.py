@@ -24,7 +24,7 @@ def typed() -> str:
     from validate.store.provenance import command_line
 
     context = click.get_current_context(silent=True)
-    return command_line((context and context.find_root().obj) or (), "benchmarks")
+    return command_line((context and context.find_root().obj) or (), "python -m benchmarks")
 
 
 def store(out: Path, name: str, record: Mapping[str, Any]) -> Path:

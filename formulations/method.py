@@ -213,7 +213,7 @@ class Leg:
 
     method: str
     schedule: tuple[float | None, ...] = (None,)
-    options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, object] = field(default_factory=dict)
     stage_options: tuple[Mapping[str, object], ...] = ()
 
 

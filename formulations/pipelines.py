@@ -19,7 +19,7 @@ from itertools import groupby
 from pathlib import Path
 from time import monotonic
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from formulations.method import Leg, Method, OptionError, Pipeline
 from models.errors import UnknownNameError, did_you_mean
@@ -74,9 +74,9 @@ MULTIPLE_SHOOTING_COUNT = 60
 NOISE = (0.3, 0.1, 0.03)
 
 
-# Starts of mpcc_multistart, and how many of them a cell runs: beside them, starting a process and replaying its best plan costs little.
+# Starts of mpcc_multistart, and how many of them a part runs: beside them, starting a process and replaying its best plan costs little.
 STARTS, STARTS_EACH = 20, 5
-# Work of such a cell, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
+# Work of such a part, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
 # same best plans, and more of the starts end: docs/campaigns.md has the figures, and how to ask for more.
 STARTS_WORK = 12.0
 
@@ -238,8 +238,8 @@ def stage_plan(pipeline: Pipeline) -> tuple[tuple[Leg, float | None, dict[str, o
     return tuple(stages)
 
 
-def cells_of(pipeline: Pipeline) -> tuple[Pipeline, ...]:
-    """The pipelines that are run for this one, each in a cell of its own: itself, or its parts."""
+def parts_of(pipeline: Pipeline) -> tuple[Pipeline, ...]:
+    """The pipelines that are run for this one, each in a process of its own: itself, or its parts."""
     return tuple(
         replace(
             pipeline,
@@ -249,40 +249,6 @@ def cells_of(pipeline: Pipeline) -> tuple[Pipeline, ...]:
         )
         for number, own in enumerate(pipeline.parts, 1)
     ) or (pipeline,)
-
-
-def pipeline_to_json(pipeline: Pipeline) -> dict[str, Any]:
-    """Plain data: what a child process is given and what the key of a cell is made of."""
-    return {
-        "name": pipeline.name,
-        "title": pipeline.title,
-        "source": pipeline.source,
-        "part": None if pipeline.part is None else list(pipeline.part),
-        "legs": [
-            {
-                "method": leg.method,
-                "schedule": list(leg.schedule),
-                "options": dict(leg.options),
-                "stage_options": [dict(options) for options in leg.stage_options],
-            }
-            for leg in pipeline.legs
-        ],
-    }
-
-
-def pipeline_from_json(data: Mapping[str, Any]) -> Pipeline:
-    """The inverse of `pipeline_to_json`, of a pipeline that is run as one cell."""
-    legs = tuple(
-        Leg(
-            method=leg["method"],
-            schedule=tuple(leg["schedule"]),
-            options=dict(leg["options"]),
-            stage_options=tuple(dict(options) for options in leg["stage_options"]),
-        )
-        for leg in data["legs"]
-    )
-    part = None if data["part"] is None else (data["part"][0], data["part"][1])
-    return Pipeline(name=data["name"], title=data["title"], source=data["source"], legs=legs, part=part)
 
 
 def solve_scene(

@@ -3,7 +3,7 @@
 deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or collocation."
 by_cause(runs)                               ->  each cause once, with its runs, the most frequent first
 
-Causes are told apart by metrics and outcomes, never by what a method is called; a record's own sentence (`StageRecord.why`) has the numbers.
+The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own sentence (`StageRecord.why`) has the numbers.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from reports.judged import FEEDBACK, TRACKED, is_tracked
 from reports.records.record import HOLD, MetricRecord, RunRecord, StageRecord
 from reports.wording import capital, spaced
 
-# From this growth of an error on, a motion counts as unstable in the open loop, as in the judge's own sentences.
-_UNSTABLE = 100.0
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
 _AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
-# Metric -> (cause, advice); what is not here is named by its metric.
+# Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
 _CAUSES = {
     "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
     "duration_error": ("The plan does not last as long as the task", "Plan over the whole task."),
@@ -38,14 +36,14 @@ _CAUSES = {
     "ghost_impulse": ("Force at a distance: the plan is pushed where the replay touches nothing", _EXACT),
     "missed_impulse": ("The replay touches where the plan does not", "Plan with exact contact on a finer grid."),
     "defect": ("The plan does not solve its own discrete equations", "Tighten the solver's tolerance."),
+    "relaxed contact": ("Relaxed contact: the inputs do not give the planned motion", _EXACT),
+    "coarse grid": ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation."),
+    "unstable": (
+        "Unstable in the open loop: small errors grow until the plan is lost",
+        "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
+    ),
+    "motion": ("The inputs do not give the planned motion", "Look at the error over time on the page of the run."),
 }  # fmt: skip
-_LAW = ("Relaxed contact: the inputs do not give the planned motion", _EXACT)
-_GRID = ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation.")
-_OPEN_LOOP = (
-    "Unstable in the open loop: small errors grow until the plan is lost",
-    "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
-)
-_MOTION = ("The inputs do not give the planned motion", "Look at the error over time on the page of the run.")
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
 
 
@@ -88,41 +86,16 @@ def cause_of(run: RunRecord) -> Cause | None:
     if stage is None or run.verdict == "no plan":
         advice = stage.advice if stage is not None and stage.outcome == run.outcome else _AGAIN
         return Cause(f"No plan: {spaced(run.outcome)}", advice)
-    metric = deciding(stage)
-    if metric is None:
+    cause = stage.cause
+    if not cause:
         return Cause(f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}", stage.advice)
     if run.verdict == "undecided":
-        return Cause(f"Undecided: the replay's own error leaves {spaced(metric.name)} open", "Replay with tighter tolerances.")
-    return _violated(stage, metric)
-
-
-def _violated(stage: StageRecord, metric: MetricRecord) -> Cause:
-    name = metric.name.removeprefix(TRACKED)
-    if name in ("cost", "replay_cost"):
+        return Cause(f"Undecided: the replay's own error leaves {spaced(cause)} open", "Replay with tighter tolerances.")
+    if cause in ("cost", "replay_cost"):
         return Cause(f"{_DEAR} ({spaced(stage.outcome)})", stage.advice)
-    if metric.question == 2 and "terminal" in metric.name:
+    if cause.startswith("terminal"):
         return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
-    if metric.question == 4 and metric.name != "unexplained_force":
-        return Cause(*_of_motion(stage))
-    return Cause(*_CAUSES.get(name, (f"A limit is exceeded: {spaced(name)}", stage.advice)))
-
-
-def _of_motion(stage: StageRecord) -> tuple[str, str]:
-    """Why the inputs do not give the motion, by what the metrics show."""
-    law, grid, growth = (_value(stage, name) for name in ("law_error", "grid_error", "amplification"))
-    defect = stage.metric("defect")
-    if defect is not None and defect.ok is False:
-        return _CAUSES["defect"]
-    if grid is not None and law is not None and law > grid:
-        return _LAW
-    if growth is not None and growth >= _UNSTABLE:
-        return _OPEN_LOOP
-    return _MOTION if grid is None else _GRID
-
-
-def _value(stage: StageRecord, name: str) -> float | None:
-    metric = stage.metric(name)
-    return None if metric is None else metric.value
+    return Cause(*_CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice)))
 
 
 def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:

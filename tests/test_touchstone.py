@@ -14,7 +14,7 @@ import pytest
 import touchstone as ts
 from formulations.method import OptionError
 from models.errors import SceneError, TouchstoneError, UnknownNameError
-from validate.judge import shown
+from validate.tasks import shown
 
 ROOT = Path(__file__).parents[1]
 

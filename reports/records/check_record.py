@@ -89,7 +89,7 @@ class ExaminationRecord(_Model):
     fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
     """
 
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[5] = SCHEMA_VERSION
     key: str
     kind: str
     name: str

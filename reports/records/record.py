@@ -101,8 +101,8 @@ class TrackedRecord(BaseModel):
     saturated: Finite = 0.0
 
 
-# 4: motions are in the NetCDF files alone, with gaps and poses; records of earlier versions lack them there, and are refused.
-SCHEMA_VERSION = 4
+# 5: a stage says the cause of its verdict, and a task's folder holds task.json; records of earlier versions lack both, and are refused.
+SCHEMA_VERSION = 5
 
 Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
 # Verdicts of plans that hold.
@@ -330,6 +330,7 @@ class StageRecord(_Model):
     metrics: tuple[MetricRecord, ...] = ()
     verdict: Verdict = "no plan"
     why: str = ""
+    cause: str = ""  # the same in one word: the metric that failed or is open, or why the inputs do not give the motion
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
@@ -383,7 +384,7 @@ class ProvenanceRecord(_Model):
 class RunRecord(_Model):
     """One run: a scene by a pipeline."""
 
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[5] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -419,7 +420,7 @@ class ViolationPoint(_Model):
 class CampaignRecord(_Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[5] = SCHEMA_VERSION
     title: str
     command: str
     started: str

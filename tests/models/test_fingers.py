@@ -113,7 +113,7 @@ def test_tip_and_disc_push_and_rub_each_other_alike() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_coincident_centres_have_a_defined_normal(name: str) -> None:
-    """Hard case 11: the tip in the middle of the disc; no direction is better than another, so none is pushed, and all derivatives are finite."""
+    """Stress case 11: the tip in the middle of the disc; no direction is better than another, so none is pushed, and all derivatives are finite."""
     scene = load_scene(name)
     kernel, start = load_kernel(scene), np.array(scene.task.start)
     start[4:6] = tip(start, -1)[0]

@@ -259,6 +259,7 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
         "questions": questions(**({"q3": "no"} if violates else {})),
         "verdict": "violates" if violates else "holds",
         "why": f"physics scaled is {physics * STEP / 225.0:.2g} s, but at most 1e-06 s holds." if violates else "",
+        "cause": "physics_scaled" if violates else "",
         "replay": ReplayRecord(
             error_estimate=3e-9,
             tolerance_difference=2e-9,

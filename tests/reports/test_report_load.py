@@ -72,24 +72,24 @@ def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_p
     folder = factory.store(tmp_path / "all", [good, old, older], factory.campaign([good, old]))
     for run in (old, older):
         path = folder / "runs" / run.key / "record.json"
-        path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
+        path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
     stored = load(folder)
     assert [run.key for run in stored.runs] == [good.key]
     (item,) = stored.unreadable
     assert item.path == f"runs/{old.key}/record.json"
-    assert item.sentence == ("it is of another version's record schema (this one reads 4), which holds other things; run it again.")
+    assert item.sentence == ("it is of another version's record schema (this one reads 5), which holds other things; run it again.")
     assert stored.foreign == 1
 
 
 def test_a_campaign_of_an_earlier_schema_is_named_and_its_runs_are_read(factory, tmp_path):
     folder = factory.store(tmp_path / "all", factory.runs()[:2])
     path = folder / "campaign.json"
-    path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
+    path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
     stored = load(folder)
     assert (stored.campaign, len(stored.runs)) == (None, 2)
     (item,) = stored.unreadable
     assert item.path == "campaign.json"
-    assert item.sentence == ("it is of another version's record schema (this one reads 4), which holds other things; run it again.")
+    assert item.sentence == ("it is of another version's record schema (this one reads 5), which holds other things; run it again.")
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_many_files_that_could_not_be_read_for_one_reason_are_told_once(factory,
     folder = factory.store(tmp_path / "all", runs)
     for run in runs[1:]:
         path = folder / "runs" / run.key / "record.json"
-        path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
+        path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
     text = write_report(folder).read_text(encoding="utf-8")
     assert text.count("of another version&#39;s record schema") == 2
     assert "14 files could not be read: it is of another version&#39;s record schema" in text

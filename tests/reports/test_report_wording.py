@@ -72,7 +72,7 @@ def test_a_number_reads_back_and_its_negative_is_the_same_with_a_minus(writer, r
 
 def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
     """Not again as the message, as the reason of a missing trace, and as that of missing figures; a stage that never ran has no table of noughts."""
-    why = "the cell's time was used up before this stage, past 2.18e-04 m."
+    why = "the run's time was used up before this stage, past 2.18e-04 m."
     nothing = {"has_plan": False, "replay": None, "metrics": (), "history": {}, "residuals": {}, "cost": None}
     late = factory.stage(0, "strict_lcp", None, None, 0.0, outcome="time_limit", message=why, why=why, verdict="no plan", **nothing)
     idle = late.model_copy(update={"iterations": 0, "seconds": late.seconds.model_copy(update={"stage": 0.0})})

@@ -60,7 +60,7 @@ def test_the_folder_holds_everything(twice):
     record = RunRecord.model_validate_json(path.read_bytes())
     names = {item.name for item in path.parent.iterdir()}
     plans = {f"{kind}{stage}.nc" for kind in ("trajectory", "replay") for stage in ("", "_1", "_2", "_3")}
-    assert names == {"record.json", "log.txt", "cell.json", "files.json", *plans}
+    assert names == {"record.json", "log.txt", "task.json", "files.json", *plans}
     last = record.stages[-1]
     assert last.paper == {"cost": 309.42, "stability": 0.05, "physics": 0.21, "time": 2.38}
     assert last.replay is not None

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from reports.rule_text import RESULTS, RULE
-from validate.cli.campaign_options import result_options, running_options
+from validate.cli.options import result_options, running_options
 
 _RULE = "\n\n".join(["A campaign fails (exit code 1) if", *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE), *RESULTS])
 _EPILOG = f"""{_RULE}
@@ -41,7 +41,7 @@ def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
     Progress goes to stderr; to stdout what was found, why runs fail, and the path of the report. DIR then holds report.html with its
-    pages, results.csv (one row a stage), examinations.csv (one row a check, such as that of a scene's FMU), violation.csv,
+    pages, results.csv (one row a stage), checks.csv (one row a check, such as that of a scene's FMU), violation.csv,
     starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each run, runs/<key>.
 
     A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in the report.

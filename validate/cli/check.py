@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import click
 
 from validate.cli.options import FiniteRange
-from validate.cli.table import one_line, say, table, use_colour, wide_option
+from validate.cli.table import one_line, print_table, say, wide_option
 
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport, FmuCheckRow
@@ -125,13 +125,13 @@ def _summary(report: CheckReport) -> str:
     counts = ", ".join(f"{words.count(word)} {word}" for word in _COLOURS)
     about = f" (FMI {report.version}, {' and '.join(report.types)})" if report.types else ""
     missing = "; its code cannot be run on this machine" if report.unrunnable else ""
-    return one_line(f"{report.path}{about}: {counts}{missing}")
+    return f"{report.path}{about}: {counts}{missing}"
 
 
 def _print(report: CheckReport, *, last: bool) -> None:
-    rows = [[f"{_SIGNS[row.status.value]} {row.status.value}", _name(row), one_line(row.sentence)] for row in report.rows]
+    rows = [[f"{_SIGNS[row.status.value]} {row.status.value}", _name(row), row.sentence] for row in report.rows]
     colours = {f"{_SIGNS[name]} {name}": colour for name, colour in _COLOURS.items()}
-    click.echo(table(["", "check", "what was found"], rows, colours=colours), color=use_colour())
+    print_table(["", "check", "what was found"], rows, colours=colours)
     click.echo()
     say(_summary(report))
     if not last:
@@ -147,7 +147,7 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     from reports.records.check_record import ExaminationRecord
     from reports.render import render_checks
     from validate.store.provenance import command_line, gather
-    from validate.tasks.fmu_examination import found_by
+    from validate.tasks.fmu_checks import found_by
 
     origin, records = gather(command_line(arguments)), []
     for report, spent, cpu in checked:

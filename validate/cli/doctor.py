@@ -1,13 +1,38 @@
-"""`doctor`: what this machine can do, tried."""
+"""`doctor`: what this machine can do, tried and not guessed.
+
+Each trial runs a small piece of the real thing in a child (`run_isolated`), returns a sentence of what was found, and raises where it cannot. It ends with
+a number that is known beforehand: an installation that computes something else has failed it. Each imports what it tries by itself: what cannot be
+imported is its finding, and nobody else's.
+
+for finding in examine_machine(Path("runs/all")):
+    print(finding.name, finding.state, finding.sentence, finding.remedy)
+"""
 
 from __future__ import annotations
 
+import ctypes
 import json
+import math
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import click
 
+from models.catalog import load_scene
+from models.codegen.cache import cache_folder
+from models.codegen.compiler import compile_shared, find_compiler
+from models.errors import MachineError
 from validate.cli.table import say
+from validate.execution.isolated import Isolated, Limits, run_isolated
+from validate.execution.process import usable_cores
+from validate.store.disk import write_durably
 
 _EPILOG = """\b
 Examples:
@@ -16,7 +41,20 @@ Examples:
 
 Exit codes: 0 the main job works here; 3 something it needs does not.
 """
-_COLOURS = {"works": "green", "not installed": "yellow", "does not work": "red"}
+# A folder with less room than this [bytes] does not hold a campaign with its FMUs and trajectories.
+_ROOM = 500 * 1024**2
+_SECONDS = 300.0
+
+
+class State(Enum):
+    """OK; ABSENT: an extra that is not installed, and nothing else is wrong; BROKEN: something the main job needs does not work."""
+
+    OK = "works"
+    ABSENT = "not installed"
+    BROKEN = "does not work"
+
+
+_COLOURS = {State.OK: "green", State.ABSENT: "yellow", State.BROKEN: "red"}
 
 
 @click.command(epilog=_EPILOG)
@@ -26,31 +64,247 @@ _COLOURS = {"works": "green", "not installed": "yellow", "does not work": "red"}
 @click.option("--json", "as_json", is_flag=True, help="The findings as JSON on stdout.")
 def command(out: Path, as_json: bool) -> int:
     """Try each thing the main job needs - compiler, cache, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
-    from validate.doctor import State, examine_machine
-
     findings = []
     for finding in examine_machine(out):
         findings.append(finding)
         if not as_json:
             begin, indent = f"{finding.state.value:13}  ", " " * 15
-            say(f"{finding.name}: {finding.sentence}", begin=begin, indent=indent, colour=_COLOURS[finding.state.value])
+            say(f"{finding.name}: {finding.sentence}", begin=begin, indent=indent, colour=_COLOURS[finding.state])
             if finding.remedy:
                 say(f"to mend it: {finding.remedy}", begin=indent, indent=indent)
     code = 3 if any(finding.state is State.BROKEN for finding in findings) else 0
     if as_json:
-        rows = [
-            {
-                "name": finding.name,
-                "state": finding.state.value,
-                "sentence": finding.sentence,
-                "remedy": finding.remedy,
-                "seconds": finding.seconds,
-            }
-            for finding in findings
-        ]
+        rows = [asdict(finding) | {"state": finding.state.value} for finding in findings]
         click.echo(json.dumps({"findings": rows, "exit_code": code}, indent=1))
     elif code:
         say("`all` will not work here until what is marked 'does not work' is mended")
     else:
         say("`all` works here: python -m validate all")
     return code
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineFinding:
+    """sentence: what was found; remedy: what to do about it ("" if nothing); seconds of the clock."""
+
+    name: str
+    state: State
+    sentence: str
+    remedy: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """A small piece of the real thing, run in a child.
+
+    needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot pass if
+    they fail.
+    """
+
+    name: str
+    function: str
+    remedy: str
+    needed: bool = True
+    absent: str = ""
+    rests_on: tuple[str, ...] = ()
+
+
+TRIALS = (
+    Trial(name="C compiler", function="compiler", remedy="pip install ziglang, or set CC to a compiler you have"),
+    Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
+    Trial(name="Ipopt", function="ipopt", remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
+    Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'", rests_on=("C compiler", "cache")),
+    Trial(
+        name="FMU",
+        function="fmu",
+        remedy="pip install --force-reinstall fmpy scikit-sundae; a temporary folder that allows execution (TMPDIR)",
+        rests_on=("C compiler", "cache"),
+    ),
+    Trial(
+        name="proofs (extra [global])",
+        function="integer_programs",
+        remedy="pip install pyscipopt",
+        needed=False,
+        absent="method global will say that it cannot run",
+    ),
+)
+
+
+def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[MachineFinding]:
+    """One finding after the other, as they are made. out: the folder a campaign would write to."""
+    yield _interpreter()
+    yield _store(out)
+    broken = set()
+    for trial in trials:
+        finding = _tried(trial)
+        if finding.state is State.BROKEN:
+            first = [name for name in trial.rests_on if name in broken]
+            if first:
+                finding = replace(finding, remedy=f"mend {' and '.join(first)} first")
+            broken.add(trial.name)
+        yield finding
+
+
+def _interpreter() -> MachineFinding:
+    cores = usable_cores()
+    sentence = f"Python {platform.python_version()} on {cores} {'core' if cores == 1 else 'cores'}"
+    return MachineFinding(name="Python", state=State.OK, sentence=sentence)
+
+
+def _store(out: Path) -> MachineFinding:
+    """Write durably and read back where the campaign would, and leave nothing."""
+    began = time.monotonic()
+    place = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    try:
+        if not place.is_dir():
+            raise NotADirectoryError(20, "there is a file of that name")
+        with tempfile.TemporaryDirectory(prefix=".touchstone-doctor-", dir=place) as folder:
+            write_durably(Path(folder) / "whole", "touchstone")
+            if (Path(folder) / "whole").read_text() != "touchstone":
+                raise OSError(5, "what was written reads back differently")
+        room = shutil.disk_usage(place).free
+    except (OSError, MachineError) as error:
+        cause = error.__cause__ or error
+        sentence = f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})"
+        return MachineFinding(
+            name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one"
+        )
+    enough = room >= _ROOM
+    return MachineFinding(
+        name="store",
+        state=State.OK if enough else State.BROKEN,
+        sentence=f"{place} can be written to and has {room / 1024**3:.1f} GiB free",
+        remedy="" if enough else f"make room: a campaign of all scenes wants about {_ROOM // 1024**2} MiB",
+        seconds=time.monotonic() - began,
+    )
+
+
+def _tried(trial: Trial) -> MachineFinding:
+    limits = Limits(seconds=_SECONDS, memory=16 * 1024**3)
+    done = run_isolated(f"validate.cli.doctor:{trial.function}", {}, limits=limits, what=trial.name)
+    if done.ok and done.value:
+        return MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
+    state = State.BROKEN if trial.needed and not done.ok else State.ABSENT
+    sentence = trial.absent if done.ok else _why(done)
+    return MachineFinding(name=trial.name, state=state, sentence=sentence, remedy=trial.remedy, seconds=done.wall)
+
+
+def _why(done: Isolated) -> str:
+    last = done.output.strip().splitlines()[-1:] or [""]
+    return " ".join([done.sentence.rstrip("."), *(f"(last line of its output: {line.strip()[:200]})" for line in last if line.strip())])
+
+
+# The square root of 2 by Newton's iteration.
+_NEWTON = """\
+__attribute__((visibility("default"))) double trial(double x)
+{
+    double y = x;
+    for (int i = 0; i < 8; i++) y = (y + x / y) / 2;
+    return y;
+}
+"""
+
+
+class TrialError(MachineError):
+    """A trial that ran and found the wrong thing."""
+
+
+def _compare(what: str, found: float, expected: float, tolerance: float) -> None:
+    if not abs(found - expected) <= tolerance * max(1.0, abs(expected)):
+        raise TrialError(f"{what} is {found:.12g}, but {expected:.12g} is right.")
+
+
+def compiler(request: Any, arrays: Any) -> str:
+    """Compile and load a C function."""
+    found = find_compiler()
+    with tempfile.TemporaryDirectory(prefix="touchstone-doctor-") as folder:
+        library = Path(folder) / "trial.so"
+        compile_shared(found, {"trial.c": _NEWTON}, library)
+        function = ctypes.CDLL(str(library)).trial
+        function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+        _compare("the square root of 2 by compiled C", function(2.0), math.sqrt(2.0), 1e-15)
+    return found.describe()
+
+
+def cache(request: Any, arrays: Any) -> str:
+    """Write where compiled scenes and FMUs are kept, and leave nothing."""
+    folder = cache_folder()
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix="touchstone-doctor-") as inside:
+            Path(inside, "file").write_bytes(b"touchstone")
+    except OSError as error:
+        raise MachineError(f"the cache folder {folder} cannot be written to ({error.strerror}).") from error
+    return f"compiled scenes and FMUs are kept in {folder}"
+
+
+def ipopt(request: Any, arrays: Any) -> str:
+    """Solve problem 71 of Hock and Schittkowski through Pyomo."""
+    import pyomo.environ as pyo
+
+    import formulations.ipopt  # noqa: F401 - registers the solver
+    from formulations.ipopt.linear_solver import linear_solver
+    from formulations.ipopt.solve import version
+
+    model = pyo.ConcreteModel()
+    model.x = pyo.Var(range(4), bounds=(1.0, 5.0), initialize={0: 1.0, 1: 5.0, 2: 5.0, 3: 1.0})
+    x = model.x
+    model.cost = pyo.Objective(expr=x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2])
+    model.product = pyo.Constraint(expr=x[0] * x[1] * x[2] * x[3] >= 25.0)
+    model.length = pyo.Constraint(expr=sum(x[i] ** 2 for i in range(4)) == 40.0)
+    pyo.SolverFactory("touchstone_ipopt").solve(model)
+    _compare("the optimum of problem 71 of Hock and Schittkowski", pyo.value(model.cost), 17.014017289156, 1e-7)
+    return f"{version()}, linear systems by {linear_solver()}; the optimum of a known problem to 1e-7"
+
+
+def gradient(request: Any, arrays: Any) -> str:
+    """One gradient of PyTorch through the compiled rollout of the paper's scene, against a difference quotient."""
+    import torch
+
+    from formulations.shooting.rollout import rollout
+
+    scene = load_scene("three_cart").with_task(steps=40)
+
+    def loss(u: torch.Tensor) -> torch.Tensor:
+        return (rollout(scene, u).q[-1] ** 2).sum()
+
+    u = torch.full((40, scene.nu), 0.5, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(loss(u), u)
+    with torch.no_grad():
+        ahead, behind, step = u.clone(), u.clone(), 1e-4
+        ahead[3, 0] += step
+        behind[3, 0] -= step
+        quotient = float((loss(ahead) - loss(behind)) / (2 * step))
+    _compare("a gradient through the compiled rollout", float(slope[3, 0]), quotient, 1e-7)
+    return f"PyTorch {torch.__version__}, a gradient through the compiled rollout equals its difference quotient"
+
+
+def fmu(request: Any, arrays: Any) -> str:
+    """Export a scene, run it by Model Exchange and Co-Simulation, and hold the fall against the closed form."""
+    from validate.stress.motion import replayed, rolled
+
+    scene = load_scene("bouncing_mass").with_task(steps=5)
+    result = replayed(scene, rolled(scene))
+    if len(result.t) == 0:
+        raise TrialError(f"the FMU of a scene could not be run: {result.message or result.outcome.value}")
+    gravity = scene.parameter_values[next(p.symbol for p in scene.parameters if p.name == "g")]
+    time = float(result.t[-1])
+    expected = scene.task.start[0] + scene.task.start[1] * time - gravity * time**2 / 2
+    _compare("the height of a falling mass in its FMU", float(result.q[-1, 0]), expected, 1e-9)
+    return "an FMU was exported and run by Model Exchange and Co-Simulation; the fall is right to 1e-9"
+
+
+def integer_programs(request: Any, arrays: Any) -> str:
+    """Whether the extra [global] is there and solves a knapsack."""
+    try:
+        from pyscipopt import Model, quicksum
+    except ImportError:
+        return ""
+    model = Model()
+    model.hideOutput()
+    take = [model.addVar(vtype="B") for _ in range(4)]
+    model.addCons(quicksum(w * x for w, x in zip((5, 4, 3, 2), take, strict=True)) <= 9)
+    model.setObjective(quicksum(c * x for c, x in zip((10, 9, 7, 3), take, strict=True)), "maximize")
+    model.optimize()
+    _compare("the optimum of a knapsack", model.getObjVal(), 19.0, 1e-9)
+    return f"SCIP {model.version()}"

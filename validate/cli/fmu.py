@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from validate.cli.options import scenes
-from validate.cli.warnings import print_warnings
+from validate.cli.table import warn
 
 
 @click.command(
@@ -43,6 +43,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
+    from validate.plan.warnings import warnings_of
     from validate.store.disk import disk_error, make_folder, write_durably
 
     if coupled and (version != "2" or platforms):
@@ -52,7 +53,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
             f"{output}: {'--coupled writes an .ssp' if coupled else 'this is an FMU, and only --coupled writes an .ssp'}; call it {output.with_suffix('.ssp' if coupled else '.fmu').name}."
         )
     loaded = load_scene(scene)
-    print_warnings([loaded])
+    warn(warnings_of([loaded]))
     if coupled:
         from models.fmu.coupled import build_ssp
 

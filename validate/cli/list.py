@@ -29,7 +29,7 @@ def command(as_json: bool) -> int:
     from models.catalog import scene_names, scene_path
     from validate.stress.catalog import case_names, describe_case
 
-    cases = [describe_case(name) for name in case_names()]
+    cases = [(name, describe_case(name)) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"
     data = {
         "scenes": [{"name": name, "title": _title(scene_path(name))} for name in scene_names()],
@@ -43,7 +43,7 @@ def command(as_json: bool) -> int:
             for pipeline in PIPELINES
         ],
         "methods": [{"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()],
-        "stress cases": [{"name": case.name, "title": case.title, "quick": case.quick, "expected": case.expected} for case in cases],
+        "stress cases": [{"name": name, "title": case.title, "quick": case.quick, "expected": case.expected} for name, case in cases],
     }
     if as_json:
         click.echo(json.dumps(data, indent=1))
@@ -55,7 +55,7 @@ def command(as_json: bool) -> int:
     click.echo()
     click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
     click.echo()
-    told = [[item["name"], "quick" if item["quick"] else "", one_line(item["title"])] for item in data["stress cases"]]
+    told = [[item["name"], "quick" if item["quick"] else "", item["title"]] for item in data["stress cases"]]
     click.echo(table(["stress case", "", "what it is"], told))
     return 0
 

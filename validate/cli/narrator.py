@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from validate.cli.table import one_line, say
+from reports.findings import NOT_ASKED, last_cost
+from reports.judged import end_of
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import HOLD, RunRecord
+from validate.cli.table import in_words, one_line, say
 
 if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import RunRecord
     from validate.execution.engine import Running
 
 
@@ -49,15 +51,15 @@ class PlainNarrator:
 
     def notes(self, sentence: str) -> None:
         """What is worth knowing."""
-        self._line(one_line(sentence))
+        self._line(sentence)
 
     def found(self, runs: Sequence[RunRecord]) -> None:
         """All runs of a scene have ended: how many hold, and the cheapest plan."""
-        self._line(one_line(f"so far: {_on_scene(runs)}"))
+        self._line(f"so far: {_on_scene(runs)}")
 
     def warns(self, sentence: str) -> None:
         """What the user should know before anything runs."""
-        self._line(f"warning: {one_line(sentence)}")
+        self._line(f"warning: {sentence}")
 
     def runs(self, workers: Sequence[Running]) -> None:
         """Called many times a second with the running workers."""
@@ -126,15 +128,11 @@ class BarNarrator(PlainNarrator):
         self._progress.stop()
 
     def _line(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False)
+        self._console.print(one_line(text), markup=False, highlight=False)
 
 
 def _on_scene(runs: Sequence[RunRecord]) -> str:
     """`three_cart: 14 of 15 runs that end with exact contact hold; the cheapest is mpcc, cost 490.55, ..`."""
-    from reports.findings import NOT_ASKED, last_cost
-    from reports.judged import end_of
-    from reports.records.record import HOLD
-
     scene = runs[0].scene
     asked = [run for run in runs if run.must_hold and run.verdict not in NOT_ASKED]
     if not asked:
@@ -149,18 +147,9 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
     return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}{off}"
 
 
-def in_words(seconds: float) -> str:
-    """A time as roughly as it is known."""
-    if seconds < 60:
-        return f"{seconds:.0f} s" if seconds >= 9.5 else f"{seconds:.2g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
 def _summary(record: RunRecord | ExaminationRecord) -> str:
-    from reports.records.check_record import ExaminationRecord
-
     if isinstance(record, ExaminationRecord):
-        return _examined(record)
+        return _checked(record)
     last = record.stages[-1]
     which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
     parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome.replace('_', ' ')}"]
@@ -171,12 +160,12 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
     parts.append(_times(record))
     if record.verdict in ("no plan", "not applicable") and record.message:
         parts.append(record.message)
-    return one_line(", ".join(parts))
+    return ", ".join(parts)
 
 
-def _examined(record: ExaminationRecord) -> str:
+def _checked(record: ExaminationRecord) -> str:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome.replace("_", " ")
-    return one_line(f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}")
+    return f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}"
 
 
 def _times(record: RunRecord | ExaminationRecord) -> str:

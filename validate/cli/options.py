@@ -1,17 +1,24 @@
-"""Numbers on the command line: nan and inf, which a range of click lets through, are refused.
+"""Options that commands share: those by which a campaign is chosen and run - by `all`, by `plan`, which says what `all` would do, and by `run`, where a file chooses.
 
-What a shell offers for a value that is being typed.
+Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. And numbers on the command line: nan and inf, which a
+range of click lets through, are refused; and what a shell offers for a value that is being typed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
 
 from models.catalog import scene_names
+from validate.cli.table import wide_option
+from validate.tasks.plugins import DEFAULT_PLUGIN
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -29,3 +36,103 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number.", param, ctx)
         return number
+
+
+# What a campaign file decides.
+_CHOOSING = (
+    click.option(
+        "--quick",
+        is_flag=True,
+        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without scenes that take minutes; below the table stands what was left out.",
+    ),
+    click.option(
+        "--scene",
+        "scenes",
+        multiple=True,
+        metavar="NAME|FILE.py",
+        shell_complete=scenes,
+        help="Only this scene, by name or by the path of a scene file; may be repeated.",
+    ),
+    click.option(
+        "--time-limit",
+        type=FiniteRange(min=0.0, min_open=True),
+        default=240.0,
+        show_default=True,
+        metavar="SECONDS",
+        help="For each run, all its stages and replays.",
+    ),
+)
+_SELECTING = (
+    click.option(
+        "-k",
+        "expression",
+        default="",
+        metavar="EXPR",
+        help="Only runs whose scene, pipeline or method names match, in upper or lower case: words joined with and, or, not; =NAME means the whole name.",
+    ),
+    click.option("--fresh", is_flag=True, help="Run again what is stored."),
+    click.option("--last-failed", "--lf", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
+    click.option(
+        "-j",
+        "--jobs",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Runs at a time, each on one core.  [default: the number of cores; on a standing Dask cluster, as many as it takes]",
+    ),
+    click.option(
+        "--plugin",
+        "plugin",
+        default=DEFAULT_PLUGIN,
+        metavar="MODULE[:NAME]",
+        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
+    ),
+)
+_ENDING = (
+    click.option(
+        "--engine",
+        default="local",
+        show_default=True,
+        metavar="local|dask[:ADDRESS|:FILE.json]",
+        help="Where the runs are executed: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
+    ),
+    click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
+    click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
+)
+_OUT = click.option(
+    "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign."
+)
+_OUT_OF_FILE = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]"
+)
+
+
+def result_options(command: _Command) -> _Command:
+    """How results are printed."""
+    json_words, table_words = "As JSON on stdout, in full.", "A row for each stage of each run; of a plan, for each run."
+    options = (
+        click.option("--table", "as_table", is_flag=True, help=table_words),
+        wide_option,
+        click.option("--json", "as_json", is_flag=True, help=json_words),
+    )
+    return _decorated(command, options)
+
+
+def campaign_options(command: _Command) -> _Command:
+    """What `plan` takes: everything by which runs are chosen."""
+    return _decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
+
+
+def running_options(command: _Command) -> _Command:
+    """What `all` takes: the same, and when to stop."""
+    return _decorated(command, (*_CHOOSING, *_SELECTING, *_ENDING, _OUT))
+
+
+def file_options(command: _Command) -> _Command:
+    """What `run` takes: what a campaign file does not decide."""
+    return _decorated(command, (*_SELECTING, *_ENDING, _OUT_OF_FILE))
+
+
+def _decorated(command: _Command, options: Iterable[Callable[[Any], Any]]) -> _Command:
+    for option in reversed(tuple(options)):
+        command = option(command)
+    return command

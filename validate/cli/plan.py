@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from validate.cli.campaign_options import campaign_options, result_options
-from validate.cli.narrator import in_words
-from validate.cli.table import one_line, say, short, table
-from validate.cli.warnings import print_warnings
+from validate.cli.options import campaign_options, result_options
+from validate.cli.table import in_words, print_table, say, short, warn
 
 if TYPE_CHECKING:
     from validate.plan.runs import CampaignSettings
@@ -45,14 +43,15 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     """Print it. Raises TouchstoneError."""
     from validate.execution.process import usable_cores
     from validate.plan.runs import PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
+    from validate.plan.warnings import warnings_of
     from validate.store.store import Store
     from validate.store.stored import earlier_schema
 
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
-    print_warnings(scenes.values(), steps=True)
+    warn(warnings_of(scenes.values(), steps=True))
     if sentence := earlier_schema(settings.out):
-        say(f"warning: {sentence}", err=True)
+        warn([sentence])
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
@@ -77,7 +76,7 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
         }
         click.echo(json.dumps(data, indent=1))
         return 0
-    click.echo(_by_run(told, seconds) if as_table else _by_group(told, seconds))
+    (_print_runs if as_table else _print_groups)(told, seconds)
     click.echo()
     if left_out:
         say(f"left out by --quick: {', '.join(left_out)}")
@@ -110,12 +109,12 @@ class _Line:
     why: str
 
 
-def _by_run(told: Sequence[_Line], seconds: Mapping[str, float]) -> str:
-    rows = [[one_line(line.name), "run" if line.why else "stored", short(seconds.get(line.key), ".1f"), line.why] for line in told]
-    return table(["run or check", "", "CPU s before", "why"], rows, ("CPU s before",), drop=("CPU s before", "why"))
+def _print_runs(told: Sequence[_Line], seconds: Mapping[str, float]) -> None:
+    rows = [[line.name, "run" if line.why else "stored", short(seconds.get(line.key), ".1f"), line.why] for line in told]
+    print_table(["run or check", "", "CPU s before", "why"], rows, ("CPU s before",), drop=("CPU s before", "why"))
 
 
-def _by_group(told: Sequence[_Line], seconds: Mapping[str, float]) -> str:
+def _print_groups(told: Sequence[_Line], seconds: Mapping[str, float]) -> None:
     rows = []
     for group in dict.fromkeys(line.group for line in told):
         mine = [line for line in told if line.group == group]
@@ -123,7 +122,7 @@ def _by_group(told: Sequence[_Line], seconds: Mapping[str, float]) -> str:
         known = [seconds[line.key] for line in due if line.key in seconds]
         rows.append([group, str(len(mine)), str(len(mine) - len(due)), str(len(due)), f"{sum(known):.0f}" if known else ""])
     numbers = ("in all", "stored", "to run", "CPU s before")
-    return table(["scene or check", *numbers], rows, numbers, drop=("CPU s before",))
+    print_table(["scene or check", *numbers], rows, numbers, drop=("CPU s before",))
 
 
 def _duration(due: Sequence[_Line], seconds: Mapping[str, float], jobs: int) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.options import FiniteRange, scenes
-from validate.cli.table import one_line, say, short, table, use_colour, wide_option
+from validate.cli.table import print_table, say, short, warn, wide_option
 
 if TYPE_CHECKING:
     from validate.judge.judgement import Judgement
@@ -116,8 +116,7 @@ def command(
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
-        for text in told["warnings"]:
-            say(f"warning: {text}", err=True)
+        warn(told["warnings"])
         _print(judgement)
     return exit_code(judgement.verdict, require)
 
@@ -132,8 +131,8 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     from models.catalog import load_scene
     from models.fmu import build_fmu
     from models.trajectory import read_csv
-    from validate.cli.warnings import warnings_of
     from validate.judge.judgement import judge_trajectory
+    from validate.plan.warnings import warnings_of
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, hold)
@@ -198,9 +197,9 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 
 
 def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
-    from validate.judge.shown import JudgedPlan
     from validate.store.disk import make_folder, write_durably
     from validate.store.provenance import command_line
+    from validate.tasks.shown import JudgedPlan
 
     make_folder(target.parent)
     write_durably(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))
@@ -222,11 +221,11 @@ def _print(judgement: Judgement) -> None:
         if metric.name.startswith("feedback"):
             values.reverse()  # there is none for the inputs alone
         missing = judged.reason if judged.limit is None else f"not measured: {judged.reason}"
-        meaning = one_line(judged.meaning if judged.value is not None else missing)
+        meaning = judged.meaning if judged.value is not None else missing
         number = "" if metric.question.number is None else str(metric.question.number)
         rows.append([number, metric.name, *values, judged.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
     titles, dropped = ["question", "metric", *names, "unit", "limit", "", "meaning"], ["meaning", "question", "limit", "unit", *names[:-1]]
-    click.echo(table(titles, rows, ("question", *names, "limit"), drop=dropped), color=use_colour())
+    print_table(titles, rows, ("question", *names, "limit"), drop=dropped)
     click.echo()
     if replay is not None:
         say(_own_error("The replay", replay))

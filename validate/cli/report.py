@@ -27,24 +27,14 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 @click.option("-j", "--jobs", type=click.IntRange(min=1), help="Pages are drawn by so many processes (default: all cores).")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) -> int:
-    """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
+    """Rebuild results.csv, checks.csv, violation.csv, starts.csv, front.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed.
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
     from models.errors import MachineError
     from reports.records.load import ReportError, Stored, load
     from reports.render import write_report, write_single
-    from validate.store.results import (
-        EXAMINATIONS,
-        RESULTS,
-        VIOLATION,
-        examination_rows,
-        examinations_text,
-        results_text,
-        rows,
-        violation_text,
-        write_or_remove,
-    )
+    from validate.store.results import check_rows, rows, write_tables
     from validate.store.stored import campaign_of
 
     try:
@@ -53,17 +43,15 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
         stored = Stored("", None, (), (), (), 0)
     if not (stored.campaign or stored.runs or stored.examinations):
         campaign_of(folder)  # which says why there is none
-    write_or_remove(folder / RESULTS, results_text(stored.runs))
-    write_or_remove(folder / EXAMINATIONS, examinations_text(stored.examinations))
-    write_or_remove(folder / VIOLATION, violation_text(stored.campaign.violation if stored.campaign else ()))
+    write_tables(folder, stored.runs, stored.examinations, stored.campaign.violation if stored.campaign else ())
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
     click.echo(_lacking(stored), nl=False, err=True)
     if as_json:
-        told = {"results": rows(stored.runs), "examinations": examination_rows(stored.examinations), "report": str(report)}
-        click.echo(json.dumps(told, indent=1, allow_nan=False))
+        found = {"results": rows(stored.runs), "checks": check_rows(stored.examinations), "report": str(report)}
+        click.echo(json.dumps(found, indent=1, allow_nan=False))
     else:
         click.echo(f"report:  {report}")
         click.echo(f"results: {folder / 'results.csv'}")

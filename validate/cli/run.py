@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from validate.cli.campaign_options import file_options, result_options
+from validate.cli.options import file_options, result_options
 
 _EPILOG = """\b
 Examples:

@@ -3,33 +3,48 @@
 from __future__ import annotations
 
 import json
-import shlex
 import signal
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import click
 
 from models.errors import MachineError
-from validate.cli.table import one_line, results_table, say, table, use_colour
-
-if TYPE_CHECKING:
-    from reports.causes import Cause
-    from reports.records.record import RunRecord
-    from validate.execution.campaign import CampaignResult
-    from validate.plan.runs import CampaignSettings
+from reports.causes import Cause, by_cause, cause_of
+from reports.records.record import RunRecord
+from reports.rule import fails, failures
+from validate.cli.narrator import narrator
+from validate.cli.table import print_table, say, short
+from validate.execution.campaign import CampaignResult, run_campaign
+from validate.plan.runs import CampaignSettings
+from validate.store.provenance import command_line
+from validate.store.results import check_rows, rows
 
 # Words of a command that the same command, typed again to go on, does without.
 _ONCE = frozenset({"--fresh", "--lf", "--last-failed", "-x"})
 # So many of what --quick left out are named.
 _NAMED = 6
+# Columns of results.csv that a terminal has room for: title and pattern.
+_TITLES = (
+    ("scene", "scene", ""),
+    ("pipeline", "pipeline", ""),
+    ("stage", "stage", ""),
+    ("method", "method", ""),
+    ("eps", "eps", "g"),
+    ("outcome", "outcome", ""),
+    ("cost", "cost", ".2f"),
+    ("terminal_error", "terminal error", ".2e"),
+    ("replay_terminal_error", "replayed", ".2e"),
+    ("physics", "physics", ".4g"),
+    ("verdict", "verdict", ""),
+    ("stage_cpu_s", "CPU s", ".2f"),
+    ("stage_s", "wall s", ".2f"),
+)
+_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "CPU s", "wall s")
+_DROPPED = ("wall s", "stage", "physics", "terminal error", "outcome", "replayed", "method", "eps", "CPU s")
 
 
 def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_json: bool, as_table: bool) -> int:
     """Run it, progress on stderr, results on stdout; the exit code. arguments: the words of the command. Raises TouchstoneError."""
-    from validate.cli.narrator import narrator
-    from validate.execution.campaign import run_campaign
-
     # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept. What nohup ignores stays ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -44,7 +59,7 @@ def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_jso
             _print_json(outcome, settings)
         else:
             if as_table and outcome.records:
-                click.echo(results_table(outcome.records), color=use_colour())
+                _print_results(outcome.records)
                 click.echo()
             _print_summary(outcome, settings)
             click.echo(f"again:   {typed(arguments)}")
@@ -61,20 +76,17 @@ def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_jso
 
 
 def typed(arguments: Sequence[str]) -> str:
-    """The command as it was typed, fit for any shell: zsh takes an unquoted =word for the path of a program."""
-    words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
-    return " ".join([str(click.get_current_context().find_root().info_name), *words])
+    """The command as it was typed."""
+    return command_line(arguments, str(click.get_current_context().find_root().info_name))
 
 
 def _print_summary(outcome: CampaignResult, settings: CampaignSettings) -> None:
-    from reports.rule import fails
-
     for sentence in outcome.conclusions:
         say(sentence, begin="- ", indent="  ")
     if outcome.conclusions:
         click.echo()
-    for kind in dict.fromkeys(record.kind for record in outcome.examinations):
-        passed = [record.passed for record in outcome.examinations if record.kind == kind]
+    for kind in dict.fromkeys(record.kind for record in outcome.checks):
+        passed = [record.passed for record in outcome.checks if record.kind == kind]
         say(f"{kind}: {sum(passed)} of {len(passed)} checks passed")
     if settings.quick:
         say(f"left out by --quick: {_named(outcome.left_out)}")
@@ -91,19 +103,14 @@ def _print_summary(outcome: CampaignResult, settings: CampaignSettings) -> None:
 
 def _print_causes(runs: Sequence[RunRecord]) -> None:
     """Why runs that should hold do not, although nothing is wrong with touchstone: each cause once, with what to do."""
-    from reports.causes import by_cause
-
-    rows = [[str(len(mine)), one_line(cause.sentence), one_line(cause.advice)] for cause, mine in by_cause(runs)]
-    if rows:
-        click.echo(table(["runs", "why they do not hold", "what to do"], rows, ("runs",), drop=("what to do",)))
+    lines = [[str(len(mine)), cause.sentence, cause.advice] for cause, mine in by_cause(runs)]
+    if lines:
+        print_table(["runs", "why they do not hold", "what to do"], lines, ("runs",), drop=("what to do",))
         click.echo()
 
 
 def _grouped(outcome: CampaignResult) -> list[str]:
     """Why the campaign fails: a sentence for each cause that several runs share, and for each failure that is alone with its cause."""
-    from reports.causes import cause_of
-    from reports.rule import failures
-
     causes = {sentence: cause for run in outcome.records if (cause := cause_of(run)) for sentence in failures([run])[:1]}
     groups: dict[Cause | str, list[str]] = {}
     for sentence in outcome.failures:
@@ -124,11 +131,9 @@ def _named(names: Sequence[str]) -> str:
 
 
 def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
-    from validate.store.results import examination_rows, rows
-
     data = {
         "results": rows(outcome.records),
-        "examinations": examination_rows(outcome.examinations),
+        "checks": check_rows(outcome.checks),
         "conclusions": list(outcome.conclusions),
         "failures": list(outcome.failures),
         "findings": list(outcome.findings),
@@ -138,3 +143,17 @@ def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
         "exit_code": outcome.exit_code,
     }
     click.echo(json.dumps(data, indent=1, allow_nan=False))
+
+
+def _print_results(records: Sequence[RunRecord]) -> None:
+    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
+    content = rows(records)
+    for row in content:
+        if row["judged"] == "feedback":
+            row["replay_terminal_error"] = row["tracked_replay_terminal_error"]
+    cells = [[short(row[name], pattern) for name, _, pattern in _TITLES] for row in content]
+    place = [name for name, _, _ in _TITLES].index("verdict")
+    for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
+        if stage.kind == "indirect" and stage.verdict == "violates":
+            line[place] = "as expected: violates"
+    print_table([title for _, title, _ in _TITLES], cells, _NUMBERS, drop=_DROPPED)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from validate.cli.table import one_line, say, short, table, use_colour, wide_option
+from validate.cli.table import one_line, print_table, say, short, wide_option
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -50,7 +50,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
     else:
         if isinstance(record, ExaminationRecord):
-            _tell_examination(record)
+            _print_check(record)
         else:
             _tell_run(record)
         _tell_end(record, folder)
@@ -105,7 +105,7 @@ def _tell_run(record: RunRecord) -> None:
     if record.message:
         say(record.message)
     click.echo()
-    click.echo(_stages(record), color=use_colour())
+    _print_stages(record)
     last = record.stages[-1] if record.stages else None
     if last is None:
         return
@@ -123,7 +123,7 @@ def _tell_run(record: RunRecord) -> None:
         say(f"options of stage {stage.index + 1} ({stage.method}): {options or 'none'}")
 
 
-def _stages(record: RunRecord) -> str:
+def _print_stages(record: RunRecord) -> None:
     rows = [
         [
             str(stage.index + 1), stage.method, short(stage.eps, "g"), stage.outcome, short(stage.cost, ".4f"), str(stage.iterations),
@@ -132,9 +132,9 @@ def _stages(record: RunRecord) -> str:
         for stage in record.stages
     ]  # fmt: skip
     titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
-    return table(
+    print_table(
         titles,
-        [[one_line(cell) for cell in row] for row in rows],
+        rows,
         ("stage", "eps", "cost", "iterations", "CPU s", "wall s"),
         drop=("wall s", "iterations", "CPU s", "stage"),
     )
@@ -148,16 +148,14 @@ def _tell_score(stage: StageRecord) -> None:
         of = "the replay with feedback" if is_tracked(stage) else "the inputs alone"
         rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
         click.echo()
-        click.echo(
-            table(["", f"question, of {of}", "answer"], [[one_line(cell) for cell in row] for row in rows], ("",)), color=use_colour()
-        )
+        print_table(["", f"question, of {of}", "answer"], rows, ("",))
     click.echo()
-    click.echo(_metrics(stage), color=use_colour())
+    _print_metrics(stage)
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
 
 
-def _metrics(stage: StageRecord) -> str:
+def _print_metrics(stage: StageRecord) -> None:
     from reports.judged import MetricView, is_tracked, questions_of
 
     followed = stage.replay is not None and stage.replay.tracked is not None
@@ -176,9 +174,9 @@ def _metrics(stage: StageRecord) -> str:
 
     rows = [row(question.number, view) for question in questions_of(stage) for view in question.metrics]
     titles = ["question", "metric", *values, "+-", "unit", "limit", "", "reason"]
-    return table(
+    print_table(
         titles,
-        [[one_line(cell) for cell in cells] for cells in rows],
+        rows,
         ("question", *values, "+-", "limit"),
         drop=("reason", "+-", "question", "limit", "unit", *values[:-1]),
     )
@@ -198,7 +196,7 @@ def _tell_scene(record: RunRecord) -> None:
         say(f"the scene is unstable in the open loop: {record.scene.unstable}")
 
 
-def _tell_examination(record: ExaminationRecord) -> None:
+def _print_check(record: ExaminationRecord) -> None:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
     say(f"{record.title}: {ended}")
     say(f"expected: {record.expected}")
@@ -206,7 +204,7 @@ def _tell_examination(record: ExaminationRecord) -> None:
     if record.figures:
         rows = [[figure.name, short(figure.value, ".4g"), figure.unit, short(figure.limit, ".3g")] for figure in record.figures]
         click.echo()
-        click.echo(table(["figure", "value", "unit", "limit"], [[one_line(cell) for cell in row] for row in rows], ("value", "limit")))
+        print_table(["figure", "value", "unit", "limit"], rows, ("value", "limit"))
 
 
 def _tell_end(record: RunRecord | ExaminationRecord, folder: Path) -> None:

@@ -9,13 +9,10 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import IO, Any, TypeVar
 
 import click
-
-if TYPE_CHECKING:
-    from reports.records.record import RunRecord
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
@@ -54,6 +51,12 @@ def say(text: str, *, err: bool = False, begin: str = "", indent: str = "", colo
     click.echo(click.style(begin, fg=colour) + lines[len(begin) :] if colour else lines, err=err, color=use_colour())
 
 
+def warn(sentences: Iterable[str]) -> None:
+    """Print warnings to stderr, one a line."""
+    for sentence in sentences:
+        say(f"warning: {sentence}", err=True)
+
+
 def wrapped(text: str, width: int | None, indent: str = "") -> str:
     """Text in lines of at most `width` characters; a longer word stays whole. indent: of all lines but the first."""
     if width is None or len(text) <= width:
@@ -84,6 +87,7 @@ def table(
     titles, rows: text, all rows as long as `titles`; right: titles of columns that are aligned to the right, and never broken; drop: titles of the
     columns that are left out, in this order, where there is no room; colours: of cells with these words. The others break between words.
     """
+    rows = [[one_line(cell) for cell in row] for row in rows]
     places, width, left_out = list(range(len(titles))), terminal_width(), []
     natural = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
     least = [natural[place] if title in right else _narrowest(title, [row[place] for row in rows]) for place, title in enumerate(titles)]
@@ -118,6 +122,11 @@ def table(
     return "\n".join(lines)
 
 
+def print_table(*arguments: Any, **options: Any) -> None:
+    """Print a `table`, in colours where the terminal has them."""
+    click.echo(table(*arguments, **options), color=use_colour())
+
+
 def _padded(text: str, width: int, colour: str | None, right: bool) -> str:
     """Part of a cell at its width."""
     blank = " " * (width - len(text))
@@ -137,36 +146,8 @@ def short(value: Any, pattern: str = ".4g") -> str:
     return "" if value is None else format(value + 0.0, pattern) if isinstance(value, float) else str(value)  # + 0.0: a zero has no sign
 
 
-_TITLES = (
-    ("scene", "scene", ""),
-    ("pipeline", "pipeline", ""),
-    ("stage", "stage", ""),
-    ("method", "method", ""),
-    ("eps", "eps", "g"),
-    ("outcome", "outcome", ""),
-    ("cost", "cost", ".2f"),
-    ("terminal_error", "terminal error", ".2e"),
-    ("replay_terminal_error", "replayed", ".2e"),
-    ("physics", "physics", ".4g"),
-    ("verdict", "verdict", ""),
-    ("stage_cpu_s", "CPU s", ".2f"),
-    ("stage_s", "wall s", ".2f"),
-)
-_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "CPU s", "wall s")
-_DROPPED = ("wall s", "stage", "physics", "terminal error", "outcome", "replayed", "method", "eps", "CPU s")
-
-
-def results_table(records: Sequence[RunRecord]) -> str:
-    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
-    from validate.store.results import rows
-
-    content = rows(records)
-    for row in content:
-        if row["judged"] == "feedback":
-            row["replay_terminal_error"] = row["tracked_replay_terminal_error"]
-    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in content]
-    place = [name for name, _, _ in _TITLES].index("verdict")
-    for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
-        if stage.kind == "indirect" and stage.verdict == "violates":
-            line[place] = "as expected: violates"
-    return table([title for _, title, _ in _TITLES], cells, _NUMBERS, drop=_DROPPED)
+def in_words(seconds: float) -> str:
+    """A time as roughly as it is known."""
+    if seconds < 60:
+        return f"{seconds:.0f} s" if seconds >= 9.5 else f"{seconds:.2g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -30,14 +30,13 @@ from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_
 from validate.plan.warnings import doubts, time_steps
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
-from validate.store.results import EXAMINATIONS, RESULTS, VIOLATION, write_examinations, write_results, write_sweeps, write_violation
+from validate.store.results import write_tables
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, of_content, stored_campaign, with_others
-from validate.tasks.leg import PlannedLeg, forget, must_wait
+from validate.tasks.leg import forget, must_wait
 from validate.tasks.paper import measure
 from validate.tasks.plugins import load_plugin
-from validate.tasks.run import RunTask
-from validate.tasks.task import Task, TaskRecord
+from validate.tasks.task import PlannedLeg, RunTask, Task, TaskRecord, task_to_json
 
 __all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "Narrator", "run_campaign", "select", "stored_campaign", "with_stored"]
 
@@ -52,12 +51,12 @@ _SILENCE = 5.0
 class CampaignResult:
     """What came of a campaign.
 
-    records, examinations, failures, findings: of what was selected; findings are what the replay found that fails nothing (reports.rule). conclusions:
+    records, checks, failures, findings: of what was selected; findings are what the replay found that fails nothing (reports.rule). conclusions:
     three sentences on all runs that the folder's campaign holds; report: None where it was not written.
     """
 
     records: tuple[RunRecord, ...]
-    examinations: tuple[ExaminationRecord, ...]
+    checks: tuple[ExaminationRecord, ...]
     failures: tuple[str, ...]
     findings: tuple[str, ...]
     conclusions: tuple[str, ...]
@@ -96,7 +95,7 @@ class Narrator(Protocol):
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
-    """Run what is not stored and write campaign.json, results.csv, examinations.csv, violation.csv, starts.csv, front.csv and the report.
+    """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
     """
@@ -123,15 +122,12 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
 
     def write() -> tuple[RunRecord, ...]:
         """All that is told of the folder; the runs, those of one that was split into parts as one."""
-        done, examinations = divided({**others, **records}[key] for key in keys if key in others or key in records)
+        done, checks = divided({**others, **records}[key] for key in keys if key in others or key in records)
         text = campaign().model_dump_json(indent=1)
         if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
-        write_results(settings.out / RESULTS, merged)
-        write_examinations(settings.out / EXAMINATIONS, examinations)
-        write_violation(settings.out / VIOLATION, about["violation"])
-        write_sweeps(settings.out, merged)
+        write_tables(settings.out, merged, checks, about["violation"])
         return merged
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]
@@ -161,12 +157,12 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
             narrator.ends()
             told = write()
     report = load_plugin(settings.plugin).write_report(settings.out)
-    done, examinations = divided(records[key] for key in selected if key in records)
+    done, checks = divided(records[key] for key in selected if key in records)
     merged = collected(done)
     return CampaignResult(
         records=merged,
-        examinations=examinations,
-        failures=failures(merged, examinations),
+        checks=checks,
+        failures=failures(merged, checks),
         findings=findings(merged),
         conclusions=three_findings(told),
         left_out=left_out,
@@ -178,7 +174,7 @@ def _with_others(
     settings: CampaignSettings, store: Store, entries: Sequence[PlannedRun | PlannedCheck]
 ) -> tuple[CampaignRecord | None, tuple[str, ...]]:
     """The keys of the folder's campaign from now on, in order; and the campaign it holds until now, if this one is a part of it."""
-    selected = {identity(entry.task.to_json()): entry.task.key for entry in entries}
+    selected = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
     return with_others(store, selected) if settings.is_part else (None, tuple(selected.values()))
 
 
@@ -187,23 +183,19 @@ def _about(
 ) -> dict[str, Any]:
     """What campaign.json says of the campaign as a whole. earlier: the campaign of the folder whose other runs stay, if there are any."""
     steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
-    if earlier is None:
-        return {
-            "title": settings.title or TITLE,
-            "command": settings.command,
-            "quick": settings.quick,
-            "left_out": left_out,
-            "violation": _violation(entries),
-            "time_steps": steps,
-        }
-    named = {item.scene for item in steps}
+    title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
+    if earlier is not None:
+        title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
+        command = earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else command
+        named = {item.scene for item in steps}
+        steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
     return {
-        "title": settings.title or earlier.title,
-        "command": earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else settings.command,
-        "quick": settings.quick and earlier.quick,
-        "left_out": left_out if settings.quick and earlier.quick else (),
-        "violation": earlier.violation or _violation(entries),
-        "time_steps": (*(item for item in earlier.time_steps if item.scene not in named), *steps),
+        "title": title,
+        "command": command,
+        "quick": quick,
+        "left_out": left_out if quick == settings.quick else (),
+        "violation": violation or _violation(entries),
+        "time_steps": steps,
     }
 
 

@@ -1,4 +1,4 @@
-"""The child process of one task: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
+"""The child process of one task: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/task.json says what to run; FOLDER/record.json is the answer.
 
 The record is written last and whole, so that its presence alone says that the task came to its end. The process
 dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
@@ -41,14 +41,21 @@ def main(folder: Path) -> int:
     from validate.store.disk import disk_error, disk_refuses, write_durably
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
-    from validate.tasks.task import execute, task_from_json
+    from validate.tasks.check import run_check
+    from validate.tasks.path import run_path
+    from validate.tasks.task import CheckTask, task_from_json
 
     random.seed(SEED)
     np.random.seed(SEED)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     try:
         provenance = ProvenanceRecord.model_validate(request["provenance"])
-        record = execute(task_from_json(request["cell"]), provenance, folder, began, profile)
+        task = task_from_json(request["task"])
+        if isinstance(task, CheckTask):
+            record = run_check(task, provenance, folder, began)
+        else:
+            profile.lap("imports")
+            record = run_path(task, provenance, folder, began, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)

@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,12 +37,11 @@ from reports.records.record import ProvenanceRecord
 from validate.execution.engine import CAMPAIGN, ExecutionContext
 from validate.execution.fork_server import WORTH, start_fork_server, terminal_blocked
 from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
-from validate.execution.worker import Worker, write_request
+from validate.execution.worker import Worker, record_for_crash, write_request
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import fingerprint, machine
 from validate.store.store import LOG, RECORD, Store
-from validate.tasks.run import ChildExit
-from validate.tasks.task import Task, TaskRecord, record_for_crash
+from validate.tasks.task import ChildExit, Task, TaskRecord
 
 # How long a scheduler may take to answer [s].
 _CONNECT = 10.0
@@ -125,40 +125,26 @@ _LOOK = 0.05
 _OF_THREAD = threading.local()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """What a worker is asked to do.
+def run_on_worker(
+    task: Task, name: str, *, folder: Path, mark: str, token: str, provenance: ProvenanceRecord, sources: str, tasks: int
+) -> TaskRecord | None:
+    """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError.
 
-    folder: the campaign's; mark: the name of the folder in it by which the worker sees that it has the same one before
-    it; token: the campaign's; fingerprint: of its sources; tasks: how many will come to one thread, which may be worth a fork server; name: by which the
-    campaign counts how often the task was begun.
+    name: by which the campaign counts how often the task was begun; folder: the campaign's; mark: the name of the folder in it by which the worker sees that
+    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks: how many will come to one thread, which may be worth
+    a fork server.
     """
-
-    task: Task
-    provenance: ProvenanceRecord
-    folder: Path
-    mark: str
-    token: str
-    fingerprint: str
-    tasks: int
-    name: str
-
-
-def run_on_worker(request: Request) -> TaskRecord | None:
-    """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError."""
-    wanted, store = _wanted(), Store(request.folder)
+    wanted, store = _wanted(), Store(folder)
     try:
-        _check(request, store)
-        sign = store.runs / request.mark / f"{request.name}-{uuid.uuid4().hex}"
+        _check(store, mark, sources)
         try:
-            sign.touch()  # the task was begun once more
+            (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()  # the task was begun once more
         except OSError as error:
-            raise disk_error(request.folder, error) from error
-        if request.tasks >= WORTH and not hasattr(_OF_THREAD, "server"):
-            _OF_THREAD.server = start_fork_server(request.tasks)
+            raise disk_error(folder, error) from error
+        if tasks >= WORTH and not hasattr(_OF_THREAD, "server"):
+            _OF_THREAD.server = start_fork_server(tasks)
         server = getattr(_OF_THREAD, "server", None)
-        provenance = request.provenance.model_copy(update=machine())
-        return Worker(request.task, provenance, store, server=server, token_begins=request.token).run(wanted)
+        return Worker(task, provenance.model_copy(update=machine()), store, server=server, token_begins=token).run(wanted)
     except MachineError as error:
         raise MachineError(f"{error} (said by the Dask worker on {socket.gethostname()}, process {os.getpid()})") from None
 
@@ -178,17 +164,17 @@ def _wanted() -> Callable[[], bool]:
     return wanted
 
 
-def _check(request: Request, store: Store) -> None:
+def _check(store: Store, mark: str, sources: str) -> None:
     """That the campaign's folder and sources are what they are where the campaign is. Raises MachineError."""
     until = time.monotonic() + _PATIENCE
-    while not (store.runs / request.mark).is_dir():
+    while not (store.runs / mark).is_dir():
         if time.monotonic() > until:
             raise MachineError(
-                f"the campaign's folder {request.folder} is not seen here: a campaign and its Dask workers need a file system that they "
+                f"the campaign's folder {store.folder} is not seen here: a campaign and its Dask workers need a file system that they "
                 "share; choose with --out a folder that lies at the same path on all of them."
             )
         time.sleep(_LOOK)
-    if fingerprint() != request.fingerprint:
+    if fingerprint() != sources:
         raise MachineError(
             "the sources, libraries or compiler here are not those of the campaign, so that its records would lie; start the workers anew, from "
             "the same environment as the campaign."
@@ -251,23 +237,21 @@ class DaskEngine:
     def __init__(self, client: Any, context: ExecutionContext, jobs: int | None, mark: Path, tasks: int) -> None:
         self._client, self._context, self.jobs, self._mark = client, context, jobs, mark
         self._executor = client.get_executor(pure=False)
-        self._fingerprint, self._tasks = fingerprint(), tasks // max(1, self._threads())
+        self._run = partial(
+            run_on_worker,
+            folder=context.store.folder.resolve(),
+            mark=mark.name,
+            token=context.token,
+            provenance=context.provenance,
+            sources=fingerprint(),
+            tasks=tasks // max(1, self._threads()),
+        )
         self._tries: dict[str, _Tries] = {}
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
         """See Engine."""
-        request = Request(
-            task=task,
-            provenance=self._context.provenance,
-            folder=self._context.store.folder.resolve(),
-            mark=self._mark.name,
-            token=self._context.token,
-            fingerprint=self._fingerprint,
-            tasks=self._tasks,
-            name=self._tries.setdefault(task.key, _Tries()).name,
-        )
         with _gone_in_words():
-            return self._executor.submit(run_on_worker, request)
+            return self._executor.submit(self._run, task, self._tries.setdefault(task.key, _Tries()).name)
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         """See Engine."""

@@ -1,4 +1,4 @@
-"""A child process in a session of its own: started, watched, and ended with everything it started. Cells and isolated FMUs use the same.
+"""A child process in a session of its own: started, watched, and ended with everything it started. Tasks and isolated FMUs use the same.
 
 child = ChildProcess("validate.execution.child", [str(folder)], token=token, temporary=folder / "tmp", output=log)
 while not child.has_ended(): ...

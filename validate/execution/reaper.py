@@ -21,7 +21,7 @@ import sys
 import time
 from pathlib import Path
 
-TOKEN_VARIABLE = "TOUCHSTONE_CELL_TOKEN"
+TOKEN_VARIABLE = "TOUCHSTONE_TASK_TOKEN"
 # Processes that fork while they are being found are found in the next round; 100 rounds of 10 ms outlast any that does not fork for ever.
 _ROUNDS, _PAUSE = 100, 0.01
 

@@ -28,9 +28,9 @@ from validate.execution.fork_server import ForkServer
 from validate.execution.process import ChildProcess, Ended, ForkServerError, exit_in_words, shared_watchdog
 from validate.store.disk import disk_error, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
-from validate.tasks.path import LoadedRun
-from validate.tasks.run import ChildExit
-from validate.tasks.task import Task, TaskRecord, record_for_crash
+from validate.tasks.check import unfinished_check
+from validate.tasks.path import LoadedRun, load_run, unfinished_run
+from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
 
 _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
@@ -167,8 +167,17 @@ class Worker:
 
 def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> None:
     """Say in the folder of a task what is asked. Raises MachineError."""
-    request = {"cell": task.to_json(), "provenance": provenance.model_dump(mode="json")}
+    request = {"task": task_to_json(task), "provenance": provenance.model_dump(mode="json")}
     write_durably(folder / REQUEST, json.dumps(request, indent=1))
+
+
+def record_for_crash(
+    task: Task, provenance: ProvenanceRecord, child: ChildExit, folder: Path, loaded: LoadedRun | None = None
+) -> TaskRecord:
+    """The record of a task whose child left none. loaded: of a run, if it is loaded already; a scene file may have changed since."""
+    if isinstance(task, CheckTask):
+        return unfinished_check(task, provenance, child)
+    return unfinished_run(task, loaded or load_run(task), provenance, child, folder)
 
 
 def progress_in(folder: Path) -> str:

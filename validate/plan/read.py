@@ -2,27 +2,47 @@
 
 campaign = read_campaign(Path("stiffness.toml"))
 run_campaign(CampaignSettings(out=out, **campaign.settings()), narrator)
+
+Pipelines: ours by name, its own as they are spelt out, each once a seed where it draws at random. Scenes: loaded, changed and named, one for each
+combination of swept values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import difflib
+import itertools
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from formulations.method import Pipeline
+from pydantic import BaseModel, ValidationError
+
+from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import PIPELINES
+from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
-from validate.plan.mistakes import MOST_SHOWN, checked
-from validate.plan.pipelines import chosen_pipelines
-from validate.plan.scenes import references
-from validate.plan.schema import CampaignFile, resolved_text
+from models.scene import Scene
+from models.scene.checks import check_expressions
+from validate.judge.score import check_limits, metric_names
+from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
-from validate.tasks.examination import SceneReference
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin
+from validate.tasks.variant import SceneReference, Variant, state_names, varied
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
+# A file of nothing but mistakes: the first say enough.
+MOST_SHOWN = 50
+SOURCE = "a campaign file"
+_LONGEST_NAME = 60
+# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by each pipeline.
+MOST_VARIANTS = 1000
+_Place = tuple[str | int, ...]
+_Change = tuple[str, str]  # section (or steps, step) and name
 
 
 class ConfigError(TouchstoneError):
@@ -52,7 +72,7 @@ class Campaign:
         return {
             "chosen": self.scenes,
             "pipelines": self.pipelines,
-            "examined": self.bases if self.file.examinations else (),
+            "checked": self.bases if self.file.checks else (),
             "time_limit": self.file.time_limit,
             "title": self.file.title,
             "files": {GIVEN: self.text, RESOLVED: self.resolved},
@@ -66,12 +86,12 @@ def read_campaign(path: Path, plugin: str = DEFAULT_PLUGIN) -> Campaign:
         text, data = read_toml(path)
     except TomlError as error:
         raise ConfigError(path, [str(error)]) from error
-    file, mistakes = checked(data)
+    file, mistakes = _checked(data)
     if file is None:
         raise ConfigError(path, mistakes)
-    scenes, bases, wrong = references(file.scenes, path.parent)
+    scenes, bases, wrong = _references(file.scenes, path.parent)
     mistakes += wrong
-    pipelines, wrong = chosen_pipelines(file, _known(loaded, bases), loaded.load_method)
+    pipelines, wrong = _chosen_pipelines(file, _known(loaded, bases), loaded.load_method)
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)
@@ -83,3 +103,316 @@ def _known(plugin: Plugin, scenes: list[SceneReference]) -> list[Pipeline]:
     """All pipelines there are for these scenes; all of ours where no scene can be read."""
     found = {pipeline.name: pipeline for reference in scenes for pipeline in plugin.pipelines_for(reference.scene)}
     return list(found.values()) or list(PIPELINES)
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    """`did you mean k?`, or what there is."""
+    known = list(known)
+    close = difflib.get_close_matches(name[:100], known, n=1)
+    return f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}." if known else "there are none."
+
+
+def _place_text(place: Sequence[str | int]) -> str:
+    """`scenes[0].parameters.k`."""
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]
+    return text
+
+
+def _checked(data: Mapping[str, Any]) -> tuple[CampaignFile | None, list[str]]:
+    """The file without what is wrong in it (None if nothing is left), so that the rest can be looked into too; and what is wrong."""
+    try:
+        return CampaignFile.model_validate(data), []
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+    mistakes = [_sentence(problem) for problem in problems]
+    rest = _plain_copy(data)
+    for _ in range(10):  # what hides behind a mistake may be wrong as well
+        for problem in problems:
+            _remove(rest, problem["loc"])
+        try:
+            return CampaignFile.model_validate(rest), mistakes
+        except ValidationError as error:
+            problems = error.errors(include_url=False)
+    return None, mistakes
+
+
+def _sentence(problem: Any) -> str:
+    place, kind = problem["loc"], problem["type"]
+    where = _place_text(place)
+    if kind == "missing":
+        return f"{where}: it is missing"
+    if kind == "extra_forbidden":
+        return f"{where}: there is no such key; {_hint(str(place[-1]), _model_at(place).model_fields)}"
+    words = problem["msg"].removeprefix("Value error, ")
+    return f"{where}: {words[:1].lower()}{words[1:]}, not {reprlib.repr(problem['input'])}"
+
+
+def _model_at(place: _Place) -> type[BaseModel]:
+    """The model of which the last part of this place would be a key."""
+    if len(place) == 1:
+        return CampaignFile
+    if place[0] == "scenes":
+        return SceneEntry if len(place) == 3 else CampaignLimit
+    return PipelineEntry if len(place) == 3 else LegEntry
+
+
+def _plain_copy(data: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        return copy.deepcopy(dict(data))
+    except RecursionError:
+        return {}
+
+
+def _remove(data: Any, place: _Place) -> None:
+    """Take out what is at a place, or, where nothing is, what it is missing from; a list loses all, so that no place in it moves."""
+    way = [data]
+    for part in place:
+        inside = _inside(way[-1], part)
+        if inside is None:
+            break
+        way.append(inside)
+    depth = max(len(way) - 2, 0)
+    holder = way[depth]
+    if isinstance(holder, dict):
+        holder.pop(place[depth], None)
+    elif isinstance(holder, list):
+        holder.clear()
+
+
+def _inside(data: Any, part: str | int) -> Any:
+    if isinstance(data, dict):
+        return data.get(part)
+    return data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
+
+
+def _chosen_pipelines(
+    file: CampaignFile, ours: Sequence[Pipeline], load_method: Callable[[str], Method]
+) -> tuple[tuple[Pipeline, ...], list[str]]:
+    """The pipelines to run, none for all of ours; and mistakes."""
+    known = {pipeline.name: pipeline for pipeline in ours}
+    mistakes: list[str] = []
+    own: dict[str, Pipeline] = {}
+    for name, entry in file.pipeline.items():
+        wrong = [*_name_mistakes(name, known), *_leg_mistakes(entry, load_method)]
+        mistakes += [f"pipeline.{name[:_LONGEST_NAME]}{sentence}" for sentence in wrong]
+        own[name] = _pipeline(name, entry)
+    names = file.pipelines or list(own)
+    for place, name in enumerate(names):
+        if name not in known and name not in own:
+            mistakes.append(f"pipelines[{place}]: there is no pipeline {name[:80]!r}; {_hint(name, [*own, *known])}")
+        elif name in names[:place]:
+            mistakes.append(f"pipelines[{place}]: {name!r} stands there twice")
+    if mistakes:
+        return (), mistakes
+    picked = [own.get(name) or known[name] for name in names]
+    return (tuple(picked), []) if not file.seeds else _seeded(picked, file.seeds, load_method)
+
+
+def _name_mistakes(name: str, known: Mapping[str, Pipeline]) -> Iterator[str]:
+    if name in known:
+        yield ": it is a pipeline of ours; choose another name"
+    if not name.isprintable() or name != name.strip() or not 0 < len(name) <= _LONGEST_NAME:
+        yield f": a name is 1 to {_LONGEST_NAME} letters, digits and signs, without blanks at its ends"
+
+
+def _leg_mistakes(entry: PipelineEntry, load_method: Callable[[str], Method]) -> Iterator[str]:
+    for place, leg in enumerate(entry.legs):
+        where = f".legs[{place}]"
+        try:
+            method = load_method(leg.method)
+        except (TouchstoneError, KeyError) as error:
+            yield f"{where}.method: {error if isinstance(error, TouchstoneError) else f'there is no method {leg.method!r}'}"
+            continue
+        if method.needs_eps and not leg.eps:
+            yield f"{where}.eps: method {leg.method} needs a schedule, such as eps = [1e-3, 1e-5]"
+        for number, eps in enumerate(leg.eps):
+            yield from _refused(f"{where}.eps[{number}]", method.check_eps, eps)
+        stages = len(leg.eps) or 1
+        if len(leg.stage_options) > stages:
+            yield f"{where}.stage_options: they are for {len(leg.stage_options)} stages, but there {'is' if stages == 1 else 'are'} {stages}"
+        yield from (f"{where}.{sentence}" for sentence in _option_mistakes(leg, method))
+
+
+def _option_mistakes(leg: LegEntry, method: Method) -> Iterator[str]:
+    sections = {"options": leg.options, **{f"stage_options[{number}]": own for number, own in enumerate(leg.stage_options)}}
+    single = [
+        sentence
+        for section, options in sections.items()
+        for name, value in options.items()
+        for sentence in _refused(f"{section}.{name[:80]}", method.read_options, {name: value})
+    ]
+    yield from single
+    if not single:  # options that are impossible only together
+        for section, options in sections.items():
+            yield from _refused(section, method.read_options, {**leg.options, **options})
+
+
+def _refused(where: str, check: Callable[[Any], Any], value: Any) -> Iterator[str]:
+    try:
+        check(value)
+    except (TouchstoneError, TypeError, ValueError, OverflowError) as error:
+        yield f"{where}: {error}"
+
+
+def _pipeline(name: str, entry: PipelineEntry) -> Pipeline:
+    return Pipeline(name=name, title=entry.title or name, legs=tuple(_leg(leg) for leg in entry.legs), source=SOURCE)
+
+
+def _leg(entry: LegEntry) -> Leg:
+    return Leg(
+        method=entry.method,
+        schedule=tuple(entry.eps) or (None,),
+        options=dict(entry.options),
+        stage_options=tuple(dict(options) for options in entry.stage_options),
+    )
+
+
+def _seeded(
+    pipelines: Sequence[Pipeline], seeds: Sequence[int], load_method: Callable[[str], Method]
+) -> tuple[tuple[Pipeline, ...], list[str]]:
+    if not pipelines:
+        return (), ["seeds: name the pipelines that are to be run with them (pipelines = [...])"]
+    if len(set(seeds)) < len(seeds):
+        return (), ["seeds: one of them stands there twice"]
+    found: list[Pipeline] = []
+    mistakes: list[str] = []
+    for pipeline in pipelines:
+        draws = {leg.method for leg in pipeline.legs if hasattr(load_method(leg.method).options, "seed")}
+        for name in sorted(draws):
+            for place, seed in enumerate(seeds):
+                mistakes += _refused(f"seeds[{place}]", load_method(name).read_options, {"seed": seed})
+        found += [_with_seed(pipeline, draws, seed) for seed in seeds] if draws else [pipeline]
+    if len(found) == len(pipelines) and not mistakes and found == list(pipelines):
+        mistakes.append("seeds: none of these pipelines draws at random; leave them out")
+    return tuple(found), mistakes
+
+
+def _with_seed(pipeline: Pipeline, draws: set[str], seed: int) -> Pipeline:
+    legs = tuple(replace(leg, options={**leg.options, "seed": seed}) if leg.method in draws else leg for leg in pipeline.legs)
+    return replace(pipeline, name=f"{pipeline.name} seed {seed}", title=f"{pipeline.title}; seed {seed}", legs=legs)
+
+
+def _references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneReference], list[SceneReference], list[str]]:
+    """Scenes in order with their variants, the unchanged scenes they come from, and mistakes. folder: from which paths are looked up."""
+    found: list[SceneReference] = []
+    bases: dict[str, SceneReference] = {}
+    mistakes: list[str] = []
+    for place, entry in enumerate(entries):
+        where = f"scenes[{place}]"
+        path = str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene
+        try:
+            scene = load_scene(path)
+            check_limits(scene, scene_path(path))
+        except (TouchstoneError, OSError, ValueError) as error:
+            mistakes.append(f"{where}.scene: {error}")
+            continue
+        reference = str(Path(path).resolve()) if entry.scene.endswith(".py") else entry.scene
+        bases.setdefault(reference, SceneReference(reference, scene))
+        wrong = list(_scene_mistakes(entry, scene))
+        if not wrong:
+            made, wrong = _variants(entry, scene, reference)
+            found += made
+        mistakes += [f"{where}.{sentence}" for sentence in wrong]
+    names = [reference.scene.name for reference in found]
+    mistakes += [
+        f"scenes: {names.count(name)} of them are called {name!r}; give them names of their own (name = ...)"
+        for name in dict.fromkeys(names)
+        if names.count(name) > 1
+    ]
+    return found, list(bases.values()), mistakes
+
+
+def _scene_mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
+    """What this entry asks of its scene that the scene does not have."""
+    if entry.name in scene_names():
+        yield f"name: {entry.name!r} is a scene of ours; choose another name"
+    parameters = {item.name: item for item in scene.parameters}
+    for name, values in entry.parameters.items():
+        if name not in parameters:
+            yield f"parameters.{name[:80]}: scene {scene.name} has no such parameter; {_hint(name, parameters)}"
+            continue
+        for value in values:
+            try:
+                replace(parameters[name], value=value)
+            except TouchstoneError as error:
+                yield f"parameters.{name}: {error}"
+    for section, given in (("start", entry.start), ("goal", entry.goal)):
+        for name in given:
+            if name not in state_names(scene):
+                yield f"{section}.{name[:80]}: scene {scene.name} has no such coordinate or velocity; {_hint(name, state_names(scene))}"
+    for figure in entry.limits:
+        if figure not in metric_names():
+            yield f"limits.{figure[:80]}: there is no figure of that name; {_hint(figure, metric_names())}"
+    lengths = [len(values) for values in _changes(entry).values() if len(values) > 1]
+    if entry.sweep == "together" and len(set(lengths)) > 1:
+        yield f'sweep: "together" needs lists of one length, but theirs are {", ".join(map(str, lengths))}'
+    elif (count := lengths[0] if entry.sweep == "together" and lengths else math.prod(lengths)) > MOST_VARIANTS:
+        yield f"sweep: these lists give {count} scenes, more than {MOST_VARIANTS}; leave out some values"
+
+
+def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
+    """Everything that is changed, by section and name, with its values."""
+    changes: dict[_Change, list[Any]] = {("parameters", name): list(values) for name, values in entry.parameters.items()}
+    changes |= {("start", name): list(values) for name, values in entry.start.items()}
+    changes |= {("goal", name): list(values) for name, values in entry.goal.items()}
+    changes |= {} if entry.steps is None else {("steps", ""): list(entry.steps)}
+    return changes | ({} if entry.step is None else {("step", ""): list(entry.step)})
+
+
+def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[SceneReference], list[str]]:
+    changes = _changes(entry)
+    if not changes and not entry.limits and entry.name is None:
+        return [SceneReference(reference, scene)], []
+    found, mistakes = [], []
+    for values in _combinations(list(changes.values()), entry.sweep):
+        chosen = dict(zip(changes, values, strict=True))
+        variant = _variant(_name(entry, scene, changes, chosen), chosen, entry)
+        try:
+            changed = varied(scene, variant)
+            check_expressions(changed)
+            found.append(SceneReference(reference, changed, variant))
+        except (TouchstoneError, ValueError, OverflowError) as error:
+            mistakes.append(f"scene: {variant.name}: {error}")
+    return found, mistakes
+
+
+def _combinations(lists: Sequence[Sequence[Any]], sweep: str) -> Iterator[tuple[Any, ...]]:
+    if sweep == "product":
+        yield from itertools.product(*lists)
+        return
+    longest = max((len(values) for values in lists), default=1)
+    yield from zip(*(list(values) * (longest if len(values) == 1 else 1) for values in lists), strict=True)
+
+
+def _variant(name: str, chosen: Mapping[_Change, Any], entry: SceneEntry) -> Variant:
+    def section(wanted: str) -> dict[str, Any]:
+        return {name: value for (part, name), value in chosen.items() if part == wanted}
+
+    return Variant(
+        name=name,
+        parameters={name: float(value) for name, value in section("parameters").items()},
+        steps=chosen.get(("steps", "")),
+        step=None if ("step", "") not in chosen else float(chosen["step", ""]),
+        start={name: float(value) for name, value in section("start").items()},
+        goal={name: None if value == FREE else float(value) for name, value in section("goal").items()},
+        limits={figure: (float(limit.value), limit.reason) for figure, limit in entry.limits.items()},
+    )
+
+
+def _name(entry: SceneEntry, scene: Scene, changes: Mapping[_Change, Sequence[Any]], chosen: Mapping[_Change, Any]) -> str:
+    """`three_cart_k_300`: the name given or the scene's, then what tells its scenes apart (without a name given: all that is changed)."""
+    distinct = [change for change in changes if entry.name is None or len(changes[change]) > 1]
+    parts = [entry.name or scene.name]
+    for section, name in distinct:
+        parts += [word for word in ("" if section == "parameters" else section, name, _letters(chosen[section, name])) if word]
+    if entry.name is None and not changes:
+        parts.append("limits")
+    return "_".join(parts)
+
+
+def _letters(value: Any) -> str:
+    """A number as letters and digits: 0.25 -> 0p25, -1 -> m1."""
+    text = value if isinstance(value, str) else format(value, ".12g")
+    return text.replace("-", "m").replace(".", "p").replace("+", "")

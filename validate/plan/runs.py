@@ -1,4 +1,4 @@
-"""Which tasks a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
+"""Which tasks a campaign has, in order: scenes by pipelines, then checks; and which of them are stored.
 
 entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from formulations.method import Pipeline
-from formulations.pipelines import cells_of
+from formulations.pipelines import parts_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
@@ -22,14 +22,14 @@ from reports.records.record import RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
 from validate.plan.selection import matches, near, words_of
-from validate.store.provenance import content_key, examination_key
+from validate.store.provenance import check_key, content_key
 from validate.store.store import Store
 from validate.store.stored import CampaignError, identity, stored_campaign
-from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
-from validate.tasks.run import RunTask
+from validate.tasks.task import CheckTask, RunTask, task_to_json
+from validate.tasks.variant import SceneReference
 
 NOTHING_STORED = "nothing is stored of it"
 # So many unknown words of a -k are answered.
@@ -56,7 +56,7 @@ class CampaignSettings:
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
     last ran, and that in any case; stop_early: at the first failure; retries: of a task that crashes; engine: which runs the tasks
     (validate.execution.engine); jobs: tasks at a time, None for what the engine chooses.
-    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
 
@@ -75,7 +75,7 @@ class CampaignSettings:
     retries: int = 0
     chosen: tuple[SceneReference, ...] = ()
     pipelines: tuple[Pipeline, ...] = ()
-    examined: tuple[SceneReference, ...] = ()
+    checked: tuple[SceneReference, ...] = ()
     title: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
 
@@ -102,9 +102,9 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class PlannedCheck:
-    """An examination, and its stored record if that can be used."""
+    """A check, and its stored record if that can be used."""
 
-    task: Examination
+    task: CheckTask
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""
 
@@ -131,7 +131,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                 elif settings.quick and pipeline.name not in plugin.quick_names():
                     left_out.append((scene.name, pipeline.name))
                 else:
-                    for part in cells_of(pipeline):
+                    for part in parts_of(pipeline):
                         task = RunTask(
                             key="",
                             scene=reference.where,
@@ -144,11 +144,11 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                         entries.append(_entry(task, scene, plugin))
     long = list(dict.fromkeys(long))
     skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
-    examined, unexamined = _examined(settings, plugin, settings.examined if settings.chosen else scenes, seen)
-    skipped += unexamined
-    if not entries and not examined:
+    checks, unchecked = _checks(settings, plugin, settings.checked if settings.chosen else scenes, seen)
+    skipped += unchecked
+    if not entries and not checks:
         raise _nothing(settings, seen, skipped)
-    return [*entries, *examined], skipped
+    return [*entries, *checks], skipped
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
@@ -180,17 +180,17 @@ def scene_cost(scene: Scene) -> int:
     return scene.task.steps * 2 * scene.nq * max(1, scene.nc + len(scene.frictions)) if scene.inputs else 0
 
 
-def _examined(
+def _checks(
     settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedCheck], tuple[str, ...]]:
-    """The examinations asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
+    """The checks asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
 
-    Where scenes are named, only examinations of these scenes are meant.
+    Where scenes are named, only checks of these scenes are meant.
     """
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
-    examined: list[PlannedCheck] = []
-    left_out: list[Examination] = []
-    for item in plugin.examinations(scenes):
+    wanted: list[PlannedCheck] = []
+    left_out: list[CheckTask] = []
+    for item in plugin.checks(scenes):
         if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
@@ -199,14 +199,14 @@ def _examined(
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
             continue
-        examined.append(PlannedCheck(replace(item, key=examination_key(item), time_limit=settings.time_limit)))
-    return examined, _counted(left_out)
+        wanted.append(PlannedCheck(replace(item, key=check_key(item), time_limit=settings.time_limit)))
+    return wanted, _counted(left_out)
 
 
-def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
-    """Examinations by group: the only one by its name, several by their number."""
+def _counted(checks: Sequence[CheckTask]) -> tuple[str, ...]:
+    """Checks by group: the only one by its name, several by their number."""
     groups: dict[str, list[str]] = {}
-    for item in examinations:
+    for item in checks:
         groups.setdefault(item.group or item.kind, []).append(item.title)
     return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} checks" for group, titles in groups.items())
 
@@ -245,7 +245,7 @@ def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, sett
     return found
 
 
-def _usable(store: Store, task: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
     record = store.read(task.key)
     if record is None:
         return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
@@ -271,7 +271,7 @@ def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[
     others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"
-        if entry.why == NOTHING_STORED and identity(entry.task.to_json()) in others
+        if entry.why == NOTHING_STORED and identity(task_to_json(entry.task)) in others
         else entry.why
         for entry in entries
     ]
@@ -285,7 +285,7 @@ def past_seconds(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> 
     found: dict[str, float] = {}
     for entry in entries:
         if entry.stored is None:
-            before = [record for key in keys.get(identity(entry.task.to_json()), ()) if (record := store.read(key)) is not None]
+            before = [record for key in keys.get(identity(task_to_json(entry.task)), ()) if (record := store.read(key)) is not None]
             if before:
                 found[entry.task.key] = max(before, key=lambda record: record.provenance.started).cpu_seconds
     return found
@@ -298,7 +298,7 @@ def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store)
     """
     _, records = stored_campaign(store.folder)
     failed = {identity(store.request(key)) for key in failed_keys(records)}
-    again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
+    again = {entry.task.key for entry in entries if identity(task_to_json(entry.task)) in failed}
     if not again:
         hint = "drop --last-failed."
         if failed:

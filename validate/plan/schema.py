@@ -9,7 +9,7 @@ defaults.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,7 +19,7 @@ from validate.plan.toml_text import toml_text, toml_value
 
 if TYPE_CHECKING:
     from formulations.method import Method
-    from validate.tasks.examination import SceneReference
+    from validate.tasks.variant import SceneReference
 
 # A plan of a million steps is far beyond what any method here can hold.
 MOST_STEPS = 1_000_000
@@ -131,31 +131,32 @@ class CampaignFile(_Strict):
     seeds: list[Annotated[int, Field(ge=0)]] = Field(
         default=[], max_length=1000, description="Each pipeline that draws at random is run once for each of them."
     )
-    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each cell, all its stages and replays.")
-    examinations: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
+    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each run, all its stages and replays.")
+    checks: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
 
 
 def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_method: Callable[[str], Method], name: str) -> str:
     """The file as text. name: of the file it was made from."""
-    seeds = f"seeds = {toml_value(file.seeds)}\n" if file.seeds else ""
-    names = file.pipelines or list(file.pipeline)
-    lines = [
-        f"# {' '.join(name.split())}, with everything filled in",
-        f"title = {toml_text(file.title)}",
-        f"time_limit = {toml_value(float(file.time_limit))}",
-        f"examinations = {toml_value(file.examinations)}",
-        f"pipelines = {toml_value(names)}",
-        *seeds.splitlines(),
-    ]
+    head = {
+        "title": file.title,
+        "time_limit": float(file.time_limit),
+        "checks": file.checks,
+        "pipelines": file.pipelines or list(file.pipeline),
+    }
+    lines = [f"# {' '.join(name.split())}, with everything filled in", *_lines(head | ({"seeds": file.seeds} if file.seeds else {}))]
     for reference in scenes:
-        lines += ["", "[[scenes]]", *_scene(reference)]
+        lines += ["", "[[scenes]]", *_lines(_scene(reference))]
     for own, entry in file.pipeline.items():
-        lines += ["", f"[pipeline.{toml_text(own)}]", f"title = {toml_text(entry.title)}"]
+        lines += ["", f"[pipeline.{toml_text(own)}]", *_lines({"title": entry.title})]
         for leg in entry.legs:
-            lines += ["", f"[[pipeline.{toml_text(own)}.legs]]", f"method = {toml_text(leg.method)}", f"eps = {toml_value(leg.eps)}"]
             options = {**_defaults(load_method(leg.method)), **leg.options}
-            lines += [f"options = {toml_value(options)}", f"stage_options = {toml_value(leg.stage_options)}"]
+            lines += ["", f"[[pipeline.{toml_text(own)}.legs]]"]
+            lines += _lines({"method": leg.method, "eps": leg.eps, "options": options, "stage_options": leg.stage_options})
     return "\n".join(lines) + "\n"
+
+
+def _lines(data: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {toml_value(value)}" for key, value in data.items()]
 
 
 def _defaults(method: Method) -> dict[str, Any]:
@@ -163,17 +164,17 @@ def _defaults(method: Method) -> dict[str, Any]:
     return {name: value for name, value in asdict(method.options()).items() if isinstance(value, (bool, int, float, str))}
 
 
-def _scene(reference: SceneReference) -> Iterator[str]:
-    yield f"scene = {toml_text(reference.where)}"
+def _scene(reference: SceneReference) -> dict[str, Any]:
+    """Where it is from, and what is changed of it."""
     variant = reference.variant
     if variant is None:
-        return
-    yield f"name = {toml_text(variant.name)}"
-    goal: dict[str, Any] = {name: FREE if value is None else value for name, value in variant.goal.items()}
-    limits = {figure: {"value": value, "reason": reason} for figure, (value, reason) in variant.limits.items()}
-    for key in ("steps", "step"):
-        if getattr(variant, key) is not None:
-            yield f"{key} = {toml_value(getattr(variant, key))}"
-    for key, content in (("parameters", variant.parameters), ("start", variant.start), ("goal", goal), ("limits", limits)):
-        if content:
-            yield f"{key} = {toml_value(content)}"
+        return {"scene": reference.where}
+    changes = {
+        "steps": variant.steps,
+        "step": variant.step,
+        "parameters": variant.parameters,
+        "start": variant.start,
+        "goal": {name: FREE if value is None else value for name, value in variant.goal.items()},
+        "limits": {metric: {"value": value, "reason": reason} for metric, (value, reason) in variant.limits.items()},
+    }
+    return {"scene": reference.where, "name": variant.name, **{key: value for key, value in changes.items() if value not in (None, {})}}

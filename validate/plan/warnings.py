@@ -9,6 +9,7 @@ found = time_steps(scenes, Path("runs/all/campaign.json"))     # one record a sc
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections.abc import Iterable, Iterator
@@ -18,6 +19,8 @@ from pathlib import Path
 import sympy as sp
 from pydantic import ValidationError
 
+from models.catalog import load_scene, scene_names
+from models.errors import MachineError
 from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
@@ -60,6 +63,22 @@ def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
     """Those of several scenes, each scene once."""
     for scene in {scene.name: scene for scene in scenes}.values():
         yield from scene_doubts(scene)
+
+
+def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
+    """Sentences on scenes, each scene once. steps: also on a time step that is unstable in contact, for which scenes that are not in the bank are compiled."""
+    each = list({scene.name: scene for scene in scenes}.values())
+    return [*doubts(each), *(_unstable(each) if steps else ())]
+
+
+def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
+    bank = set(scene_names())
+    for scene in scenes:
+        if scene.name in bank and scene_text(load_scene(scene.name)) == scene_text(scene):
+            continue
+        with contextlib.suppress(MachineError):  # without a compiler: whoever runs it is told
+            if sentence := step_stability(scene).sentence:
+                yield sentence
 
 
 def _deep_starts(scene: Scene) -> list[str]:

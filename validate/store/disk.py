@@ -18,7 +18,7 @@ from models.errors import MachineError
 PARTIAL = ".partial-"
 # What the operating system says when a disk will take no more, as opposed to a mistake of ours.
 _DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
-# Of these, what no method and no examination does by a mistake of its own.
+# Of these, what no method and no check does by a mistake of its own.
 _DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 

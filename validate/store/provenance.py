@@ -1,6 +1,6 @@
 """Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
 
-`content_key` (of a run) and `examination_key` hash what decides the numbers of a task - scene, pipeline, options, seed, our sources, library versions, compiler - and no
+`content_key` (of a run) and `check_key` hash what decides the numbers of a task - scene, pipeline, options, seed, our sources, library versions, compiler - and no
 times, paths or hosts: equal content, equal key, wherever it runs.
 """
 
@@ -27,7 +27,7 @@ from reports.records.record import ProvenanceRecord
 from validate.execution.process import ROOT, THREADS, usable_cores
 
 if TYPE_CHECKING:
-    from validate.tasks.examination import Examination
+    from validate.tasks.task import CheckTask
 
 SEED = 0
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
@@ -43,10 +43,10 @@ _NO_INFLUENCE = (
     "validate/store/results.py",
     "validate/store/stored.py",
 )
-# Parts that decide what examinations find, and nothing of a run.
-_OF_EXAMINATIONS = (
-    "validate/tasks/examination.py",
-    "validate/tasks/fmu_examination.py",
+# Parts that decide what checks find, and nothing of a run.
+_OF_CHECKS = (
+    "validate/tasks/check.py",
+    "validate/tasks/fmu_checks.py",
     "validate/fmu_check/",
     "validate/stress/",
     "reports/records/check_record.py",
@@ -73,7 +73,7 @@ def _source_digests() -> dict[str, str]:
 
 def source_digests(methods: Iterable[str]) -> dict[str, str]:
     """Digest of each of our files that a task of these methods depends on."""
-    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_EXAMINATIONS)}
+    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_CHECKS)}
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
@@ -98,16 +98,16 @@ def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = 
     return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
 
 
-def examination_key(examination: Examination) -> str:
-    """The key of an examination: sha256 over what it asks, of what, and the sources that answer."""
-    digests = _digests_with(examination.methods)
-    wanted = ("validate/tasks/examination.py", "reports/", *examination.sources)
-    asked = (examination.kind, examination.name, examination.expected, examination.function)
+def check_key(task: CheckTask) -> str:
+    """The key of a check: sha256 over what it asks, of what, and the sources that answer."""
+    digests = _digests_with(task.methods)
+    wanted = ("validate/tasks/check.py", "reports/", *task.sources)
+    asked = (task.kind, task.name, task.expected, task.function)
     return _hash(
         {
-            "asked": [*asked, dict(examination.arguments)],
-            "content": examination.content,
-            "sources": {name: digest for name, digest in digests.items() if not examination.sources or name.startswith(wanted)},
+            "asked": [*asked, dict(task.arguments)],
+            "content": task.content,
+            "sources": {name: digest for name, digest in digests.items() if not task.sources or name.startswith(wanted)},
         }
     )
 
@@ -197,7 +197,7 @@ def machine() -> dict[str, Any]:
     return {"platform": platform.platform(), "cpu": _cpu(), "cores": usable_cores()}
 
 
-def command_line(arguments: Iterable[str], program: str = "validate") -> str:
+def command_line(arguments: Iterable[str], program: str = "python -m validate") -> str:
     """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
     words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
-    return " ".join(["python", "-m", program, *words])
+    return " ".join([program, *words])

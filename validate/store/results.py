@@ -1,9 +1,9 @@
-"""results.csv: one row a stage, and examinations.csv: one row an examination; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
+"""results.csv: one row a stage, and checks.csv: one row a check; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
 
 Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
 the same tasks are run on the same machine.
 
-starts.csv and front.csv: one row a start, one row a terminal tolerance; rebuilt from records at any time, absent where there are none.
+starts.csv and front.csv: one row a start, one row a terminal tolerance, absent where there are none; violation.csv: one row a relaxation and eps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from reports.records.record import CertificateRecord, RunRecord, StageRecord, Vi
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
-RESULTS, EXAMINATIONS, VIOLATION, STARTS, FRONT = "results.csv", "examinations.csv", "violation.csv", "starts.csv", "front.csv"
+RESULTS, CHECKS, VIOLATION, STARTS, FRONT = "results.csv", "checks.csv", "violation.csv", "starts.csv", "front.csv"
 _METRICS_FIRST = (
     "terminal_error",
     "physics",
@@ -43,6 +43,7 @@ _COLUMNS = (
 # Every other metric that can be limited, in the order of the table.
 _METRICS_MORE = tuple(name for name in metric_names() if name not in _COLUMNS)
 COLUMNS = (*_COLUMNS, *_METRICS_MORE)
+_VIOLATION_COLUMNS = ("law", "eps", "measured", "closed_form", "relative_difference")
 
 
 def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
@@ -61,24 +62,18 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "eps": stage.eps,
         "outcome": stage.outcome,
         "cost": stage.cost,
-        **{name: metrics.get(name) for name in (*_METRICS_FIRST, *_METRICS_LAST)},
+        **{name: metrics.get(name) for name in (*_METRICS_FIRST, *_METRICS_LAST, *_METRICS_FEEDBACK, *_METRICS_MORE)},
         "verdict": stage.verdict,
         "iterations": stage.iterations if ran else None,
         "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
-        "solve_s": stage.seconds.solve if ran else None,
-        "stage_s": stage.seconds.stage if ran else None,
-        "stage_cpu_s": stage.seconds.stage_cpu if ran else None,
-        "total_s": stage.seconds.total if ran else None,
-        "replay_s": stage.seconds.replay if ran else None,
+        **{f"{name}_s": getattr(stage.seconds, name) if ran else None for name in ("solve", "stage", "stage_cpu", "total", "replay")},
         "judged": stage.replay.judged if stage.replay is not None else None,
-        **{name: metrics.get(name) for name in _METRICS_FEEDBACK},
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
-        **{name: metrics.get(name) for name in _METRICS_MORE},
     }
 
 
-def examination_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any]]:
-    """One dictionary an examination, by column name; message: what was found, or why there is no answer."""
+def check_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any]]:
+    """One dictionary a check, by column name; message: what was found, or why there is no answer."""
     return [
         {
             "kind": record.kind,
@@ -94,83 +89,43 @@ def examination_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any
     ]
 
 
-def results_text(records: Iterable[RunRecord]) -> str:
-    """The whole file as text."""
-    return _text(COLUMNS, rows(records))
+def tables(runs: Sequence[RunRecord], checks: Sequence[ExaminationRecord], violation: Sequence[ViolationPoint]) -> dict[str, str]:
+    """The text of each table by its file's name; of one that says nothing an empty one."""
+    return {
+        RESULTS: _text(COLUMNS, rows(runs)),
+        CHECKS: _table(check_rows(checks)),
+        VIOLATION: _text(_VIOLATION_COLUMNS, map(_violation_row, violation)),
+        STARTS: _table(_starts(runs)),
+        FRONT: _table(_front(runs)),
+    }
+
+
+def write_tables(folder: Path, runs: Sequence[RunRecord], checks: Sequence[ExaminationRecord], violation: Sequence[ViolationPoint]) -> None:
+    """Write each table into a campaign's folder, and remove one that says nothing. Raises MachineError if the disk refuses."""
+    for name, text in tables(runs, checks, violation).items():
+        if text:
+            write_durably(folder / name, text)
+        else:
+            remove(folder / name)
 
 
 def _text(columns: Sequence[str], content: Iterable[dict[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    for row in content:
-        writer.writerow({name: _cell(value) for name, value in row.items()})
+    writer.writerows(content)
     return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return repr(value) if isinstance(value, float) else str(value)
-
-
-def write_results(path: Path, records: Iterable[RunRecord]) -> None:
-    """Write results.csv. Raises MachineError if the disk refuses."""
-    write_durably(path, results_text(records))
-
-
-def write_examinations(path: Path, records: Iterable[ExaminationRecord]) -> None:
-    """Write examinations.csv, or remove it where there are none. Raises MachineError if the disk refuses."""
-    write_or_remove(path, examinations_text(records))
-
-
-def examinations_text(records: Iterable[ExaminationRecord]) -> str:
-    """The whole file as text; empty where there are none."""
-    return _table(examination_rows(records))
 
 
 def _table(found: Sequence[dict[str, Any]]) -> str:
     return _text(list(found[0]), found) if found else ""
 
 
-def write_or_remove(path: Path, text: str) -> None:
-    """Write a table, or remove it where it says nothing. Raises MachineError if the disk refuses."""
-    if text:
-        write_durably(path, text)
-    else:
-        remove(path)
+def _violation_row(point: ViolationPoint) -> dict[str, Any]:
+    return {**point.model_dump(), "relative_difference": abs(point.measured - point.closed_form) / point.closed_form}
 
 
-def write_violation(path: Path, points: Sequence[ViolationPoint]) -> None:
-    """Write violation.csv. Raises MachineError if the disk refuses."""
-    write_durably(path, violation_text(points))
-
-
-def violation_text(points: Sequence[ViolationPoint]) -> str:
-    """violation.csv: law, eps, measured, closed form and their relative difference."""
-    return _text(
-        ("law", "eps", "measured", "closed_form", "relative_difference"),
-        (
-            {
-                "law": point.law,
-                "eps": point.eps,
-                "measured": point.measured,
-                "closed_form": point.closed_form,
-                "relative_difference": abs(point.measured - point.closed_form) / point.closed_form,
-            }
-            for point in points
-        ),
-    )
-
-
-def write_sweeps(folder: Path, records: Iterable[RunRecord]) -> None:
-    """Write both files. Raises MachineError if the disk refuses."""
-    records = tuple(records)
-    write_or_remove(folder / STARTS, _table(_starts(records)))
-    write_or_remove(folder / FRONT, _table(_front(records)))
-
-
-def _starts(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:
+def _starts(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
     return [
         {
             "scene": record.scene.name,
@@ -188,7 +143,7 @@ def _starts(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def _front(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:
+def _front(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
     return [
         {
             "scene": record.scene.name,

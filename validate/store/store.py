@@ -1,6 +1,6 @@
 """Where finished tasks lie: one folder a task, written aside, made durable, then renamed; no lock, nothing half-written.
 
-    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json, files.json      DIR/runs/.partial-*   being written
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json      DIR/runs/.partial-*   being written
     DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
@@ -19,12 +19,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from models.errors import TouchstoneError
 from reports.records.check_record import ExaminationRecord, record_of
 from reports.records.record import RunRecord
 from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
 
-RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
+RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
 FILES = "files.json"
 # In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
@@ -173,7 +175,7 @@ def _request(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):  # not there, a key that is no file name, or damaged
         return {}
-    task = content.get("cell") if isinstance(content, dict) else None
+    task = content.get("task") if isinstance(content, dict) else None
     return task if isinstance(task, dict) else {}
 
 
@@ -195,10 +197,4 @@ def _owner_lives(name: str) -> bool:
         return False
     if parts[4].removesuffix(_OLD) != socket.gethostname():
         return True
-    try:
-        os.kill(int(parts[3]), 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+    return psutil.pid_exists(int(parts[3]))

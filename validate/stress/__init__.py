@@ -1,1 +1,1 @@
-"""Hard cases: situations in which contact solvers go wrong, each measured through the product's own paths. ONE FILE = ONE CASE in `cases`."""
+"""Stress cases: situations in which contact solvers go wrong, each measured through the product's own paths. ONE FILE = ONE CASE in `cases`."""

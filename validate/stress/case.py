@@ -1,9 +1,9 @@
-"""A stress case: what a correct system does, and a function that measures what happened.
+"""Stress cases: what a correct system does in a hard situation, and a function that measures what happened; each is a check of a campaign.
 
-    CASE = HardCase(name="h02_restitution", title="...", expected="...", measure=measure)
+    CASE = StressCase(title="...", expected="...")
 
-    def measure() -> CaseFinding:
-        return CaseFinding(happened="...", figures=(at_most("...", 1e-9, 1e-6, reason="..."),), charts=(Chart(...),))
+    def measure() -> Found:
+        return finding("...", at_most("...", 1e-9, 1e-6, reason="..."), charts=(chart("...", ...),))
 
 A case passes if each figure with a limit keeps it. A figure that is not a finite number fails, and so does a case without a figure.
 A case may end in an honest refusal: that is then what its figures count.
@@ -12,105 +12,133 @@ A case may end in an honest refusal: that is then what its figures count.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
-import numpy as np
+from models.catalog import scene_path
+from models.errors import TouchstoneError
+from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
+from reports.records.record import MetricRecord
+from validate.stress.catalog import StressCase, case_names, describe_case, heading, load_case
+from validate.tasks.check import Course, Found
+from validate.tasks.task import CheckTask
+from validate.tasks.variant import SceneReference
 
-
-@dataclass(frozen=True, kw_only=True)
-class Figure:
-    """One number and its limit: from above, or from below (at_least); None: no limit. reason: why this limit."""
-
-    name: str
-    value: float
-    limit: float | None = None
-    unit: str = "1"
-    meaning: str = ""
-    reason: str = ""
-    at_least: bool = False
-
-    @property
-    def ok(self) -> bool | None:
-        """None where there is nothing to keep; a number that is none keeps nothing."""
-        if not math.isfinite(self.value):
-            return False
-        if self.limit is None:
-            return None
-        return self.value >= self.limit if self.at_least else self.value <= self.limit
+KIND = "stress case"
+# What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
+_SOURCES = (
+    "models/",
+    "formulations/",
+    "validate/judge/",
+    "validate/execution/isolated",
+    "validate/execution/process.py",
+    "validate/fmi/",
+    "validate/stress/case.py",
+    "validate/stress/motion.py",
+)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Series:
-    """name: for the legend; x, y: of equal length; values that are not finite are left out. line: joined, else points alone."""
-
-    name: str
-    x: Sequence[float] | np.ndarray
-    y: Sequence[float] | np.ndarray
-    line: bool = True
+def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
+    """All stress cases, whatever the scenes of the campaign."""
+    return [_check_of(name, describe_case(name)) for name in case_names()]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Chart:
-    """Data of one plot. x, y: (quantity, unit); log_x, log_y: logarithmic axes; level: a horizontal line (value, words)."""
-
-    title: str
-    x: tuple[str, str]
-    y: tuple[str, str]
-    series: tuple[Series, ...]
-    log_x: bool = False
-    log_y: bool = False
-    level: tuple[float, str] | None = None
-    words: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CaseFinding:
-    """What happened, in a sentence or two, with figures and the data of plots."""
-
-    happened: str
-    figures: tuple[Figure, ...]
-    charts: tuple[Chart, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether each figure with a limit keeps it, and there is one."""
-        judged = [figure.ok for figure in self.figures if figure.ok is not None]
-        return bool(judged) and all(judged)
+def _check_of(name: str, case: StressCase) -> CheckTask:
+    return CheckTask(
+        kind=KIND,
+        name=heading(name),
+        expected=case.expected,
+        function="validate.stress.case:check",
+        arguments={"case": name},
+        content="\n".join(scene_path(scene).read_text(encoding="utf-8") for scene in case.scenes),
+        sources=(*_SOURCES, f"validate/stress/cases/{name}.py"),
+        methods=case.methods,
+        quick=case.quick,
+        words=(name,),
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class HardCase:
-    """See the module docstring.
-
-    name: that of its file, h<two digits>_<words>; quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it uses, on
-    which a stored result depends. All but `measure` are written as literals: they are read without importing.
-    """
-
-    name: str
-    title: str
-    expected: str
-    measure: Callable[[], CaseFinding]
-    quick: bool = False
-    scenes: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
+def check(arguments: Mapping[str, Any], course: Course) -> Found:
+    """Measure the case of that name, in the child."""
+    name = str(arguments["case"])
+    course.at(f"the measurement of {name}")
+    return load_case(name)()
 
 
-def at_most(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> Figure:
-    """A figure with a limit from above."""
-    return Figure(name=name, value=float(value), limit=limit, unit=unit, reason=reason, meaning=meaning)
+def finding(happened: str, *figures: MetricRecord, charts: Sequence[ChartRecord] = ()) -> Found:
+    """What happened, in a sentence or two, with figures and the data of plots. It passes if each figure with a limit keeps it, and there is one."""
+    judged = [figure.ok for figure in figures if figure.ok is not None]
+    return Found(bool(judged) and all(judged), " ".join(happened.split()), figures, {"charts": tuple(charts)})
 
 
-def at_least(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> Figure:
-    """A figure with a limit from below."""
-    return Figure(name=name, value=float(value), limit=limit, unit=unit, reason=reason, meaning=meaning, at_least=True)
+def at_most(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> MetricRecord:
+    """A figure with a limit from above, and why this limit."""
+    return _figure(name, value, unit, meaning, limit=limit, reason=reason)
 
 
-def unlimited(name: str, value: float, unit: str = "1", *, meaning: str = "") -> Figure:
+def at_least(name: str, value: float, limit: float, unit: str = "1", *, reason: str) -> MetricRecord:
+    """A figure with a limit from below, and why this limit."""
+    return _figure(name, value, unit, limit=limit, reason=reason, at_least=True)
+
+
+def unlimited(name: str, value: float, unit: str = "1") -> MetricRecord:
     """A figure without a limit."""
-    return Figure(name=name, value=float(value), unit=unit, meaning=meaning)
+    return _figure(name, value, unit)
 
 
-def none_of(name: str, wrong: Sequence[str], *, reason: str) -> Figure:
+def none_of(name: str, wrong: Sequence[str], *, reason: str) -> MetricRecord:
     """How many things are wrong, which must be none; their words stand in the meaning."""
-    return Figure(name=name, value=float(len(wrong)), limit=0.0, meaning="; ".join(wrong)[:400], reason=reason)
+    return at_most(name, len(wrong), 0.0, meaning="; ".join(wrong)[:400], reason=reason)
+
+
+def _figure(
+    name: str, value: float, unit: str, meaning: str = "", *, limit: float | None = None, reason: str = "", at_least: bool = False
+) -> MetricRecord:
+    number = float(value) if math.isfinite(value) else None  # a number that is none keeps nothing
+    ok = False if number is None else None if limit is None else number >= limit if at_least else number <= limit
+    return MetricRecord(name=name, value=number, unit=unit, meaning=meaning, limit=limit, at_least=at_least, reason=reason, ok=ok)
+
+
+def refusal(what: str, words: Iterable[str], act: Callable[[], object]) -> list[str]:
+    """What is wrong with how something is refused, in a sentence: it should be one line that has one of the words."""
+    try:
+        act()
+    except TouchstoneError as error:
+        named = any(word in str(error) for word in words) and "\n" not in str(error)
+        return [] if named else [f"{what}: the sentence does not name {' or '.join(map(repr, words))}: {error}"]
+    except Exception as error:  # noqa: BLE001 - anything else is what is looked for
+        return [f"{what}: {type(error).__name__} instead of a sentence: {error}"]
+    return [f"{what} is taken"]
+
+
+def chart(
+    title: str,
+    x: tuple[str, str],
+    y: tuple[str, str],
+    series: Mapping[str, tuple[Iterable[float], Iterable[float]]],
+    *,
+    log_x: bool = False,
+    log_y: bool = False,
+    level: tuple[float, str] | None = None,
+    words: str = "",
+) -> ChartRecord:
+    """Data of one plot.
+
+    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are not finite are left out; log_x, log_y: logarithmic axes;
+    level: a horizontal line (value, words).
+    """
+    value, level_words = level or (None, "")
+    return ChartRecord(
+        title=title,
+        x=AxisRecord(quantity=x[0], unit=x[1], log=log_x),
+        y=AxisRecord(quantity=y[0], unit=y[1], log=log_y),
+        series=tuple(_series(name, *values) for name, values in series.items()),
+        level=value,
+        level_words=level_words,
+        words=words,
+    )
+
+
+def _series(name: str, x: Iterable[float], y: Iterable[float]) -> SeriesRecord:
+    pairs = [(float(one), float(other)) for one, other in zip(x, y, strict=False) if math.isfinite(one) and math.isfinite(other)]
+    return SeriesRecord(name=name, x=tuple(one for one, _ in pairs), y=tuple(other for _, other in pairs))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import difflib
 import importlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,26 +13,23 @@ from typing import TYPE_CHECKING
 from models.errors import UnknownNameError
 
 if TYPE_CHECKING:  # names cost no numpy
-    from validate.stress.case import HardCase
+    from validate.tasks.check import Found
 
 FOLDER = Path(__file__).parent / "cases"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaseDescription:
-    """The literals of a case's CASE = HardCase(...)."""
+class StressCase:
+    """What a case says of itself. Its file is called h<two digits>_<words> and defines `CASE`, whose arguments are literals, and `measure`.
 
-    name: str
+    quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it uses, on which a stored result depends.
+    """
+
     title: str
     expected: str
     quick: bool = False
     scenes: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-
-    @property
-    def heading(self) -> str:
-        """Number and title."""
-        return f"{self.name[1:3]} {self.title}"
 
 
 def case_names() -> tuple[str, ...]:
@@ -39,27 +37,23 @@ def case_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("h*.py")))
 
 
-def describe_case(name: str) -> CaseDescription:
+def heading(name: str) -> str:
+    """Number and title of a case. Raises UnknownNameError."""
+    return f"{name[1:3]} {describe_case(name).title}"
+
+
+def describe_case(name: str) -> StressCase:
     """What a case says of itself. Raises UnknownNameError."""
-    tree = ast.parse(_path(name).read_text(encoding="utf-8"))
-    for node in tree.body:
-        if (
-            isinstance(node, ast.Assign)
-            and isinstance(node.value, ast.Call)
-            and [ast.unparse(target) for target in node.targets] == ["CASE"]
-        ):
-            literals = {word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg and word.arg != "measure"}
-            return CaseDescription(**literals)
-    raise UnknownNameError(f"stress case file {name}.py: it must define CASE = HardCase(...) with literals for all but `measure`.")
+    for node in ast.parse(_path(name).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and ast.unparse(node.targets[0]) == "CASE":
+            return StressCase(**{word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg})
+    raise UnknownNameError(f"stress case file {name}.py: it must define CASE = StressCase(...) with literals.")
 
 
-def load_case(name: str) -> HardCase:
-    """The case of that name. Raises UnknownNameError."""
+def load_case(name: str) -> Callable[[], Found]:
+    """What measures the case of that name. Raises UnknownNameError."""
     _path(name)
-    case = importlib.import_module(f"validate.stress.cases.{name}").CASE
-    if case.name != name:
-        raise UnknownNameError(f"stress case file {name}.py: CASE.name is {case.name!r} but must equal the file's name.")
-    return case
+    return importlib.import_module(f"validate.stress.cases.{name}").measure
 
 
 def _path(name: str) -> Path:

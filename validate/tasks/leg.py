@@ -32,6 +32,7 @@ from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import LegRecord, StageRecord
 from validate.store.disk import fsync, write_durably
+from validate.tasks.task import PlannedLeg
 
 CONTENT = "leg.json"
 _FILES = ("trajectory", "replay", "tracked")
@@ -59,16 +60,6 @@ class Planned:
     def asked(self) -> list[Any]:
         """All that is asked of it, for a key."""
         return [self.name, self.eps, {name: repr(value) for name, value in asdict(self.options).items()}]
-
-
-@dataclass(frozen=True)
-class PlannedLeg:
-    """The stages `first` (from 0) to before `end` of a pipeline. key: of the leg at this place of its path; alone: of the same leg at the beginning of one."""
-
-    first: int
-    end: int
-    key: str
-    alone: str
 
 
 def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:

@@ -24,7 +24,7 @@ from reports.records.record import LegRecord, stage_files
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, Store, progress
 from validate.tasks import leg as legs
-from validate.tasks.leg import Planned, PlannedLeg, planned_stages
+from validate.tasks.leg import Planned, planned_stages
 from validate.tasks.plugins import load_plugin
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
-    from validate.tasks.run import ChildExit, RunTask
+    from validate.tasks.task import ChildExit, PlannedLeg, RunTask
 
 # Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.
@@ -99,7 +99,7 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     """
     scene, plan = loaded.scene, loaded.plan
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
-    why = f"The certificate is missing{' because time ran out: the cell' if is_late else ':'} {child.message}"
+    why = f"The certificate is missing{' because time ran out: the run' if is_late else ':'} {child.message}"
     stages = [
         _without_certificate(stage, why) if stage.certificate_missing else stage for stage in _stages_in(folder, task, found, len(plan))
     ]
@@ -267,7 +267,7 @@ class _Path:
         self._profile.lap("shared")
 
     def _out_of_time(self, first: Planned) -> list[Unfinished]:
-        message = "the cell's time was used up before this stage."
+        message = "the run's time was used up before this stage."
         return [(planned, Outcome.TIME_LIMIT, message) for planned in self._plan[first.index :]]
 
     def _failed(self, planned: Planned, error: Exception) -> list[Unfinished]:

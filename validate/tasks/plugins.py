@@ -26,49 +26,29 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from validate.tasks.examination import Examination, SceneReference
+    from validate.tasks.task import CheckTask
+    from validate.tasks.variant import SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
-# What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.tasks.examination.Examination.
-EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", "validate.stress.tasks:examinations")
+# What a campaign checks beside scenes by pipelines: functions of its scenes that give validate.tasks.task.CheckTask.
+CHECKS: tuple[str, ...] = ("validate.tasks.fmu_checks:checks", "validate.stress.case:checks")
 
 
-def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
-    found = []
-    for reference in EXAMINATIONS:
-        module, _, name = reference.partition(":")
-        found += getattr(importlib.import_module(module), name)(scenes)
-    return found
+def _late(reference: str) -> Callable[..., Any]:
+    """The function `module:name`, imported when it is called first."""
+    module, _, name = reference.partition(":")
+    return lambda *arguments: getattr(importlib.import_module(module), name)(*arguments)
 
 
-def _compile(scene: Scene) -> None:
-    from models.codegen.kernel import load_kernel
-
-    load_kernel(scene)
-
-
-def _build_fmu(scene: Scene) -> Path:
-    from models.fmu import build_fmu
-
-    return build_fmu(scene)
+_compile = _late("models.codegen.kernel:load_kernel")
+_build_fmu = _late("models.fmu:build_fmu")
+_certify = _late("formulations.mpec:certify_solution")
+_judge = _late("validate.judge.judgement:judge_trajectory")
+_write_replay = _late("validate.judge.replay.netcdf:write_replay")
 
 
-def _certify(scene: Scene, solution: Solution) -> Solution:
-    from formulations.mpec import certify_solution
-
-    return certify_solution(scene, solution)
-
-
-def _judge(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
-    from validate.judge.judgement import judge_trajectory
-
-    return judge_trajectory(scene, fmu, trajectory)
-
-
-def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
-    from validate.judge.replay.netcdf import write_replay
-
-    write_replay(path, replay, scene)
+def _checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
+    return [task for reference in CHECKS for task in _late(reference)(scenes)]
 
 
 def _write_report(folder: Path) -> Path:
@@ -88,8 +68,8 @@ class Plugin:
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
     quick: tuple[str, ...] | None = None
-    examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
-    compile: Callable[[Scene], None] = _compile
+    checks: Callable[[Sequence[SceneReference]], Sequence[CheckTask]] = _checks
+    compile: Callable[[Scene], object] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Any] = _judge

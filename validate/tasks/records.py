@@ -11,11 +11,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
-from formulations.solution import Bound, Outcome, Seconds, Solution
+from formulations.solution import Bound, Outcome, Solution
 from reports.records.record import (
     BoundRecord,
     CertificateRecord,
@@ -43,44 +44,32 @@ if TYPE_CHECKING:
     from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
     from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
-    from validate.tasks.run import RunTask
+    from validate.tasks.task import RunTask
+
+_Record = TypeVar("_Record", bound=BaseModel)
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
     """The record of a certificate, if there is one."""
     if certificate is None:
         return None
-    return CertificateRecord(
-        holds=certificate.holds,
-        feasible=certificate.feasible,
-        primal=finite(certificate.primal),
-        worst=certificate.worst,
-        complementarity=finite(certificate.complementarity),
-        dual=finite(certificate.dual),
-        letter=certificate.stationarity.letter,
-        meaning=certificate.stationarity.value,
-        pairs=certificate.pairs,
-        biactive=certificate.biactive,
-        least=finite(certificate.least),
-        unique=certificate.unique,
-        b_stationary=certificate.b_stationary,
-        sentence=certificate.sentence,
-    )
+    stationarity = certificate.stationarity
+    return _copied(CertificateRecord, certificate, letter=stationarity.letter, meaning=stationarity.value)
+
+
+def _copied(record: type[_Record], source: object, **own: Any) -> _Record:
+    """A record with what of a source is called like its fields, beside what is given; a number that is not finite is missing."""
+    names = [name for name in record.model_fields if name not in own and hasattr(source, name)]
+    return record(**{name: _plain_number(getattr(source, name)) for name in names}, **own)
+
+
+def _plain_number(value: Any) -> Any:
+    return finite(value) if isinstance(value, float) else value
 
 
 def start_records(solution: Solution) -> tuple[StartRecord, ...]:
     """The record of each start that a search tried."""
-    return tuple(
-        StartRecord(
-            number=start.number,
-            start=start.start,
-            outcome=start.outcome.name.lower(),
-            cost=finite(start.cost),
-            windows=start.windows,
-            seconds=start.seconds,
-        )
-        for start in solution.starts
-    )
+    return tuple(_copied(StartRecord, start, outcome=start.outcome.name.lower()) for start in solution.starts)
 
 
 def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, ...]:
@@ -138,13 +127,8 @@ def stage_record(
     """
     verdict, why = _verdict(solution, judged)
     return StageRecord(
+        **_asked(planned, solution.outcome),
         index=index,
-        method=planned.name,
-        method_title=planned.method.title,
-        kind=planned.method.kind.value,
-        eps=planned.eps,
-        outcome=solution.outcome.name.lower(),
-        advice=solution.outcome.value,
         message=solution.message,
         cost=finite(solution.cost),
         iterations=int(solution.iterations),
@@ -157,15 +141,18 @@ def stage_record(
         certificate=certificate_record(solution.certificate),
         starts=start_records(solution),
         front=front_records(scene, solution),
-        seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
-        metrics=tuple(_metric(metric) for metric in judged.score.metrics) if judged.score is not None else (),
+        seconds=_copied(SecondsRecord, solution.seconds, stage=wall, stage_cpu=cpu, total=before + wall, replay=judged.seconds),
         verdict=verdict,
         why=why,
-        questions=_questions(judged.score),
-        not_asked=() if judged.score is None else judged.score.not_asked,
-        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
         has_plan=solution.trajectory is not None,
+        **_of_score(judged),
     )
+
+
+def _asked(planned: Planned, outcome: Outcome) -> dict[str, Any]:
+    method = planned.method
+    named = {"method": planned.name, "method_title": method.title, "kind": method.kind.value, "eps": planned.eps}
+    return {**named, "outcome": outcome.name.lower(), "advice": outcome.value}
 
 
 def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[StageRecord]:
@@ -190,13 +177,8 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
 def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
     """The record of a stage without an answer: refused, crashed, out of time or never begun."""
     return StageRecord(
+        **_asked(planned, outcome),
         index=planned.index,
-        method=planned.name,
-        method_title=planned.method.title,
-        kind=planned.method.kind.value,
-        eps=planned.eps,
-        outcome=outcome.name.lower(),
-        advice=outcome.value,
         message=message,
         options=_options(asdict(planned.options)),
         verdict="not applicable" if outcome is Outcome.REFUSED else "no plan",
@@ -218,13 +200,10 @@ def given_stage(name: str, judged: Judged, message: str = "") -> StageRecord:
         message=message,
         cost=judged.score.value("cost"),
         seconds=SecondsRecord(replay=judged.seconds),
-        metrics=tuple(_metric(metric) for metric in judged.score.metrics),
         verdict=judged.score.verdict.value,
         why=judged.score.why,
-        questions=_questions(judged.score),
-        not_asked=judged.score.not_asked,
-        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
         has_plan=judged.replay is not None,
+        **_of_score(judged),
     )
 
 
@@ -291,32 +270,27 @@ def _size(solution: Solution) -> SizeRecord | None:
 def _replay(replay: Any, score: Any) -> ReplayRecord:
     error, growth, tracked = replay.error, getattr(replay, "growth", None), getattr(replay, "tracked", None)
     return ReplayRecord(
-        error_estimate=_position(error.estimate),
+        **_of_replay(replay),
         tolerance_difference=_position(error.tolerance),
         step_difference=_position(error.step),
         everyday_difference=_position(error.everyday),
         rollback_difference=_position(error.rollback),
         step_source=error.step_source,
-        events=len(replay.events),
-        seconds_reference=replay.seconds_reference,
-        seconds_everyday=replay.seconds_everyday,
         fmu=replay.fmu,
-        message=replay.message or replay.outcome.value,
         judged=getattr(score, "judged", "open"),
         growth_rate=None if growth is None else finite(growth.rate),
-        tracked=None if tracked is None else _tracked(tracked),
+        tracked=None if tracked is None else TrackedRecord(**_of_replay(tracked), **asdict(tracked.effort)),
     )
 
 
-def _tracked(replay: Any) -> TrackedRecord:
-    return TrackedRecord(
-        error_estimate=_position(replay.error.estimate),
-        events=len(replay.events),
-        seconds_reference=replay.seconds_reference,
-        seconds_everyday=replay.seconds_everyday,
-        message=replay.message or replay.outcome.value,
-        **asdict(replay.effort),
-    )
+def _of_replay(replay: Any) -> dict[str, Any]:
+    return {
+        "error_estimate": _position(replay.error.estimate),
+        "events": len(replay.events),
+        "seconds_reference": replay.seconds_reference,
+        "seconds_everyday": replay.seconds_everyday,
+        "message": replay.message or replay.outcome.value,
+    }
 
 
 def _position(difference: Any) -> float | None:
@@ -328,24 +302,19 @@ def _metric(metric: Metric) -> MetricRecord:
     return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
 
 
-def _questions(score: Any) -> tuple[QuestionRecord, ...]:
-    if score is None:
-        return ()
-    return tuple(QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in score.questions)
-
-
-def _seconds(seconds: Seconds, wall: float, cpu: float, before: float, replay: float) -> SecondsRecord:
-    return SecondsRecord(
-        build=seconds.build,
-        translate=seconds.translate,
-        evaluate=seconds.evaluate,
-        linear_algebra=seconds.linear_algebra,
-        solve=seconds.solve,
-        stage=wall,
-        stage_cpu=cpu,
-        total=before + wall,
-        replay=replay,
-    )
+def _of_score(judged: Judged) -> dict[str, Any]:
+    """What a stage has of its judge, but for the verdict."""
+    found: dict[str, Any] = {} if judged.replay is None else {"replay": _replay(judged.replay, judged.score)}
+    if judged.score is not None:
+        found |= {
+            "metrics": tuple(map(_metric, judged.score.metrics)),
+            "questions": tuple(
+                QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in judged.score.questions
+            ),
+            "not_asked": judged.score.not_asked,
+            "cause": getattr(judged.score, "cause", ""),
+        }
+    return found
 
 
 def _finite_values(values: Mapping[str, float]) -> dict[str, float]:

@@ -1,46 +1,115 @@
-"""A task: what a worker executes, a run or an examination. One child does it; where that leaves no record, its worker writes one.
+"""Tasks of a campaign as plain data with keys: a run, which is a scene by a pipeline, or a check; and how the child of one may end.
 
-record = execute(task, provenance, folder, began, profile)          # in the child: validate.execution.child
-record = record_for_crash(task, provenance, exit, folder)           # by the worker: validate.execution.worker
+    task = task_from_json(task_to_json(task))          # what a child is given
+
+What a worker does with a run: validate.tasks.path; with a check: validate.tasks.check.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from reports.records.check_record import ExaminationRecord
-from reports.records.record import ProvenanceRecord, RunRecord
-from validate.tasks.examination import Examination, run_examination, unfinished_examination
-from validate.tasks.path import LoadedRun, load_run, run_path, unfinished_run
-from validate.tasks.profile import Profile
-from validate.tasks.run import ChildExit, RunTask
+from pydantic import TypeAdapter
 
-Task: TypeAlias = RunTask | Examination
+from formulations.method import Pipeline
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import RunRecord
+from validate.tasks.variant import Variant
+
+
+@dataclass(frozen=True)
+class PlannedLeg:
+    """The stages `first` (from 0) to before `end` of a pipeline. key: of the leg at this place of its path; alone: of the same leg at the beginning of one."""
+
+    first: int
+    end: int
+    key: str
+    alone: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunTask:
+    """A scene by a pipeline.
+
+    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; plugin: a dotted name (validate.tasks.plugins); legs:
+    its path.
+    """
+
+    key: str
+    scene: str
+    scene_name: str
+    pipeline: Pipeline
+    plugin: str
+    time_limit: float
+    variant: Variant | None = None
+    legs: tuple[PlannedLeg, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        part = self.pipeline.part
+        return f"{self.scene_name} x {self.pipeline.name}" + (f" ({part[0]} of {part[1]})" if part else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckTask:
+    """A task that is no run: a function is asked a question, and what it finds is as expected or not.
+
+    function: `module:name`, called in the child with the arguments (JSON data); content: text that decides the result beside arguments and
+    sources, such as that of a scene (models.scene.text); sources: the parts of our sources that matter, as beginnings of
+    paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one it is about; quick: whether `--quick` runs it;
+    words: further names for `-k`; group: what it and its like are called where only their number is said; key and time_limit [s]: filled in by the campaign.
+    """
+
+    kind: str
+    name: str
+    expected: str
+    function: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    content: str = ""
+    sources: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    scene: str | None = None
+    quick: bool = True
+    words: tuple[str, ...] = ()
+    group: str = ""
+    key: str = ""
+    time_limit: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        return f"{self.kind}: {self.name}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What `-k` looks at."""
+        return (self.kind, self.name, *self.words, *([self.scene] if self.scene else []))
+
+
+Task: TypeAlias = RunTask | CheckTask
 TaskRecord: TypeAlias = RunRecord | ExaminationRecord
+_TASK: TypeAdapter[Task] = TypeAdapter(Task)
+
+
+def task_to_json(task: Task) -> dict[str, Any]:
+    """Everything that a child and a resumed campaign need."""
+    return _TASK.dump_python(task, mode="json")
 
 
 def task_from_json(data: Mapping[str, Any]) -> Task:
-    """The task that was written by its `to_json`."""
-    return Examination.from_json(data) if "examination" in data else RunTask.from_json(data)
+    """The task that `task_to_json` wrote. Raises pydantic's ValidationError."""
+    return _TASK.validate_python(data)
 
 
-def execute(task: Task, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile) -> TaskRecord:
-    """The record of a task, made in its folder. began [s]: time.monotonic() at the start of the process; profile: of the process until now.
+@dataclass(frozen=True, kw_only=True)
+class ChildExit:
+    """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
 
-    Raises MachineError where this machine cannot go on; whatever else goes wrong is in the record.
-    """
-    if isinstance(task, Examination):
-        return run_examination(task, provenance, folder, began)
-    profile.lap("imports")
-    return run_path(task, provenance, folder, began, profile)
-
-
-def record_for_crash(
-    task: Task, provenance: ProvenanceRecord, child: ChildExit, folder: Path, loaded: LoadedRun | None = None
-) -> TaskRecord:
-    """The record of a task whose child left none. loaded: of a run, if it is loaded already; a scene file may have changed since."""
-    if isinstance(task, Examination):
-        return unfinished_examination(task, provenance, child)
-    return unfinished_run(task, loaded or load_run(task), provenance, child, folder)
+    outcome: str
+    message: str
+    wall: float
+    cpu: float
+    log: str

@@ -8,7 +8,7 @@ The changed scene is a scene like any other: its text, numbers included, is part
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from models.errors import SceneError
@@ -30,14 +30,14 @@ class Variant:
     goal: Mapping[str, float | None] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
-        """As JSON holds it."""
-        return asdict(self)
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Variant:
-        """The variant that `to_json` wrote."""
-        return cls(**{**data, "limits": {name: (value, reason) for name, (value, reason) in data["limits"].items()}})
+@dataclass(frozen=True)
+class SceneReference:
+    """A scene of the campaign, what load_scene takes to find it again in a child, and what a campaign file changed of it (done in `scene`)."""
+
+    where: str
+    scene: Scene
+    variant: Variant | None = None
 
 
 def state_names(scene: Scene) -> tuple[str, ...]:
@@ -58,7 +58,7 @@ def varied(scene: Scene, variant: Variant) -> Scene:
         steps=scene.task.steps if variant.steps is None else variant.steps,
         step=scene.task.step if variant.step is None else variant.step,
     )
-    limits |= {metric: _limit(metric, *limit) for metric, limit in variant.limits.items()}
+    limits |= {metric: Limit(metric=metric, value=value, reason=reason) for metric, (value, reason) in variant.limits.items()}
     changes = ", ".join(in_words(scene, variant))
     return replace(
         scene.with_parameters(**variant.parameters),
@@ -86,7 +86,3 @@ def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Map
         if name not in names:
             raise SceneError(f"scene {scene.name}: {what} has no component {name!r}; it has {', '.join(names)}.")
     return tuple(changes.get(name, value) for name, value in zip(names, values, strict=True))
-
-
-def _limit(metric: str, value: float, reason: str) -> Limit:
-    return Limit(metric=metric, value=value, reason=reason)

@@ -125,7 +125,7 @@ def test_what_is_damaged_or_of_another_version_is_told_first_and_the_rest_is_sho
     cut = folder / "runs" / runs[0].key / "record.json"
     cut.write_text(cut.read_text()[:2000])
     old = folder / "runs" / runs[1].key / "record.json"
-    old.write_text(old.read_text().replace('"schema_version":4', '"schema_version":3'))
+    old.write_text(old.read_text().replace('"schema_version":5', '"schema_version":4'))
     notices = overview.build(Report(load(folder), folder)).values["notices"]
     assert notices[0] == "1 run of the campaign has no stored record yet; the same command runs them."
     assert notices[1].startswith("2 files could not be read: of 1 of them ")

@@ -59,6 +59,7 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
         "outcome": "stalled",
         "questions": factory.questions(q4="no"),
         "why": "the motion ends 0.12 m from the goal.",
+        "cause": "motion",
     }
     run = run.model_copy(update={"stages": (stage.model_copy(update=said),)})
     decision = decision_of(run)

@@ -165,8 +165,8 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
     [
         (None, ["not there", "run the campaign again"]),
         ("{", ["not complete JSON", "run it again"]),
-        ("{}", ["record schema 4", "at examination.key: Field required", "and 8 more"]),
-        ("1", ["record schema 4", "Input should be"]),
+        ("{}", ["record schema 5", "at examination.key: Field required", "and 8 more"]),
+        ("1", ["record schema 5", "Input should be"]),
     ],
 )
 def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):

@@ -49,9 +49,9 @@ def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
 @pytest.mark.slow
 def test_another_version_is_recognised(cli, ran):
     """The same cells under another content, as after a change of the sources."""
-    for request in ran.glob("runs/*/cell.json"):
+    for request in ran.glob("runs/*/task.json"):
         data = json.loads(request.read_text())
-        if "good" in json.dumps(data["cell"]["pipeline"]):
+        if "good" in json.dumps(data["task"]["pipeline"]):
             moved = request.parent.with_name("f" * 64)
             request.parent.rename(moved)
             break
@@ -68,9 +68,9 @@ def test_another_version_is_recognised(cli, ran):
 def test_damaged_requests_are_passed_over(cli, ran):
     bad = ran / "runs" / ("0" * 64)
     bad.mkdir()
-    (bad / "cell.json").write_text('{"cell": [1, 2')
+    (bad / "task.json").write_text('{"task": [1, 2')
     (ran / "runs" / ("1" * 64)).mkdir()
-    (ran / "runs" / ("1" * 64) / "cell.json").write_text('"text"')
+    (ran / "runs" / ("1" * 64) / "task.json").write_text('"text"')
     assert told(cli, ran, "-k", "only_good")["stored"] >= 1
 
 

@@ -51,7 +51,7 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("cell", "named"),
+    ("task", "named"),
     [
         ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [2, 4]}}, "three_cart x mpcc (2 of 4)"),
         ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": None}}, "three_cart x mpcc"),
@@ -65,10 +65,10 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
         ([1, 2], "three_cart x strict"),
     ],
 )
-def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(cell: object, named: str, tmp_path: Path):
+def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(task: object, named: str, tmp_path: Path):
     run = factory.run("strict", None, "strict_lcp")
     store = Store(factory.store(tmp_path / "all", [run]))
-    (store.runs / run.key / "cell.json").write_text(json.dumps({"cell": cell}), encoding="utf-8")
+    (store.runs / run.key / "task.json").write_text(json.dumps({"task": task}), encoding="utf-8")
     assert stored_names(store, [run.key, "no-such-key"]) == {run.key: named}
 
 

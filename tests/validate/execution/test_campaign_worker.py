@@ -23,7 +23,7 @@ from validate.store.store import Store
 pytestmark = pytest.mark.process
 
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
-KEPT = {"cell.json", "log.txt", "record.json", "files.json"}
+KEPT = {"task.json", "log.txt", "record.json", "files.json"}
 
 
 def _records(out: Path) -> dict[str, RunRecord]:
@@ -224,8 +224,8 @@ def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_
 def test_a_cell_knows_how_it_was_run(misbehaved):
     out, _ = misbehaved
     record = _records(out)["only_good"]
-    request = json.loads((out / "runs" / record.key / "cell.json").read_text())
-    assert request["cell"]["time_limit"] == 240.0
+    request = json.loads((out / "runs" / record.key / "task.json").read_text())
+    assert request["task"]["time_limit"] == 240.0
     assert record.provenance.threads == 1
     assert record.provenance.command.startswith("python -m validate all --plugin")
     assert record.provenance.packages["numpy"]

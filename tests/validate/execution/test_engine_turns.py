@@ -18,13 +18,13 @@ import pytest
 from models.errors import MachineError
 from validate.execution import campaign as module
 from validate.execution.campaign import CampaignSettings, run_tasks, select
-from validate.execution.dask import DaskEngine, Request, local_cluster
+from validate.execution.dask import DaskEngine, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.execution.worker import record_for_crash
 from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
 from validate.store.store import Store
-from validate.tasks.run import ChildExit
-from validate.tasks.task import record_for_crash
+from validate.tasks.task import ChildExit
 
 pytestmark = pytest.mark.process
 
@@ -75,11 +75,11 @@ class Campaign:
         client = SimpleNamespace(nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"))
         return DaskEngine(client, self.context, 1, self.context.store.runs / "mark", len(self.tasks))
 
-    def submit(self, _function: Any, request: Request) -> Future[Any]:
+    def submit(self, _function: Any, task: Any, _name: str) -> Future[Any]:
         future: Future[Any] = Future()
         self.silent -= 1
         if not self.dumb:
-            future.set_result(None if self.silent >= 0 else self.record(request.task.key))
+            future.set_result(None if self.silent >= 0 else self.record(task.key))
         return future
 
     def shutdown(self, wait: bool) -> None:

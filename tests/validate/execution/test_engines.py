@@ -8,7 +8,7 @@ import re
 import signal
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
@@ -128,12 +128,12 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
 
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
     monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)
-    asked: Any = {"task": None, "provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "tasks": 1, "name": ""}
+    asked: Any = {"provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "tasks": 1}
     with pytest.raises(MachineError, match=f"the campaign's folder {tmp_path} is not seen here.*said by the Dask worker on"):
-        dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint=fingerprint()))
+        dask_cell.run_on_worker(cast("Any", None), "", **asked, sources=fingerprint())
     (tmp_path / "runs" / asked["mark"]).mkdir(parents=True)
     with pytest.raises(MachineError, match="the sources, libraries or compiler here are not those of the campaign"):
-        dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint="another"))
+        dask_cell.run_on_worker(cast("Any", None), "", **asked, sources="another")
 
 
 @pytest.mark.slow

@@ -40,8 +40,8 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
         (run / "record.json").write_text(
             json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
         )
-    request = {"cell": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
-    (run / "cell.json").write_bytes(spoilt_json(rng, request))
+    request = {"task": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
+    (run / "task.json").write_bytes(spoilt_json(rng, request))
     (run / "files.json").write_bytes(spoilt_json(rng, {"trajectory_0.nc": 10}))
     return path
 
@@ -52,7 +52,7 @@ def _entry() -> Any:
     from models.catalog import load_scene
     from validate.plan.runs import PlannedRun
     from validate.tasks.path import LoadedRun
-    from validate.tasks.run import RunTask
+    from validate.tasks.task import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
     task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)
@@ -61,9 +61,9 @@ def _entry() -> Any:
 
 def resume(path: Path) -> None:
     from reports.records.load import load
+    from validate.cli.compare import compare
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.plan.warnings import time_steps
-    from validate.store.compare import compare
     from validate.store.store import Store
     from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema
 

@@ -45,7 +45,7 @@ def spoilt_campaign(rng: random.Random, folder: Path) -> Path:
     for path, data in (
         (run / "record.json", record),
         (folder / "campaign" / "campaign.json", campaign),
-        (run / "cell.json", {"cell": {"key": KEY}}),
+        (run / "task.json", {"task": {"key": KEY}}),
     ):
         path.write_bytes(spoilt_json(rng, data) if rng.random() < 0.6 else json.dumps(data).encode())
     return folder / "campaign"
@@ -57,7 +57,7 @@ def read_record(path: Path) -> None:
 
     from reports.records.load import load
     from validate.cli.show import command
-    from validate.store.results import results_text
+    from validate.store.results import tables
     from validate.store.store import Store
     from validate.store.stored import stored_campaign
 
@@ -65,7 +65,7 @@ def read_record(path: Path) -> None:
     list(Store(path).requests())
     campaign, records = stored_campaign(path)
     del campaign
-    results_text([record for record in records if hasattr(record, "stages")])
+    tables([record for record in records if hasattr(record, "stages")], (), ())
     with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         for record in records:
             command.main([record.key, "--in", str(path)], standalone_mode=False)

@@ -38,7 +38,7 @@ class _Copied(ChildProcess):
 
     def __init__(self, module: str, arguments: Sequence[str], *, token: str, temporary: Path, output: IO[bytes]) -> None:
         (folder,) = arguments
-        stored = Path(os.environ["CELLS"]) / json.loads((Path(folder) / "cell.json").read_text())["cell"]["key"]
+        stored = Path(os.environ["CELLS"]) / json.loads((Path(folder) / "task.json").read_text())["task"]["key"]
         if not stored.is_dir():
             super().__init__(module, arguments, token=token, temporary=temporary, output=output)
             return

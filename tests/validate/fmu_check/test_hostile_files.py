@@ -71,7 +71,7 @@ def test_a_damaged_netcdf_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFi
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", ["campaign.json", "record.json", "cell.json", "files.json"])
+@pytest.mark.parametrize("name", ["campaign.json", "record.json", "task.json", "files.json"])
 def test_a_file_nested_without_end_is_read_or_refused(name: str, tmp_path: Path):
     """Random mutations seldom put it where a value stands."""
 

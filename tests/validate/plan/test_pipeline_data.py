@@ -1,5 +1,7 @@
 """The pipelines of Table I are data: names, schedules, counts, and the paper's numbers beside them."""
 
+import json
+
 import pytest
 
 from formulations.pipelines import (
@@ -7,15 +9,15 @@ from formulations.pipelines import (
     QUICK,
     find_pipeline,
     load_method,
-    pipeline_from_json,
+    parts_of,
     pipeline_names,
-    pipeline_to_json,
     stage_plan,
 )
 from models.errors import UnknownNameError
 from reports.paper import TABLE_1
 from validate.tasks.leg import planned_stages
 from validate.tasks.paper import paper_row, table_rows
+from validate.tasks.task import RunTask, task_from_json, task_to_json
 
 TABLE_ONE = (
     *("strict", "relu_gd", "relaxed+strict", "relaxed+relu_gd"),
@@ -59,7 +61,13 @@ def test_methods_know_their_stages(pipeline):
 
 @pytest.mark.parametrize("pipeline", PIPELINES, ids=lambda pipeline: pipeline.name)
 def test_json_keeps_a_pipeline(pipeline):
-    assert stage_plan(pipeline_from_json(pipeline_to_json(pipeline))) == stage_plan(pipeline)
+    """Each of its parts, as what a child is given."""
+    for part in parts_of(pipeline):
+        task = RunTask(key="k", scene="three_cart", scene_name="s", pipeline=part, plugin="p", time_limit=1.0)
+        again = task_from_json(json.loads(json.dumps(task_to_json(task))))
+        assert isinstance(again, RunTask)
+        assert stage_plan(again.pipeline) == stage_plan(part)
+        assert again.pipeline.part == part.part
 
 
 def test_a_typo_is_answered():

@@ -68,7 +68,7 @@ def test_a_scene_text_sees_assumptions_and_every_field():
 def test_sources_of_other_methods_and_scenes_do_not_count():
     digests = source_digests(["softplus_gd"])
     assert "models/dynamics.py" in digests
-    assert "validate/tasks/run.py" in digests
+    assert "validate/tasks/task.py" in digests
     assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
     assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]
 

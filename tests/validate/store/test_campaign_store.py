@@ -8,16 +8,16 @@ import pytest
 
 from reports.records.record import LegRecord, RunRecord
 from validate.execution.campaign import CampaignSettings, select, with_stored
+from validate.execution.worker import record_for_crash
 from validate.judge.score import metric_names
 from validate.plan.runs import reasons
 from validate.store.provenance import gather
-from validate.store.results import COLUMNS, results_text
+from validate.store.results import COLUMNS, RESULTS, tables
 from validate.store.store import Store
 from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
-from validate.tasks.run import ChildExit
 from validate.tasks.scene_record import scene_record
-from validate.tasks.task import record_for_crash
+from validate.tasks.task import ChildExit, task_to_json
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -
     store.prepare()
     partial = store.open_partial(record.key, "token")
     (partial / "record.json").write_text(record.model_dump_json())
-    (partial / "cell.json").write_text(json.dumps({"cell": {"time_limit": time_limit}}))
+    (partial / "task.json").write_text(json.dumps({"task": {"time_limit": time_limit}}))
     store.commit(partial, record.key)
 
 
@@ -93,7 +93,7 @@ def test_results_have_the_columns_of_the_design(entry):
     first = tuple(design.split(", "))
     assert (*first, *(name for name in metric_names() if name not in first)) == COLUMNS
     assert len(set(COLUMNS)) == len(COLUMNS)
-    header, row = results_text([_record(entry, "infeasible")]).splitlines()
+    header, row = tables([_record(entry, "infeasible")], (), ())[RESULTS].splitlines()
     assert header == ",".join(COLUMNS)
     told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}
     assert row.split(",") == [told.get(name, "") for name in COLUMNS]
@@ -115,7 +115,7 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
     store.prepare()
     partial = store.open_partial(entry.task.key, "token")
     (partial / "record.json").write_text(_record(entry, "solved").model_dump_json())
-    (partial / "cell.json").write_text(json.dumps({"cell": {**entry.task.to_json(), "time_limit": 600.0}}))
+    (partial / "task.json").write_text(json.dumps({"task": {**task_to_json(entry.task), "time_limit": 600.0}}))
     for name in ("trajectory.nc", "replay.nc"):
         (partial / name).write_bytes(name.encode())
     HARMS[why](store.commit(partial, entry.task.key))

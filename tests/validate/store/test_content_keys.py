@@ -15,7 +15,7 @@ from formulations.method import Leg, Pipeline
 from formulations.pipelines import load_method, method_names
 from validate.execution.campaign import CampaignSettings, select
 from validate.store import provenance
-from validate.tasks.examination import Examination
+from validate.tasks.task import CheckTask
 
 
 def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
@@ -98,14 +98,14 @@ def _sources_with(changed: str) -> dict[str, str]:
 
 
 SOURCES = provenance._source_digests()
-# A file of ours, and whether it decides: a cell of strict_lcp, an examination of nothing but models/fmu, one that names no sources, which has all.
+# A file of ours, and whether it decides: a run of strict_lcp, a check of nothing but models/fmu, one that names no sources, which has all.
 DECIDES = {
     "models/fmu/package.py": (True, True, True),
     "models/dynamics.py": (True, False, True),
     "formulations/methods/strict_lcp.py": (True, False, False),
     "formulations/methods/mpcc.py": (False, False, False),
     "models/scenes/three_cart.py": (False, False, False),
-    "validate/tasks/examination.py": (False, True, True),
+    "validate/tasks/check.py": (False, True, True),
     "validate/judge/score/measures.py": (True, False, True),
     "reports/records/record.py": (True, True, True),
 }
@@ -115,11 +115,11 @@ DECIDES = {
 @pytest.mark.parametrize("changed", DECIDES)
 def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monkeypatch: pytest.MonkeyPatch):
     assert changed in SOURCES, "or nothing would be changed"
-    one = Examination(kind="k", name="n", expected="e", function="f", sources=("models/fmu",))
+    one = CheckTask(kind="k", name="n", expected="e", function="f", sources=("models/fmu",))
     whole = replace(one, sources=())
 
     def keys() -> tuple[str, ...]:
-        return key(STRICT), provenance.examination_key(one), provenance.examination_key(whole)
+        return key(STRICT), provenance.check_key(one), provenance.check_key(whole)
 
     before = keys()
     monkeypatch.setattr(provenance, "_source_digests", lambda: _sources_with(changed))

@@ -23,20 +23,7 @@ from reports.records.record import (
 )
 from tests.reports import record_factory as factory
 from validate.judge.score import metric_names
-from validate.store.results import (
-    COLUMNS,
-    EXAMINATIONS,
-    FRONT,
-    STARTS,
-    examinations_text,
-    results_text,
-    rows,
-    violation_text,
-    write_examinations,
-    write_results,
-    write_sweeps,
-    write_violation,
-)
+from validate.store.results import CHECKS, COLUMNS, FRONT, RESULTS, STARTS, VIOLATION, rows, tables, write_tables
 
 _FIRST = (
     "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error", "replay_terminal_position_error",
@@ -82,7 +69,7 @@ def read(text: str) -> list[dict[str, str]]:
 
 
 def test_every_value_stands_in_its_own_column(template: RunRecord):
-    (found,) = read(results_text([run_of(template, stage())]))
+    (found,) = read(tables([run_of(template, stage())], (), ())[RESULTS])
     assert tuple(found) == COLUMNS
     assert found == {
         "scene": "three_cart", "pipeline": "relaxed+strict", "stage": "7", "method": "relaxed_lcp", "eps": "0.0001", "outcome": "stalled",
@@ -98,7 +85,7 @@ def test_what_is_not_known_is_empty(template: RunRecord):
         index=0, outcome="refused", cost=None, eps=None, iterations=0, seconds=SecondsRecord(), metrics=(metric("defect", None),), verdict="not applicable",
         replay=None,
     )  # fmt: skip
-    first, second = read(results_text([run_of(template, refused, stage(index=1))]))
+    first, second = read(tables([run_of(template, refused, stage(index=1))], (), ())[RESULTS])
     known = {
         "scene": "three_cart",
         "pipeline": "relaxed+strict",
@@ -114,19 +101,19 @@ def test_what_is_not_known_is_empty(template: RunRecord):
     assert rows([run_of(template, brief)])[0]["iterations"] == 0
 
 
-def test_an_examination_is_told_by_what_it_found_or_by_why_it_did_not():
+def test_a_check_is_told_by_what_it_found_or_by_why_it_did_not():
     one = ExaminationRecord(
         key="k", kind="fmu", name="three_cart, FMI 2.0", scene="three_cart", outcome="passed", passed=True, found="41 passed", message="unsaid",
         wall_seconds=1.5, cpu_seconds=2.5, expected="a sound FMU passes", provenance=factory.provenance(),
     )  # fmt: skip
     other = one.model_copy(update={"name": "other", "outcome": "crashed", "passed": False, "found": "", "message": "signal 11"})
-    found = read(examinations_text([one, other]))
+    found = read(tables((), [one, other], ())[CHECKS])
     assert found[0] == {
         "kind": "fmu", "name": "three_cart, FMI 2.0", "scene": "three_cart", "outcome": "passed", "passed": "True", "message": "41 passed",
         "wall_s": "1.5", "cpu_s": "2.5",
     }  # fmt: skip
     assert (found[1]["message"], found[1]["passed"]) == ("signal 11", "False")
-    assert examinations_text([]) == ""
+    assert tables((), (), ())[CHECKS] == ""
 
 
 CERTIFICATE = CertificateRecord(
@@ -143,7 +130,7 @@ def test_each_start_and_each_point_of_a_front_is_a_row(template: RunRecord, tmp_
     run = run_of(
         template, stage(), stage(index=1, starts=(start, start.model_copy(update={"cost": None, "windows": ()})), front=(point, bare))
     )
-    write_sweeps(tmp_path, iter([run]))
+    write_tables(tmp_path, [run], (), ())
     of_run = {"scene": "three_cart", "pipeline": "relaxed+strict"}
     starts, front = (read((tmp_path / name).read_text()) for name in (STARTS, FRONT))
     first = {"start": "3", "from": "from rest", "outcome": "stalled", "cost": "4.5", "windows": "left:0-2 right:10-12", "cpu_s": "1.5"}
@@ -155,36 +142,25 @@ def test_each_start_and_each_point_of_a_front_is_a_row(template: RunRecord, tmp_
         | {"tolerance": "0.02", "outcome": "infeasible", "cost": "", "terminal_error": "", "windows": ""}
         | dict.fromkeys(residuals, ""),
     ]
-    write_sweeps(tmp_path, [run_of(template, stage())])
-    assert list(tmp_path.iterdir()) == []
+    write_tables(tmp_path, [run_of(template, stage())], (), ())
+    assert sorted(path.name for path in tmp_path.iterdir()) == [RESULTS, VIOLATION], "what says nothing is removed"
 
 
-def test_a_violation_stands_beside_its_closed_form(tmp_path: Path):
+def test_a_violation_stands_beside_its_closed_form():
     points = [ViolationPoint(law="softplus", eps=0.01, measured=measured, closed_form=4.0) for measured in (5.0, 3.0)]
-    for found in (violation_text(points), (write_violation(tmp_path / "v.csv", points), (tmp_path / "v.csv").read_text())[1]):
-        assert found.splitlines() == [
-            "law,eps,measured,closed_form,relative_difference",
-            "softplus,0.01,5.0,4.0,0.25",
-            "softplus,0.01,3.0,4.0,0.25",
-        ]
+    assert tables((), (), points)[VIOLATION].splitlines() == [
+        "law,eps,measured,closed_form,relative_difference",
+        "softplus,0.01,5.0,4.0,0.25",
+        "softplus,0.01,3.0,4.0,0.25",
+    ]
 
 
 def test_files_hold_the_texts(template: RunRecord, tmp_path: Path):
-    run = run_of(template, stage())
-    write_results(tmp_path / "r.csv", [run])
-    assert (tmp_path / "r.csv").read_text() == results_text([run])
     check = ExaminationRecord(
-        key="k",
-        kind="fmu",
-        name="n",
-        outcome="passed",
-        passed=True,
-        wall_seconds=1.5,
-        cpu_seconds=2.5,
-        expected="",
+        key="k", kind="fmu", name="n", outcome="passed", passed=True, wall_seconds=1.5, cpu_seconds=2.5, expected="",
         provenance=factory.provenance(),
-    )
-    write_examinations(tmp_path / EXAMINATIONS, [check])
-    assert (tmp_path / EXAMINATIONS).read_text() == examinations_text([check])
-    write_examinations(tmp_path / EXAMINATIONS, [])
-    assert not (tmp_path / EXAMINATIONS).exists()
+    )  # fmt: skip
+    asked = ([run_of(template, stage())], [check], ())
+    write_tables(tmp_path, *asked)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: text for name, text in tables(*asked).items() if text}
+    assert (tmp_path / CHECKS).exists()

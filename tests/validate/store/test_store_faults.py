@@ -163,7 +163,7 @@ def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     results = (settings.out / "results.csv").read_bytes()
     records = {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")}
     assert len(records) == 2
-    (settings.out / "examinations.csv").write_text("of an earlier campaign")  # is to be removed
+    (settings.out / "checks.csv").write_text("of an earlier campaign")  # is to be removed
     for _ in _refusals(disk, lambda: run_campaign(settings, PlainNarrator())):
         assert (settings.out / "results.csv").read_bytes() == results
         assert {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")} == records

@@ -55,7 +55,7 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
     store = Store(factory.store(tmp_path / "all", runs))
     for number, run in enumerate(runs):
         cell = {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": f"p{number}", "part": None, "legs": []}}
-        (store.runs / run.key / "cell.json").write_text(json.dumps({"cell": cell}), encoding="utf-8")
+        (store.runs / run.key / "task.json").write_text(json.dumps({"task": cell}), encoding="utf-8")
     with pytest.raises(CampaignError, match="nothing that is selected failed") as error:
         only_last_failed((), store)
     said = str(error.value)
@@ -101,7 +101,7 @@ def _asked(pipeline: str) -> dict:
 def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
     store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
     for key in "abc":
-        (store.runs / key / "cell.json").write_text(json.dumps({"cell": _asked(key)}), encoding="utf-8")
+        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
     earlier, found = with_others(store, {identity(_asked(key.lower())): key for key in part})
     assert earlier is not None
     assert "".join(found) == keys
@@ -110,7 +110,7 @@ def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp
 def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
     store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
     for key in "ab":
-        (store.runs / key / "cell.json").write_text(json.dumps({"cell": _asked(key)}), encoding="utf-8")
+        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
     (store.runs / "b" / "record.json").unlink()
     assert with_others(store, {identity(_asked("d")): "d"})[1] == ("a", "d")
     (store.folder / CAMPAIGN).unlink()

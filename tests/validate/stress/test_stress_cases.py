@@ -14,13 +14,14 @@ import pytest
 
 from formulations.pipelines import method_names
 from models.catalog import scene_names
-from models.errors import UnknownNameError
+from models.errors import TouchstoneError, UnknownNameError
 from reports.records.check_record import ExaminationRecord
 from reports.rule import failures
 from validate.store.provenance import gather
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
-from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
-from validate.stress.tasks import examinations, found_of
+from validate.stress.case import at_least, at_most, chart, checks, finding, none_of, refusal, unlimited
+from validate.stress.catalog import FOLDER, case_names, describe_case, heading, load_case
+from validate.tasks.check import Found
+from validate.tasks.task import task_to_json
 
 NAMES = case_names()
 # What is made shorter here; a campaign runs all of it.
@@ -41,14 +42,13 @@ CHEAP: dict[str, dict[str, object]] = {
 }
 
 
-def record_of(name: str, finding: CaseFinding) -> ExaminationRecord:
+def record_of(name: str, found: Found) -> ExaminationRecord:
     """The record that a campaign would store, through JSON and back."""
-    case, found = describe_case(name), found_of(finding)
     record = ExaminationRecord(
         key="0" * 64,
         kind="stress case",
-        name=case.heading,
-        expected=case.expected,
+        name=heading(name),
+        expected=describe_case(name).expected,
         outcome="answered",
         passed=found.passed,
         found=found.sentence,
@@ -67,11 +67,11 @@ def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
     module = importlib.import_module(f"validate.stress.cases.{name}")
     for constant, value in CHEAP.get(name, {}).items():
         monkeypatch.setattr(module, constant, value)
-    finding = load_case(name).measure()
-    assert finding.passed, [
-        f"{figure.name} = {figure.value} (limit {figure.limit}): {figure.meaning}" for figure in finding.figures if not figure.ok
+    found = load_case(name)()
+    assert found.passed, [
+        f"{figure.name} = {figure.value} (limit {figure.limit}): {figure.meaning}" for figure in found.figures if not figure.ok
     ]
-    record = record_of(name, finding)
+    record = record_of(name, found)
     assert record.passed
     assert record.found
     assert "\n" not in record.found
@@ -79,34 +79,27 @@ def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
     for figure in record.figures:
         assert figure.value is not None
         assert figure.reason or figure.limit is None, f"{figure.name} has a limit without a reason"
-    for chart in record.charts:
-        assert all(len(series.x) == len(series.y) > 0 for series in chart.series)
+    for drawn in record.charts:
+        assert all(len(series.x) == len(series.y) > 0 for series in drawn.series)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_case_says_what_it_depends_on(name: str):
     """A stored result is used again only while these are the same: names that the file loads must be among them."""
     text, said = (FOLDER / f"{name}.py").read_text(encoding="utf-8"), describe_case(name)
-    assert said.name == name
     loaded = set(re.findall(r'load_scene\("(\w+)"\)', text)) | set(re.findall(r"from models\.scenes\.(\w+) import", text))
     assert loaded <= set(said.scenes) <= set(scene_names())
     assert set(re.findall(r'load_method\("(\w+)"\)', text)) <= set(said.methods) <= set(method_names())
-    case = load_case(name)
-    assert (case.title, case.expected, case.quick, case.scenes, case.methods) == (
-        said.title,
-        said.expected,
-        said.quick,
-        said.scenes,
-        said.methods,
-    )
+    module = importlib.import_module(f"validate.stress.cases.{name}")
+    assert (module.CASE, module.measure) == (said, load_case(name))
 
 
 def test_all_rows_are_there_once_and_offered_to_a_campaign():
     assert [int(name[1:3]) for name in NAMES] == list(range(1, 22))
-    offered = examinations(())
-    assert [item.name for item in offered] == [describe_case(name).heading for name in NAMES]
+    offered = checks(())
+    assert [item.name for item in offered] == [heading(name) for name in NAMES]
     assert 0 < sum(item.quick for item in offered) < len(offered)
-    assert all(json.dumps(item.to_json()) for item in offered)
+    assert all(json.dumps(task_to_json(item)) for item in offered)
 
 
 def test_an_unknown_case_is_named():
@@ -134,22 +127,36 @@ def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
 
 
 def test_a_case_without_a_judged_figure_has_not_passed():
-    assert not CaseFinding(happened="", figures=()).passed
-    assert not CaseFinding(happened="", figures=(unlimited("only told", 1.0),)).passed
+    assert not finding("").passed
+    assert not finding("", unlimited("only told", 1.0)).passed
 
 
 def test_numbers_that_are_none_get_into_no_record():
-    chart = Chart(title="t", x=("x", ""), y=("y", ""), series=(Series(name="s", x=[1.0, 2.0, 3.0], y=[1.0, math.nan, math.inf]),))
-    finding = CaseFinding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))
-    record = record_of(NAMES[0], finding)
+    drawn = chart("t", x=("x", ""), y=("y", ""), series={"s": ([1.0, 2.0, 3.0], [1.0, math.nan, math.inf])})
+    record = record_of(NAMES[0], finding("two\nlines", at_most("error", math.nan, 1.0, reason="r"), charts=(drawn,)))
     assert not record.passed
     assert record.figures[0].value is None
     assert record.charts[0].series[0].x == (1.0,)
     assert len(failures((), (record,))) == 1
 
 
-def test_a_case_is_its_files_name():
-    assert all(isinstance(load_case(name), HardCase) and load_case(name).name == name for name in ("h13_b_stationary", "h15_softplus_eps"))
+def _raise(error: Exception) -> None:
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("act", "wrong"),
+    [
+        (lambda: _raise(TouchstoneError("eps must be below 1.")), None),
+        (lambda: _raise(TouchstoneError("eps\nmust be below 1.")), "does not name 'eps' or 'sharpness'"),
+        (lambda: _raise(TouchstoneError("it must be below 1.")), "does not name 'eps' or 'sharpness'"),
+        (lambda: _raise(ValueError("eps")), "ValueError instead of a sentence"),
+        (lambda: None, "it is taken"),
+    ],
+)
+def test_a_refusal_is_one_sentence_that_names_what_is_wrong(act, wrong: str | None):
+    found = refusal("it", ["eps", "sharpness"], act)
+    assert found == [] if wrong is None else (len(found) == 1 and wrong in found[0])
 
 
 @pytest.fixture(scope="module")

@@ -144,7 +144,7 @@ def test_an_eps_above_one_that_is_taken(monkeypatch):
     monkeypatch.setattr("models.codegen.kernel.sharpness", lambda eps, length: abs(math.log(abs(eps))) / length if eps else 1.0 / length)
     finding = h15_softplus_eps.measure()
     assert "accepted nonsense inputs" in broken(finding)
-    assert "the compiled law takes 1.5" in next(figure.meaning for figure in finding.figures if figure.ok is False)
+    assert "1.5 for the compiled law is taken" in next(figure.meaning for figure in finding.figures if figure.ok is False)
 
 
 def test_a_plan_that_takes_anything(monkeypatch):

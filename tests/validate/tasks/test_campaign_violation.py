@@ -1,13 +1,11 @@
 """Fig. 2: what is measured through the compiled contact law is the closed form the paper did not find."""
 
-import csv
 import math
 
 import pytest
 
 from models.catalog import load_scene
-from validate.store.results import write_violation
-from validate.tasks.paper import RELAXED_EPS, SOFTPLUS_EPS, TOLERANCE, measure, relaxed_violation
+from validate.tasks.paper import RELAXED_EPS, TOLERANCE, measure, relaxed_violation
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +32,3 @@ def test_the_relaxed_lcp_permits_eps(points):
     for point in relaxed:
         assert point.measured == pytest.approx(point.eps, rel=TOLERANCE)
     assert relaxed_violation(1e6, 1e-3) == pytest.approx(1e-3, rel=TOLERANCE)
-
-
-def test_the_file_shows_the_difference(points, tmp_path):
-    write_violation(tmp_path / "violation.csv", points)
-    rows = list(csv.DictReader((tmp_path / "violation.csv").read_text().splitlines()))
-    assert len(rows) == len(SOFTPLUS_EPS) + len(RELAXED_EPS)
-    assert max(float(row["relative_difference"]) for row in rows) <= TOLERANCE

@@ -20,7 +20,7 @@ from validate.store.results import rows
 from validate.store.store import Store
 from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.path import run_path
-from validate.tasks.run import RunTask
+from validate.tasks.task import RunTask
 
 pytestmark = pytest.mark.process
 
@@ -75,7 +75,7 @@ def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest
         (
             "endless",
             "solved",
-            "The certificate is missing because time ran out: the cell ended at its time limit of 100000 s, during the certificate of stage 3 (endless).",
+            "The certificate is missing because time ran out: the run ended at its time limit of 100000 s, during the certificate of stage 3 (endless).",
         ),
         (
             "crashing",
@@ -97,7 +97,7 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
         assert stage.replay is not None
         assert [figure.name for figure in stage.metrics] == ["terminal_error", "physics", "replay_error"]
     names = {path.name for path in folder.iterdir()}
-    assert names == {"record.json", "cell.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
+    assert names == {"record.json", "task.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
     assert sum(record.profile.values()) == pytest.approx(record.wall_seconds)
     assert record.profile["certificate"] > 0.0
     told = rows([record])

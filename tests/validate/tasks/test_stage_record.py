@@ -37,7 +37,7 @@ from validate.judge.score import Question, Score, Verdict
 from validate.judge.score.verdict import Metric
 from validate.tasks.leg import Planned
 from validate.tasks.records import LOG_LINES, Judged, run_record, stage_record, stages_of, unfinished_stage, with_certificate
-from validate.tasks.run import RunTask
+from validate.tasks.task import RunTask
 
 SCENE = load_scene("three_cart")
 METHOD = load_method("softplus_dc")

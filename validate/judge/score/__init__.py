@@ -21,7 +21,7 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
-from validate.judge.score.cause import ScoredPlan, explain
+from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries, limit_name
@@ -122,7 +122,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
         questions=found, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold),
     )  # fmt: skip
     return Score(
-        metrics=metrics, verdict=verdict, why=explain(scored), judged=judged, waived=waived,
+        metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored), judged=judged, waived=waived,
         questions=tuple(found.items()), not_asked=_not_asked(scene, rows, metrics),
     )  # fmt: skip
 

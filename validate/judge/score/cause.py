@@ -65,6 +65,45 @@ def explain(scored: ScoredPlan) -> str:
     return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in scored.waived)}." if scored.waived else "")
 
 
+def cause_of(scored: ScoredPlan) -> str:
+    """In one word what `explain` says in a sentence, see `Score.cause`."""
+    if scored.verdict is Verdict.UNDECIDED:
+        return next((metric.name for metric in (*_unwell(scored), *_judged(scored, None), *_judged(scored, False))), "")
+    if scored.verdict is not Verdict.VIOLATES:
+        return ""
+    first = _above(scored)[0]
+    name = first.name.removeprefix(TRACKED)
+    return _cause_of_motion(scored) if first.question is Question.MOTION and name not in _NAMED else name
+
+
+# Of what is asked about the motion, what says its cause by its own name.
+_NAMED = ("unexplained_force", "replay_cost")
+
+
+def _cause_of_motion(scored: ScoredPlan) -> str:
+    """Why the inputs do not give the motion, by what the metrics show."""
+    law, grid, growth = (scored.value(name) for name in ("law_error", "grid_error", "amplification"))
+    if scored.fails("defect"):
+        return "defect"
+    if grid is not None and (law or 0.0) > grid:
+        return "relaxed contact"
+    if growth is not None and growth >= _UNSTABLE:
+        return "unstable"
+    return "motion" if grid is None else "coarse grid"
+
+
+def _above(scored: ScoredPlan) -> list[Metric]:
+    """What fails, in the order of the questions; with feedback, where only that does."""
+    above = [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
+    return above or [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is False]
+
+
+def _unwell(scored: ScoredPlan) -> list[Metric]:
+    return [
+        metric for metric in scored.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
+    ]
+
+
 def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
     """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
     order = list(Question)
@@ -73,9 +112,7 @@ def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
 
 
 def _violates(scored: ScoredPlan) -> str:
-    above = [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
-    if not above:  # with feedback alone
-        above = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is False]
+    above = _above(scored)
     first = above[0]
     text, quoted = _quote(first) + _cause(first, scored), [first.name]
     consequence = next((metric for metric in above if metric.question is Question.MOTION), None)
@@ -97,9 +134,7 @@ def _why_feedback_fails(scored: ScoredPlan) -> str:
 
 
 def _undecided(scored: ScoredPlan) -> str:
-    unwell = [
-        metric for metric in scored.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
-    ]
+    unwell = _unwell(scored)
     if unwell:
         known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
         return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0])}{known}."
@@ -223,11 +258,11 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
-    law = scored.value("law_error") or 0.0
-    if scored.fails("defect"):
+    cause = _cause_of_motion(scored)
+    if cause == "defect":
         return f": {_quote(scored.metrics['defect'])}"
-    if law > grid.value:
-        return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
+    if cause == "relaxed contact":
+        return f": a relaxed contact law ({number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
     if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"

@@ -106,7 +106,8 @@ class Metric:
 class Score:
     """All metrics of one plan and the verdict.
 
-    why: the sentence that decided it, with the cause and what to do; metrics: of the plan and of the replay of its inputs alone; those of the replay
+    why: the sentence that decided it, with the cause and what to do; cause: the same in one word, empty where nothing is wrong: the name of the metric that
+    failed or is open, or where the inputs do not give the motion one of `defect`, `relaxed contact`, `unstable`, `coarse grid`, `motion`; metrics: of the plan and of the replay of its inputs alone; those of the replay
     with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took. judged: "open" or "feedback", of which replay the
     verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
     """
@@ -114,6 +115,7 @@ class Score:
     metrics: tuple[Metric, ...]
     verdict: Verdict
     why: str
+    cause: str = ""
     judged: str = "open"
     questions: tuple[tuple[Question, str], ...] = ()
     waived: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.stability import step_stability
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
 from validate.stress.motion import replayed, rolled
 
 STIFFNESSES = tuple(10.0**power for power in range(9))
@@ -28,7 +28,7 @@ _SPEED, _COLLISIONS, _RESTITUTION = 2.0, 2, 0.1
 _FAR = 1e6
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     base = load_scene("three_cart")
     u = np.zeros((NODES, 2))
@@ -52,47 +52,45 @@ def measure() -> CaseFinding:
     near = np.geomspace(LIMIT / 10, LIMIT * 10, SWEPT)
     swept = [(k, step_stability(base.with_parameters(k=float(k))).radius) for k in near]
     curve = sorted([*zip(STIFFNESSES, radii, strict=True), *swept])
-    return CaseFinding(
-        happened=f"The warning comes from k = {LIMIT:.0f} N/m on, before anything runs. At the fixed step the error is {coarse[0]:.1e} m for k = {STIFFNESSES[0]:g} and "
+    return finding(
+        f"The warning comes from k = {LIMIT:.0f} N/m on, before anything runs. At the fixed step the error is {coarse[0]:.1e} m for k = {STIFFNESSES[0]:g} and "
         f"{coarse[-1]:.0e} m for k = {STIFFNESSES[-1]:g}; with {_FINE} steps a radian of the contact it is at most {max(fine):.1e} m.",
-        figures=(
-            at_most(
-                "spectral radius at 0.9999 of the limit", below.radius, 1.0 + 1e-6, reason="inside the limit nothing grows but for rounding"
-            ),
-            at_least("spectral radius at 1.0001 of the limit", above.radius, 1.0 + 1e-4, reason="past it a closed contact grows"),
-            none_of("stiffnesses warned of wrongly or not at all", unwarned, reason=f"exactly those past {LIMIT:.0f} N/m"),
-            at_most(
-                "error with the smaller step, share of what a first-order step may be wrong by",
-                max(shares),
-                1.0,
-                reason="v h of drift, and a tenth of (h w)^2 of the speed after each of two collisions, over the second that is compared",
-            ),
-            unlimited(
-                "largest error at the fixed step inside the limit",
-                max(error for k, error in zip(STIFFNESSES, coarse, strict=True) if k < LIMIT),
-                "m",
-            ),
-            unlimited(f"error at the fixed step, k = {STIFFNESSES[-1]:g} N/m", coarse[-1], "m"),
+        at_most(
+            "spectral radius at 0.9999 of the limit", below.radius, 1.0 + 1e-6, reason="inside the limit nothing grows but for rounding"
         ),
+        at_least("spectral radius at 1.0001 of the limit", above.radius, 1.0 + 1e-4, reason="past it a closed contact grows"),
+        none_of("stiffnesses warned of wrongly or not at all", unwarned, reason=f"exactly those past {LIMIT:.0f} N/m"),
+        at_most(
+            "error with the smaller step, share of what a first-order step may be wrong by",
+            max(shares),
+            1.0,
+            reason="v h of drift, and a tenth of (h w)^2 of the speed after each of two collisions, over the second that is compared",
+        ),
+        unlimited(
+            "largest error at the fixed step inside the limit",
+            max(error for k, error in zip(STIFFNESSES, coarse, strict=True) if k < LIMIT),
+            "m",
+        ),
+        unlimited(f"error at the fixed step, k = {STIFFNESSES[-1]:g} N/m", coarse[-1], "m"),
         charts=(
-            Chart(
-                title="Spectral radius of the step with all contacts closed",
+            chart(
+                "Spectral radius of the step with all contacts closed",
                 x=("stiffness k", "N/m"),
                 y=("spectral radius", ""),
-                series=(Series(name="h = 0.01 s", x=[k for k, _ in curve], y=[radius for _, radius in curve]),),
+                series={"h = 0.01 s": ([k for k, _ in curve], [radius for _, radius in curve])},
                 log_x=True,
                 log_y=True,
                 level=(1.0, "stability limit"),
                 words=f"At 1 up to k = {LIMIT:.0f} N/m, and rising with k beyond.",
             ),
-            Chart(
-                title="Error of the plan's grid against the replay",
+            chart(
+                "Error of the plan's grid against the replay",
                 x=("stiffness k", "N/m"),
                 y=("largest position error", "m"),
-                series=(
-                    Series(name="h = 0.01 s", x=STIFFNESSES, y=[min(error, _FAR) for error in coarse]),
-                    Series(name=f"{_FINE} steps a radian of the contact", x=STIFFNESSES, y=fine),
-                ),
+                series={
+                    "h = 0.01 s": (STIFFNESSES, [min(error, _FAR) for error in coarse]),
+                    f"{_FINE} steps a radian of the contact": (STIFFNESSES, fine),
+                },
                 log_x=True,
                 log_y=True,
                 words="Past the limit the fixed step throws the carts away (beyond 1000 km it is drawn there); the smaller step stays right at every stiffness.",
@@ -101,11 +99,9 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h01_stiffness",
+CASE = StressCase(
     title="Stiffness k = 1 .. 1e8 at a fixed step",
     expected="Warns before the run past the stability limit of semi-implicit Euler, h²ω² + 2hc < 4, and is still right with a smaller step.",
     scenes=("three_cart",),
-    measure=measure,
     quick=True,
 )

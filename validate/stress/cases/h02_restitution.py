@@ -14,7 +14,7 @@ import numpy as np
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from validate.judge.score import score
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most
+from validate.stress.case import Found, StressCase, at_most, chart, finding
 from validate.stress.motion import replayed, rolled
 
 PHASES = 100
@@ -39,7 +39,7 @@ def _restitutions(kernel: Kernel, hw: float) -> np.ndarray:
     return np.array(found)
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("two_body_collision")
     kernel = load_kernel(scene)
@@ -74,20 +74,20 @@ def measure() -> CaseFinding:
         )
     )
     worst = _restitutions(kernel, 1.5)
-    return CaseFinding(
-        happened=f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
+    return finding(
+        f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
         "the replay gives 1.",
-        figures=tuple(figures),
+        *figures,
         charts=(
-            Chart(
-                title=f"Restitution of one collision, {PHASES} phases",
+            chart(
+                f"Restitution of one collision, {PHASES} phases",
                 x=("h w", ""),
                 y=("restitution", ""),
-                series=(
-                    Series(name="largest", x=SWEEP, y=[found.max() for found in swept]),
-                    Series(name="mean", x=SWEEP, y=[found.mean() for found in swept]),
-                    Series(name="smallest", x=SWEEP, y=[found.min() for found in swept]),
-                ),
+                series={
+                    "largest": (SWEEP, [found.max() for found in swept]),
+                    "mean": (SWEEP, [found.mean() for found in swept]),
+                    "smallest": (SWEEP, [found.min() for found in swept]),
+                },
                 level=(1.0, "exact"),
                 words="The spread grows with h w, vanishes at 1 and 1.41, where a period is a whole number of steps, and runs away towards the stability limit at 2.",
             ),
@@ -95,12 +95,10 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h02_restitution",
+CASE = StressCase(
     title="Restitution inside the stability limit",
     expected="Contact creates energy while the step is stable: restitution 0.999 to 1.001 at hω = 0.1, 0.98 to 1.02 at 0.6, 0.80 to 1.24 at 1.5, "
     "exactly 1 at 1. The replay keeps it at 1.",
     scenes=("two_body_collision",),
-    measure=measure,
     quick=True,
 )

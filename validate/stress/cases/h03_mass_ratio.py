@@ -21,7 +21,7 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Parameter, Scene
 from models.stability import step_stability
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most, none_of
+from validate.stress.case import Found, StressCase, at_most, chart, finding, none_of
 from validate.stress.motion import replayed, rolled
 
 RATIOS = tuple(10.0**power for power in range(-4, 5))
@@ -132,89 +132,83 @@ def planned() -> _Planned:
     return found
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     seen, plans = simulated(), planned()
     length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
     shares = [cost / plans.costs[0] for cost in plans.costs]
     unstable, away = (", ".join(f"{ratio:g}" for ratio in ratios) or "none" for ratios in (plans.unstable, plans.out_of_reach))
     beyond = f"Refused before the run, past the step's stability limit: {unstable}; goal out of reach of the inputs: {away}."
-    return CaseFinding(
-        happened=f"Contact times are right to {max(seen.times, default=math.nan):.1e}, momentum is kept to {max(seen.momenta, default=math.nan):.1e} of what "
+    return finding(
+        f"Contact times are right to {max(seen.times, default=math.nan):.1e}, momentum is kept to {max(seen.momenta, default=math.nan):.1e} of what "
         f"there is. Plans with a middle cart {min(plans.ratios, default=math.nan):g} to {max(plans.ratios, default=math.nan):g} times as heavy cost up to "
         f"{max(shares, default=math.nan):.1f} times as much, and their replays leave them by at most {max(plans.errors, default=math.nan):.1e} m. {beyond}",
-        figures=(
-            none_of("ratios whose replay did not reach the end", seen.wrong, reason="each can be simulated"),
-            at_most(
-                "relative error of the contact time",
-                max(seen.times, default=math.nan),
-                1e-8,
-                reason="half a period of the reduced mass; located to rounding of the clock, 1e-13 s of 0.7 ms",
-            ),
-            at_most("momentum of the replay", max(seen.momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
-            at_most(
-                "momentum of the plan's time step", max(seen.plan_momenta, default=math.nan), 1e-12, reason="contact is an inner force"
-            ),
-            none_of(
-                "ratios that are neither planned nor told to be beyond the step or the inputs",
-                plans.wrong,
-                reason=f"this step is stable above {plans.limit:.3g}; where it is not, a sentence says so before the run",
-            ),
-            at_most(
-                "largest replay error of a plan",
-                max(plans.errors, default=math.nan),
-                0.04,
-                "m",
-                reason="of first order in the step: twice the 0.02 m that the three carts are allowed at half of it",
-            ),
-            at_most(
-                "largest fall of the cost with the mass, relative",
-                max((early / late - 1.0 for early, late in pairwise(plans.costs)), default=0.0),
-                5e-3,
-                reason="a heavier cart is no cheaper to move, but for contact windows found that differ by a thousandth of the cost",
-            ),
+        none_of("ratios whose replay did not reach the end", seen.wrong, reason="each can be simulated"),
+        at_most(
+            "relative error of the contact time",
+            max(seen.times, default=math.nan),
+            1e-8,
+            reason="half a period of the reduced mass; located to rounding of the clock, 1e-13 s of 0.7 ms",
+        ),
+        at_most("momentum of the replay", max(seen.momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
+        at_most("momentum of the plan's time step", max(seen.plan_momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
+        none_of(
+            "ratios that are neither planned nor told to be beyond the step or the inputs",
+            plans.wrong,
+            reason=f"this step is stable above {plans.limit:.3g}; where it is not, a sentence says so before the run",
+        ),
+        at_most(
+            "largest replay error of a plan",
+            max(plans.errors, default=math.nan),
+            0.04,
+            "m",
+            reason="of first order in the step: twice the 0.02 m that the three carts are allowed at half of it",
+        ),
+        at_most(
+            "largest fall of the cost with the mass, relative",
+            max((early / late - 1.0 for early, late in pairwise(plans.costs)), default=0.0),
+            5e-3,
+            reason="a heavier cart is no cheaper to move, but for contact windows found that differ by a thousandth of the cost",
         ),
         charts=(
-            Chart(
-                title="Errors against mass ratio",
+            chart(
+                "Errors against mass ratio",
                 x=("mass ratio", ""),
                 y=("relative error", ""),
-                series=(
-                    Series(name="contact time", x=RATIOS, y=seen.times),
-                    Series(name="momentum of the replay", x=RATIOS, y=seen.momenta),
-                    Series(name="momentum of the plan", x=RATIOS, y=seen.plan_momenta),
-                ),
+                series={
+                    "contact time": (RATIOS, seen.times),
+                    "momentum of the replay": (RATIOS, seen.momenta),
+                    "momentum of the plan": (RATIOS, seen.plan_momenta),
+                },
                 log_x=True,
                 log_y=True,
             ),
-            Chart(
-                title="Cost and replay error of a plan against mass ratio",
+            chart(
+                "Cost and replay error of a plan against mass ratio",
                 x=("mass ratio", ""),
                 y=("relative size", ""),
-                series=(
-                    Series(name="cost, of the lightest", x=plans.ratios, y=shares),
-                    Series(name="replay error, of a cart's length", x=plans.ratios, y=[error / length for error in plans.errors]),
-                ),
+                series={
+                    "cost, of the lightest": (plans.ratios, shares),
+                    "replay error, of a cart's length": (plans.ratios, [error / length for error in plans.errors]),
+                },
                 log_x=True,
                 log_y=True,
                 words=f"Three carts, the middle one so many times as heavy. {beyond}",
             ),
-            Chart(
-                title="Cost of the reference replay against mass ratio",
+            chart(
+                "Cost of the reference replay against mass ratio",
                 x=("mass ratio", ""),
                 y=("seconds", "s"),
-                series=(Series(name="two tolerances", x=RATIOS, y=seen.seconds),),
+                series={"two tolerances": (RATIOS, seen.seconds)},
                 log_x=True,
             ),
         ),
     )
 
 
-CASE = HardCase(
-    name="h03_mass_ratio",
+CASE = StressCase(
     title="Mass ratio 1e-4 .. 1e4",
     expected="Contact time and momentum are right at every ratio; a plan's cost and error are told, or why there is none.",
     scenes=("two_body_collision", "three_cart"),
     methods=("softplus_dc", "strict_lcp"),
-    measure=measure,
 )

@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.scenes.two_discs import BLUR, RADIUS
-from validate.stress.case import CaseFinding, HardCase, at_most, unlimited
+from validate.stress.case import Found, StressCase, at_most, finding, unlimited
 from validate.stress.motion import replayed, rolled
 
 DEPTH, SPEED, NODES, BEFORE = 1e-9, 1.0, 200, 100
@@ -43,7 +43,7 @@ def _gradient_error(kernel: Kernel, start: np.ndarray) -> float:
     return float(np.abs(exact - differences).max() / np.abs(exact).max())
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("two_discs")
     kernel, h = load_kernel(scene), scene.task.step
@@ -56,26 +56,22 @@ def measure() -> CaseFinding:
     exact = 4.0 / 3.0 * k * DEPTH * math.sqrt(4.0 * RADIUS * DEPTH) / SPEED
     errors = [_gradient_error(kernel, start) for start in (touching, missing)]
     limit = "with rounding of 1e-16 over differences of 2e-10"
-    return CaseFinding(
-        happened=f"The touch gives {impulses[0]:.1e} N s on the plan's grid, {real[0]:.1e} N s in the replay (exactly {exact:.1e}); the miss gives nothing. "
+    return finding(
+        f"The touch gives {impulses[0]:.1e} N s on the plan's grid, {real[0]:.1e} N s in the replay (exactly {exact:.1e}); the miss gives nothing. "
         f"Gradients agree with differences to {max(errors):.0e} on both sides.",
-        figures=(
-            at_most("impulse of the touch on the plan's grid", impulses[0], 1.001 * h * k * DEPTH, "N s", reason="one node, h k d"),
-            at_most("impulse of the miss on the plan's grid", abs(impulses[1]), 0.0, "N s", reason="nothing is touched"),
-            at_most("impulse of the touch in the replay", abs(real[0]), 1.01 * exact, "N s", reason="that of the straight passage"),
-            at_most("impulse of the miss in the replay", abs(real[1]), 0.0, "N s", reason="nothing is touched"),
-            at_most("gradient, just touching: relative error", errors[0], 1e-5, reason=limit),
-            at_most("gradient, just missing: relative error", errors[1], 1e-5, reason=limit),
-            unlimited("impulse of the straight passage, in closed form", exact, "N s"),
-        ),
+        at_most("impulse of the touch on the plan's grid", impulses[0], 1.001 * h * k * DEPTH, "N s", reason="one node, h k d"),
+        at_most("impulse of the miss on the plan's grid", abs(impulses[1]), 0.0, "N s", reason="nothing is touched"),
+        at_most("impulse of the touch in the replay", abs(real[0]), 1.01 * exact, "N s", reason="that of the straight passage"),
+        at_most("impulse of the miss in the replay", abs(real[1]), 0.0, "N s", reason="nothing is touched"),
+        at_most("gradient, just touching: relative error", errors[0], 1e-5, reason=limit),
+        at_most("gradient, just missing: relative error", errors[1], 1e-5, reason=limit),
+        unlimited("impulse of the straight passage, in closed form", exact, "N s"),
     )
 
 
-CASE = HardCase(
-    name="h04_grazing",
+CASE = StressCase(
     title="Grazing contact, depth 1e-9 m",
     expected="No spurious impulse, and a finite gradient on both sides that agrees with differences.",
     scenes=("two_discs",),
-    measure=measure,
     quick=True,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from models.catalog import load_scene
 from models.scenes.cart_chain import cart_chain
 from models.trajectory import Trajectory
-from validate.stress.case import CaseFinding, HardCase, at_most
+from validate.stress.case import Found, StressCase, at_most, finding
 from validate.stress.motion import at_nodes, replayed, rolled
 
 NODES, SQUEEZE = 200, 6.0
@@ -21,7 +21,7 @@ def _asymmetry(q: np.ndarray, v: np.ndarray) -> float:
     return max(float(np.abs(q + q[:, ::-1] - 2.0 * middle).max()), float(np.abs(v + v[:, ::-1]).max()))
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     listed = {"as listed": scene, "reversed": replace(scene, contacts=scene.contacts[::-1])}
@@ -37,26 +37,22 @@ def measure() -> CaseFinding:
     first, second = (at_nodes(told) for told in replays.values())
     replay_order = float(np.abs(first - second).max()) if len(first) == len(second) else np.inf
     squeezed = float(one.lam.max())
-    return CaseFinding(
-        happened=f"Both contacts close at once and reach {squeezed:.2f} N; plan and replay stay symmetric to {max(plan_error, replay_error):.0e}.",
-        figures=(
-            at_most("asymmetry of the plan's step", plan_error, 1e-12, reason="rounding of 200 steps of numbers near 3"),
-            at_most("asymmetry of the replay", replay_error, 1e-9, reason="ten times what the replay says of its own error"),
-            at_most(
-                "plan: difference when contacts are listed the other way round",
-                order,
-                1e-12,
-                reason="the sum of forces has no order but in rounding",
-            ),
-            at_most("replay: the same difference", replay_order, 1e-9, reason="ten times what the replay says of its own error"),
+    return finding(
+        f"Both contacts close at once and reach {squeezed:.2f} N; plan and replay stay symmetric to {max(plan_error, replay_error):.0e}.",
+        at_most("asymmetry of the plan's step", plan_error, 1e-12, reason="rounding of 200 steps of numbers near 3"),
+        at_most("asymmetry of the replay", replay_error, 1e-9, reason="ten times what the replay says of its own error"),
+        at_most(
+            "plan: difference when contacts are listed the other way round",
+            order,
+            1e-12,
+            reason="the sum of forces has no order but in rounding",
         ),
+        at_most("replay: the same difference", replay_order, 1e-9, reason="ten times what the replay says of its own error"),
     )
 
 
-CASE = HardCase(
-    name="h05_simultaneous",
+CASE = StressCase(
     title="Simultaneous impacts, symmetric squeeze",
     expected="Symmetric in, symmetric out, whatever order contacts are listed in.",
     scenes=("three_cart", "cart_chain"),
-    measure=measure,
 )

@@ -18,7 +18,7 @@ import sympy as sp
 from models.catalog import load_scene
 from models.scene import Parameter, Scene
 from validate.judge.replay import ReplayOutcome
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
 from validate.stress.motion import replayed, rolled
 
 STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
@@ -44,7 +44,7 @@ def restitution(z: float) -> float:
     return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = _damped(load_scene("bouncing_mass"))
     gravity = next(parameter.value for parameter in scene.parameters if parameter.name == "g")
@@ -66,51 +66,41 @@ def measure() -> CaseFinding:
     wrong = [] if told_replay.ok else [f"the replay does not end: {told_replay.message}"]
     if small.outcome is not ReplayOutcome.EVENT_BUDGET or str(BUDGET) not in small.message:
         wrong.append(f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}")
-    return CaseFinding(
-        happened=f"{len(closed)} bounces; at rest after {rest:.4f} s, {contact:.4f} s of it in contact, where the series of flights says {series:.4f} s. With a budget of "
+    return finding(
+        f"{len(closed)} bounces; at rest after {rest:.4f} s, {contact:.4f} s of it in contact, where the series of flights says {series:.4f} s. With a budget of "
         f"{BUDGET} events: {small.message}",
-        figures=(
-            none_of(
-                "what does not end, or is not told", wrong, reason="the replay ends, and says so where its budget of events is used up"
-            ),
-            at_least("bounces", len(closed), 5, reason="a series, not a single bounce"),
-            at_most(
-                "first flights: share of the one before, off the restitution",
-                abs(float(ratios[:3].mean()) / e - 1.0) if len(ratios) > 2 else math.nan,
-                0.01,
-                reason="gravity acts in contact too: g/(w v) is 1e-3 there",
-            ),
-            at_most(
-                "time of rest against the series, relative",
-                abs((rest - contact) / series - 1.0),
-                0.02,
-                reason="gravity takes 0.2 % of each flight, which makes 0.5 % of their sum; the last ones are as low as the floor sags",
-            ),
-            unlimited("contact events", len(told_replay.events)),
+        none_of("what does not end, or is not told", wrong, reason="the replay ends, and says so where its budget of events is used up"),
+        at_least("bounces", len(closed), 5, reason="a series, not a single bounce"),
+        at_most(
+            "first flights: share of the one before, off the restitution",
+            abs(float(ratios[:3].mean()) / e - 1.0) if len(ratios) > 2 else math.nan,
+            0.01,
+            reason="gravity acts in contact too: g/(w v) is 1e-3 there",
         ),
+        at_most(
+            "time of rest against the series, relative",
+            abs((rest - contact) / series - 1.0),
+            0.02,
+            reason="gravity takes 0.2 % of each flight, which makes 0.5 % of their sum; the last ones are as low as the floor sags",
+        ),
+        unlimited("contact events", len(told_replay.events)),
         charts=(
-            Chart(
-                title="Flights between bounces",
+            chart(
+                "Flights between bounces",
                 x=("bounce", ""),
                 y=("time of flight", "s"),
-                series=(
-                    Series(name="replay", x=np.arange(1, len(flights) + 1), y=flights),
-                    Series(
-                        name="geometric series",
-                        x=np.arange(1, len(flights) + 1),
-                        y=2.0 * speed / gravity * e ** np.arange(1, len(flights) + 1),
-                    ),
-                ),
+                series={
+                    "replay": (np.arange(1, len(flights) + 1), flights),
+                    "geometric series": (np.arange(1, len(flights) + 1), 2.0 * speed / gravity * e ** np.arange(1, len(flights) + 1)),
+                },
                 log_y=True,
             ),
         ),
     )
 
 
-CASE = HardCase(
-    name="h06_zeno",
+CASE = StressCase(
     title="Zeno-like bouncing",
     expected="It ends; the budget of events is reported; the time of rest is that of the geometric series.",
     scenes=("bouncing_mass",),
-    measure=measure,
 )

@@ -17,7 +17,7 @@ from models.catalog import load_scene
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
 from validate.stress.motion import at_nodes, replayed, rolled
 
 SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
@@ -25,7 +25,7 @@ SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
 _LINEAR = 1e-2
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("cart_pole_walls")
     h = scene.task.step
@@ -34,7 +34,7 @@ def measure() -> CaseFinding:
     still = np.zeros((steps + 1, 4))
     growth = measure_growth(load_steps(upright), still, np.zeros((steps, 1)), ContactLaw.RELU, None)
     if growth is None:
-        return CaseFinding(happened="A step is not finite: nothing can be said of its growth.", figures=(unlimited("growth", math.nan),))
+        return finding("A step is not finite: nothing can be said of its growth.", unlimited("growth", math.nan))
     rate = growth.rate
     nudged = upright.with_task(start=(0.0, NUDGE, 0.0, 0.0))
     one, other = (replayed(item, rolled(item)) for item in (upright, nudged))
@@ -53,37 +53,35 @@ def measure() -> CaseFinding:
         silent.append("the growth is not told")
     if not solution.message:
         silent.append("descent ended without a word")
-    return CaseFinding(
-        happened=f"An error of the start grows {growth.factor:.1e} times over {SECONDS:g} s by the exact Jacobians of its steps, at {rate:.3f}/s; two replays {NUDGE:g} rad apart part at "
+    return finding(
+        f"An error of the start grows {growth.factor:.1e} times over {SECONDS:g} s by the exact Jacobians of its steps, at {rate:.3f}/s; two replays {NUDGE:g} rad apart part at "
         f"{replay_rate:.3f}/s and are {apart.max():.2g} rad apart in the end. Descent: {solution.outcome.name.lower()}, {solution.message.partition('; ')[0]}.",
-        figures=(
-            at_most(
-                "growth rate of the gradient, off the known one",
-                abs(rate / GROWTH - 1.0),
-                0.02,
-                reason="the step's own (rate h)/2, 3.7 %, halved by its symmetry",
-            ),
-            at_most(
-                "growth rate of the replay, off the known one",
-                abs(replay_rate / GROWTH - 1.0),
-                0.02,
-                reason="linear up to 0.01 rad, but for what decays at first",
-            ),
-            at_least("growth of an error over the horizon", growth.factor, 1e7, reason="exp(3.67/s 5 s) is 9e7"),
-            none_of("what descent kept silent about", silent, reason="it must end in words, not in `solved`"),
-            unlimited("distance of the two replays in the end", float(apart[-1]), "rad"),
-            unlimited("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
+        at_most(
+            "growth rate of the gradient, off the known one",
+            abs(rate / GROWTH - 1.0),
+            0.02,
+            reason="the step's own (rate h)/2, 3.7 %, halved by its symmetry",
         ),
+        at_most(
+            "growth rate of the replay, off the known one",
+            abs(replay_rate / GROWTH - 1.0),
+            0.02,
+            reason="linear up to 0.01 rad, but for what decays at first",
+        ),
+        at_least("growth of an error over the horizon", growth.factor, 1e7, reason="exp(3.67/s 5 s) is 9e7"),
+        none_of("what descent kept silent about", silent, reason="it must end in words, not in `solved`"),
+        unlimited("distance of the two replays in the end", float(apart[-1]), "rad"),
+        unlimited("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
         charts=(
-            Chart(
-                title="Growth of an error of the start",
+            chart(
+                "Growth of an error of the start",
                 x=("time", "s"),
                 y=("factor", ""),
-                series=(
-                    Series(name="gradient, by the Jacobians of the steps", x=t, y=np.exp(growth.exponents[::-1])),
-                    Series(name="two replays 1e-6 rad apart", x=t[1:], y=apart[1:] / NUDGE),
-                    Series(name="exp(3.67 t)", x=[0.0, SECONDS], y=[1.0, math.exp(GROWTH * SECONDS)]),
-                ),
+                series={
+                    "gradient, by the Jacobians of the steps": (t, np.exp(growth.exponents[::-1])),
+                    "two replays 1e-6 rad apart": (t[1:], apart[1:] / NUDGE),
+                    "exp(3.67 t)": ([0.0, SECONDS], [1.0, math.exp(GROWTH * SECONDS)]),
+                },
                 log_y=True,
                 words="The replays part along the same line until the pole falls into a wall.",
             ),
@@ -91,11 +89,9 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h07_unstable",
+CASE = StressCase(
     title="Unstable open loop: cart-pole, 5 s",
     expected="Growth e^(rate T) is detected and reported, descent does not diverge silently, and a replay nudged by 1e-6 is shown.",
     scenes=("cart_pole_walls",),
     methods=("relu_gd",),
-    measure=measure,
 )

@@ -16,7 +16,7 @@ from formulations.ipopt import compile_model
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most
+from validate.stress.case import Found, StressCase, at_most, chart, finding
 
 LENGTHS, MODEL_LENGTHS = (5000, 20000, 80000), (500, 1000, 2000)
 # What the growth of time and memory may be above linear: the sorting of sparse rows.
@@ -69,7 +69,7 @@ def _model(scene: Scene, steps: int) -> Any:
     return compile_model(build_model(scene, Transcription.SOFTPLUS, eps=1e-3, steps=steps))
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
@@ -90,28 +90,26 @@ def measure() -> CaseFinding:
         "model, memory": _exponent(MODEL_LENGTHS, [memory for _, memory in models]),
     }
     shortest, longest = gradients[0][0] / LENGTHS[0], gradients[-1][0] / LENGTHS[-1]
-    return CaseFinding(
-        happened=f"A gradient over {LENGTHS[-1]} steps takes {gradients[-1][0] * 1e3:.0f} ms and {gradients[-1][1]:.0f} MB; a model of {MODEL_LENGTHS[-1]} steps is built and "
+    return finding(
+        f"A gradient over {LENGTHS[-1]} steps takes {gradients[-1][0] * 1e3:.0f} ms and {gradients[-1][1]:.0f} MB; a model of {MODEL_LENGTHS[-1]} steps is built and "
         f"translated in {models[-1][0]:.1f} s and {models[-1][1]:.0f} MB. The adjoint over {LENGTHS[1]} steps is that of differences to {wrong:.0e}.",
-        figures=(
-            *(at_most(f"growth exponent of the {name}", value, EXPONENT, reason="about linear") for name, value in growth.items()),
-            at_most(
-                "time a step of the longest gradient over the shortest",
-                longest / shortest,
-                A_STEP,
-                reason="caches and fresh memory; a square would be 16",
-            ),
-            at_most("adjoint against differences, T = 20000", wrong, 1e-6, reason="central differences of a smooth end"),
+        *(at_most(f"growth exponent of the {name}", value, EXPONENT, reason="about linear") for name, value in growth.items()),
+        at_most(
+            "time a step of the longest gradient over the shortest",
+            longest / shortest,
+            A_STEP,
+            reason="caches and fresh memory; a square would be 16",
         ),
+        at_most("adjoint against differences, T = 20000", wrong, 1e-6, reason="central differences of a smooth end"),
         charts=(
-            Chart(
-                title="CPU time against the number of steps",
+            chart(
+                "CPU time against the number of steps",
                 x=("steps", ""),
                 y=("CPU seconds", "s"),
-                series=(
-                    Series(name="rollout and adjoint", x=LENGTHS, y=[row[0] for row in gradients]),
-                    Series(name="softplus model, built and translated", x=MODEL_LENGTHS, y=[row[0] for row in models]),
-                ),
+                series={
+                    "rollout and adjoint": (LENGTHS, [row[0] for row in gradients]),
+                    "softplus model, built and translated": (MODEL_LENGTHS, [row[0] for row in models]),
+                },
                 log_x=True,
                 log_y=True,
             ),
@@ -119,10 +117,8 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h08_long_horizon",
+CASE = StressCase(
     title="Long horizon, T = 5000, 20000 and 80000",
     expected="Time and memory grow about linearly; the adjoint equals finite differences to 1e-6.",
     scenes=("three_cart",),
-    measure=measure,
 )

@@ -9,7 +9,7 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.stress.case import CaseFinding, HardCase, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_most, finding, none_of, unlimited
 
 GOAL = 3.3
 SOFTPLUS_EPS = (1e-2, 1e-3, 1e-5)
@@ -20,7 +20,7 @@ def _run(scene: Scene, method: str, eps: float | None, plan: Trajectory | None, 
         return session.solve(eps=eps, warm_start=plan, time_limit=15.0)
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(goal=(None, GOAL, None, None, 0.0, None))
     dead = _run(scene, "relu_gd", None, None, 500)
@@ -35,26 +35,20 @@ def measure() -> CaseFinding:
     words += [f"no word of {word!r}" for word in ("no contact is made", "no gradient", "softplus") if word not in dead.message]
     missed = alive.residuals.get("terminal_position_error", math.inf)
     before = dead.residuals.get("terminal_position_error", math.nan)
-    return CaseFinding(
-        happened=f"From the first guess: {dead.outcome.name.lower()}, {dead.message} Through softplus: the middle cart misses by {missed:.3f} m instead of {before:.3f} m.",
-        figures=(
-            none_of(
-                "what the diagnosis lacks",
-                words,
-                reason="the message says that no contact is made, that there is no gradient, and what helps",
-            ),
-            at_most("terminal position error after smoothing", missed, 0.05, "m", reason="the largest miss the paper calls successful"),
-            unlimited("cost after smoothing", math.nan if alive.cost is None else alive.cost),
-            unlimited("terminal position error without", before, "m"),
+    return finding(
+        f"From the first guess: {dead.outcome.name.lower()}, {dead.message} Through softplus: the middle cart misses by {missed:.3f} m instead of {before:.3f} m.",
+        none_of(
+            "what the diagnosis lacks", words, reason="the message says that no contact is made, that there is no gradient, and what helps"
         ),
+        at_most("terminal position error after smoothing", missed, 0.05, "m", reason="the largest miss the paper calls successful"),
+        unlimited("cost after smoothing", math.nan if alive.cost is None else alive.cost),
+        unlimited("terminal position error without", before, "m"),
     )
 
 
-CASE = HardCase(
-    name="h09_dead_relu",
+CASE = StressCase(
     title="Dead ReLU: no contact at the first guess",
     expected="Diagnosed in words, and escaped by smoothing.",
     scenes=("three_cart",),
     methods=("relu_gd", "softplus_gd"),
-    measure=measure,
 )

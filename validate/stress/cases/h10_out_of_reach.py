@@ -7,14 +7,14 @@ import time
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from models.catalog import load_scene
-from validate.stress.case import CaseFinding, HardCase, at_most, none_of
+from validate.stress.case import Found, StressCase, at_most, finding, none_of
 
 FAR, STEPS, BUDGET = 20.0, 100, 20.0
 # Method -> eps. One of each kind: smooth, exact, by windows.
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None}
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS)
     wrong, endings, slowest = [], [], 0.0
@@ -28,20 +28,16 @@ def measure() -> CaseFinding:
             wrong.append(f"{name} ends as {solution.outcome.name.lower()}: {solution.message}")
         if solution.outcome is Outcome.SOLVED or (solution.outcome is Outcome.INFEASIBLE and solution.trajectory is not None):
             wrong.append(f"{name} hands back a plan")
-    return CaseFinding(
-        happened=f"{', '.join(endings)}; the slowest took {slowest:.1f} s.",
-        figures=(
-            none_of("methods that do not say so", wrong, reason="outcome infeasible, no plan"),
-            at_most("the slowest method", slowest, BUDGET, "s", reason="the time limit it was given"),
-        ),
+    return finding(
+        f"{', '.join(endings)}; the slowest took {slowest:.1f} s.",
+        none_of("methods that do not say so", wrong, reason="outcome infeasible, no plan"),
+        at_most("the slowest method", slowest, BUDGET, "s", reason="the time limit it was given"),
     )
 
 
-CASE = HardCase(
-    name="h10_out_of_reach",
+CASE = StressCase(
     title="Goal out of reach",
     expected="`infeasible` within its budget, no plan marked valid.",
     scenes=("three_cart",),
     methods=("softplus_dc", "relaxed_lcp", "strict_lcp", "mpcc"),
-    measure=measure,
 )

@@ -6,14 +6,14 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from validate.stress.case import CaseFinding, HardCase, at_least, none_of
+from validate.stress.case import Found, StressCase, at_least, finding, none_of
 from validate.stress.motion import replayed, rolled
 
 DISTANCES = (0.3, 1e-3, 1e-9, 0.0)
 STEPS = 480
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("two_discs")
     kernel = load_kernel(scene)
@@ -34,20 +34,14 @@ def measure() -> CaseFinding:
             continue
         apart[distance] = float(np.linalg.norm(told.q[-1, 2:] - told.q[-1, :2]))
     pushed = min((value for distance, value in apart.items() if distance > 0.0), default=np.nan)
-    return CaseFinding(
-        happened=f"All finite. Discs that overlap are pushed apart to at least {pushed:.2f} m; coincident centres have no direction between them, "
+    return finding(
+        f"All finite. Discs that overlap are pushed apart to at least {pushed:.2f} m; coincident centres have no direction between them, "
         f"feel no force along any, and stay ({apart.get(0.0, np.nan):.1g} m).",
-        figures=(
-            none_of("starts that are not finite", wrong, reason="step, gradient and replay"),
-            at_least("distance of the centres after the push, smallest", pushed, 0.4, "m", reason="two radii: they have parted"),
-        ),
+        none_of("starts that are not finite", wrong, reason="step, gradient and replay"),
+        at_least("distance of the centres after the push, smallest", pushed, 0.4, "m", reason="two radii: they have parted"),
     )
 
 
-CASE = HardCase(
-    name="h11_overlap",
-    title="Penetration at the start, coincident centres",
-    expected="A defined normal and finite values.",
-    scenes=("two_discs",),
-    measure=measure,
+CASE = StressCase(
+    title="Penetration at the start, coincident centres", expected="A defined normal and finite values.", scenes=("two_discs",)
 )

@@ -13,7 +13,7 @@ from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import Stationarity, certify, certify_plan, solve_mpec
 from models.catalog import load_scene
-from validate.stress.case import CaseFinding, HardCase, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_most, finding, none_of, unlimited
 from validate.stress.motion import rolled
 
 STEPS = 50
@@ -28,7 +28,7 @@ def _corner() -> Any:
     return m
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     touching = (2.0, 2.5, 3.0, 0.0, 0.0, 0.0)
     scene = load_scene("three_cart").with_task(start=touching, goal=touching, steps=STEPS)
@@ -43,27 +43,23 @@ def measure() -> CaseFinding:
     certificate = solved.certificate
     if not solved.solved or certificate is None or certificate.stationarity is not Stationarity.STRONG:
         wrong.append(f"from the origin: {solved.message}")
-    return CaseFinding(
-        happened=f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
+    return finding(
+        f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
         f"feasible but with a descent direction (slope {origin.descent:.1f}); from there the solver goes on to {solved.objective:.3f}.",
-        figures=(
-            none_of("classes told wrongly", wrong, reason="S for the carts, C and not B-stationary for the origin, S for the solution"),
-            at_most(
-                "objective the solver reaches from the origin, off 1",
-                abs(solved.objective - 1.0),
-                1e-8,
-                reason="the two solutions (1, 0), (0, 1)",
-            ),
-            unlimited("biactive pairs of the plan", plan.biactive),
+        none_of("classes told wrongly", wrong, reason="S for the carts, C and not B-stationary for the origin, S for the solution"),
+        at_most(
+            "objective the solver reaches from the origin, off 1",
+            abs(solved.objective - 1.0),
+            1e-8,
+            reason="the two solutions (1, 0), (0, 1)",
         ),
+        unlimited("biactive pairs of the plan", plan.biactive),
     )
 
 
-CASE = HardCase(
-    name="h12_biactive",
+CASE = StressCase(
     title="Biactive pairs (force and gap both zero)",
     expected="The stationarity class is reported, not only feasibility.",
     scenes=("three_cart",),
-    measure=measure,
     quick=True,
 )

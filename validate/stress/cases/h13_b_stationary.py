@@ -12,7 +12,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import Stationarity, certify, solve_mpec
-from validate.stress.case import CaseFinding, HardCase, at_most, none_of
+from validate.stress.case import Found, StressCase, at_most, finding, none_of
 
 
 def _problem(start: float) -> Any:
@@ -25,7 +25,7 @@ def _problem(start: float) -> Any:
     return m
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     solved = solve_mpec(_problem(1.0))
     origin = certify(_problem(0.0))
@@ -41,20 +41,12 @@ def measure() -> CaseFinding:
         ):
             wrong.append(f"{where}: {item.sentence}")
     letter = certificate.stationarity.letter if certificate is not None else "-"
-    return CaseFinding(
-        happened=f"The solver ends as {solved.outcome.name.lower()} at {solved.objective:.1e}, class {letter}"
+    return finding(
+        f"The solver ends as {solved.outcome.name.lower()} at {solved.objective:.1e}, class {letter}"
         f"{'' if certificate is None or certificate.b_stationary is None else ', B-stationary'}; the origin itself: {origin.sentence}.",
-        figures=(
-            none_of("what is lost or told wrongly", wrong, reason="the primal answer stays, and its class is neither S nor none"),
-            at_most("objective, off 0", abs(solved.objective), 1e-6, reason="the known optimum"),
-        ),
+        none_of("what is lost or told wrongly", wrong, reason="the primal answer stays, and its class is neither S nor none"),
+        at_most("objective, off 0", abs(solved.objective), 1e-6, reason="the known optimum"),
     )
 
 
-CASE = HardCase(
-    name="h13_b_stationary",
-    title="Optimum that is B- but not S-stationary",
-    expected="The primal answer is kept, and the class says so.",
-    measure=measure,
-    quick=True,
-)
+CASE = StressCase(title="Optimum that is B- but not S-stationary", expected="The primal answer is kept, and the class says so.", quick=True)

@@ -13,7 +13,7 @@ import numpy as np
 from models.catalog import load_scene
 from models.contact_law import ContactLaw, sharpness
 from models.scene import Scene
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most
+from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding
 from validate.stress.motion import replayed, rolled
 
 COEFFICIENTS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -34,7 +34,7 @@ def _slip_speed(plan) -> float:
     return float(abs(plan.v[-1, 0] - plan.v[-1, 1]))
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     base = load_scene("transport")
     creeps, sticks, replay_slips, slipping = [], [], [], []
@@ -55,44 +55,42 @@ def measure() -> CaseFinding:
         mu: [_slip_speed(_pulled(base.with_parameters(mu=mu), mu, SHARE, h, ContactLaw.SOFTPLUS)) for h in STEPS] for mu in (0.05, 0.2, 0.8)
     }
     settled = max(abs(values[-1] / values[-2] - 1.0) for values in by_step.values())
-    return CaseFinding(
-        happened=f"Regularised friction creeps at {min(creeps):.2e} to {max(creeps):.2e} m/s under half its strength, at every step alike; the exact law and the replay "
+    return finding(
+        f"Regularised friction creeps at {min(creeps):.2e} to {max(creeps):.2e} m/s under half its strength, at every step alike; the exact law and the replay "
         f"stick ({max(sticks):.0e} and {max(replay_slips):.0e} m/s).",
-        figures=(
-            at_most("slip of the exact law where it must stick", max(sticks), 1e-12, "m/s", reason="stiction: rounding only"),
-            at_most(
-                "slip of the replay where it must stick", max(replay_slips), 1e-9, "m/s", reason="true stiction, to the replay's own error"
-            ),
-            at_least(
-                "creep of regularised friction, smallest",
-                min(creeps),
-                1e-6,
-                "m/s",
-                reason="a smooth law has no force without slip: it is measured, not hidden",
-            ),
-            at_most(
-                "largest creep against its closed form, relative",
-                abs(max(creeps) / (2.0 * 0.1 / sharpness(EPS) * math.atanh(SHARE)) - 1.0),
-                0.01,
-                reason="tanh(b s/(2 s0)) is the share of the strength that is asked, s0 = 0.1 m/s; what is left of the start decays",
-            ),
-            at_most("creep at h/16 against h/8, relative", settled, 0.02, reason="a property of the law, not of the grid"),
-            at_most("slip above the limit against its closed form, relative", max(slipping), 1e-9, reason="constant forces"),
+        at_most("slip of the exact law where it must stick", max(sticks), 1e-12, "m/s", reason="stiction: rounding only"),
+        at_most(
+            "slip of the replay where it must stick", max(replay_slips), 1e-9, "m/s", reason="true stiction, to the replay's own error"
         ),
+        at_least(
+            "creep of regularised friction, smallest",
+            min(creeps),
+            1e-6,
+            "m/s",
+            reason="a smooth law has no force without slip: it is measured, not hidden",
+        ),
+        at_most(
+            "largest creep against its closed form, relative",
+            abs(max(creeps) / (2.0 * 0.1 / sharpness(EPS) * math.atanh(SHARE)) - 1.0),
+            0.01,
+            reason="tanh(b s/(2 s0)) is the share of the strength that is asked, s0 = 0.1 m/s; what is left of the start decays",
+        ),
+        at_most("creep at h/16 against h/8, relative", settled, 0.02, reason="a property of the law, not of the grid"),
+        at_most("slip above the limit against its closed form, relative", max(slipping), 1e-9, reason="constant forces"),
         charts=(
-            Chart(
-                title="Creep of regularised friction against its coefficient",
+            chart(
+                "Creep of regularised friction against its coefficient",
                 x=("coefficient mu", ""),
                 y=("creep speed", "m/s"),
-                series=(Series(name="regularised, eps 1e-3, h = 0.02 s", x=COEFFICIENTS, y=creeps),),
+                series={"regularised, eps 1e-3, h = 0.02 s": (COEFFICIENTS, creeps)},
                 log_x=True,
                 words="The exact law and the replay stick: they would lie at zero.",
             ),
-            Chart(
-                title="Creep against the step",
+            chart(
+                "Creep against the step",
                 x=("step h", "s"),
                 y=("creep speed", "m/s"),
-                series=tuple(Series(name=f"mu = {mu:g}", x=STEPS, y=values) for mu, values in by_step.items()),
+                series={f"mu = {mu:g}": (STEPS, values) for mu, values in by_step.items()},
                 log_x=True,
                 log_y=True,
                 words="It does not vanish as the step goes to zero.",
@@ -101,10 +99,8 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h14_creep",
+CASE = StressCase(
     title="Stick-slip: mu sweep, h to 0",
     expected="Dry friction sticks; the creep of regularised friction is measured.",
     scenes=("transport",),
-    measure=measure,
 )

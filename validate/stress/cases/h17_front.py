@@ -12,12 +12,12 @@ from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene.goal import distance, goal_state
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most, none_of
+from validate.stress.case import Found, StressCase, at_most, chart, finding, none_of
 
 TOLERANCES = (0.0, 1e-2, 0.1)
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     best = next(answer.value for answer in scene.answers if answer.quantity.startswith("best known cost"))
@@ -38,43 +38,39 @@ def measure() -> CaseFinding:
         if certificate is None or not certificate.feasible:
             wrong.append(f"{point.tolerance:g}: {'no certificate' if certificate is None else certificate.sentence}")
     rises = [late - early for early, late in pairwise(costs)]
-    return CaseFinding(
-        happened=f"Cost {costs[0]:.2f} at the goal itself, {costs[-1]:.2f} within {TOLERANCES[-1]:g}.",
-        figures=(
-            none_of("tolerances without a certified plan", wrong, reason="each can be met"),
-            at_most(
-                "cost at the goal itself above the best known, relative",
-                costs[0] / best - 1.0,
-                1e-3,
-                reason="without the search for cheaper contact windows: 490.558 of 490.5495",
-            ),
-            at_most(
-                "largest rise of the cost with the tolerance",
-                max(rises, default=math.nan),
-                1e-6,
-                reason="a plan within a tolerance is within every larger one",
-            ),
-            at_most(
-                "end beyond its tolerance, true contact law", max(over), 1e-7, reason="the residual of an exactly solved quadratic program"
-            ),
+    return finding(
+        f"Cost {costs[0]:.2f} at the goal itself, {costs[-1]:.2f} within {TOLERANCES[-1]:g}.",
+        none_of("tolerances without a certified plan", wrong, reason="each can be met"),
+        at_most(
+            "cost at the goal itself above the best known, relative",
+            costs[0] / best - 1.0,
+            1e-3,
+            reason="without the search for cheaper contact windows: 490.558 of 490.5495",
+        ),
+        at_most(
+            "largest rise of the cost with the tolerance",
+            max(rises, default=math.nan),
+            1e-6,
+            reason="a plan within a tolerance is within every larger one",
+        ),
+        at_most(
+            "end beyond its tolerance, true contact law", max(over), 1e-7, reason="the residual of an exactly solved quadratic program"
         ),
         charts=(
-            Chart(
-                title="Least cost within a terminal tolerance",
+            chart(
+                "Least cost within a terminal tolerance",
                 x=("terminal tolerance (0 drawn at 1e-4)", ""),
                 y=("cost", ""),
-                series=(Series(name="three carts, exact contact", x=[max(tolerance, 1e-4) for tolerance in TOLERANCES], y=costs),),
+                series={"three carts, exact contact": ([max(tolerance, 1e-4) for tolerance in TOLERANCES], costs)},
                 log_x=True,
             ),
         ),
     )
 
 
-CASE = HardCase(
-    name="h17_front",
+CASE = StressCase(
     title="Terminal tolerance 0 .. 0.1",
     expected="Cost against terminal error as a front.",
     scenes=("three_cart",),
     methods=("mpcc_front", "mpcc"),
-    measure=measure,
 )

@@ -8,15 +8,15 @@ start on another grid is refused.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from formulations.pipelines import load_method
 from models.catalog import load_scene
-from models.errors import TouchstoneError
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of
+from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, refusal
 from validate.stress.motion import replayed, rolled
 
 SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
@@ -44,7 +44,7 @@ def order(errors: list[float]) -> float:
     return -float(np.polyfit(np.log(COUNTS), np.log(errors), 1)[0])
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
     # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever shorter step, so of order 2 as well
@@ -60,30 +60,21 @@ def measure() -> CaseFinding:
     wrong = []
     other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon
     for name, eps in (("softplus_dc", 1e-3), ("strict_lcp", None), ("mpcc", None)):
-        try:
-            with load_method(name).open(scene) as session:
-                session.solve(eps=eps, warm_start=other_grid, time_limit=5.0)
-        except TouchstoneError as error:
-            if "resample" not in str(error) and "steps" not in str(error):
-                wrong.append(f"{name}: {error}")
-        else:
-            wrong.append(f"{name} takes a warm start on another grid")
-    return CaseFinding(
-        happened=f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
-        figures=(
-            at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),
-            at_least("order with lines", orders[Hold.LINEAR], 1.8, reason="inputs wrong by the square of a step"),
-            at_most(
-                "a step cut in two parts: difference of the end", same, 1e-9, reason="the same inputs; ten times the replay's own error"
-            ),
-            none_of("warm starts on another grid that are not refused", wrong, reason="one grid, or a sentence"),
-        ),
+        with load_method(name).open(scene) as session:
+            solve = partial(session.solve, eps=eps, warm_start=other_grid, time_limit=5.0)
+            wrong += refusal(f"{name}, a warm start on another grid", ["resample", "steps"], solve)
+    return finding(
+        f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
+        at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),
+        at_least("order with lines", orders[Hold.LINEAR], 1.8, reason="inputs wrong by the square of a step"),
+        at_most("a step cut in two parts: difference of the end", same, 1e-9, reason="the same inputs; ten times the replay's own error"),
+        none_of("warm starts on another grid that are not refused", wrong, reason="one grid, or a sentence"),
         charts=(
-            Chart(
-                title="End of the replay against the number of steps",
+            chart(
+                "End of the replay against the number of steps",
                 x=("steps", ""),
                 y=("error of the end", ""),
-                series=tuple(Series(name=hold.value.replace("_", " "), x=COUNTS, y=values) for hold, values in errors.items()),
+                series={hold.value.replace("_", " "): (COUNTS, values) for hold, values in errors.items()},
                 log_x=True,
                 log_y=True,
             ),
@@ -91,11 +82,9 @@ def measure() -> CaseFinding:
     )
 
 
-CASE = HardCase(
-    name="h18_hold",
+CASE = StressCase(
     title="Hold convention, and time grids that do not divide",
     expected="One convention on both sides of the replay, else refused.",
     scenes=("three_cart",),
     methods=("softplus_dc", "strict_lcp", "mpcc"),
-    measure=measure,
 )

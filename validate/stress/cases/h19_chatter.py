@@ -11,7 +11,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from validate.judge.score import Verdict, score
-from validate.stress.case import CaseFinding, HardCase, at_least, at_most, none_of, unlimited
+from validate.stress.case import Found, StressCase, at_least, at_most, finding, none_of, unlimited
 from validate.stress.motion import replayed, rolled
 
 NODES = 300
@@ -19,7 +19,7 @@ NODES = 300
 COARSE = (5, 10, 20)
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     base = load_scene("three_cart")
     # the carts touch all the while; stiff enough that each reversal is a collision
@@ -36,32 +36,25 @@ def measure() -> CaseFinding:
     silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
     resolved = result.ok and error.everyday is not None and error.step is not None
     far = error.everyday.position / max(error.step.position, 1e-12) if resolved and error.everyday and error.step else math.nan
-    return CaseFinding(
-        happened=f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
+    return finding(
+        f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
-        figures=(
-            none_of("neither converging nor marked `undecided`", silent, reason="one of the two"),
-            at_least(
-                "ratio of the differences when the step is halved",
-                ratio,
-                1.5,
-                reason="2 for an event within a step, 4 and more where none is",
-            ),
-            at_most(
-                "everyday replay against the reference, in its own step differences",
-                far,
-                3.0,
-                reason="what the replay calls explained by its step",
-            ),
-            unlimited("contact events", len(result.events)),
+        none_of("neither converging nor marked `undecided`", silent, reason="one of the two"),
+        at_least(
+            "ratio of the differences when the step is halved", ratio, 1.5, reason="2 for an event within a step, 4 and more where none is"
         ),
+        at_most(
+            "everyday replay against the reference, in its own step differences",
+            far,
+            3.0,
+            reason="what the replay calls explained by its step",
+        ),
+        unlimited("contact events", len(result.events)),
     )
 
 
-CASE = HardCase(
-    name="h19_chatter",
+CASE = StressCase(
     title="Chattering plan (bang-bang inputs)",
     expected="The replay converges as the step shrinks, or is marked `undecided`.",
     scenes=("three_cart",),
-    measure=measure,
 )

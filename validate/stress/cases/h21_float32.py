@@ -8,17 +8,17 @@ import numpy as np
 import torch
 
 from formulations.shooting.reference import reference_rollout
-from formulations.shooting.rollout import ShootingError, rollout
+from formulations.shooting.rollout import rollout
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from validate.stress.case import CaseFinding, HardCase, at_least, at_most, none_of
+from validate.stress.case import Found, StressCase, at_least, at_most, finding, none_of, refusal
 
 STIFFNESS, STEP, STEPS = 1e6, 1e-4, 600
 # The carts stand 1 mm apart and meet within the 60 ms.
 _START = (2.0, 2.501, 3.002, 0.3, 0.0, -0.3)
 
 
-def measure() -> CaseFinding:
+def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_parameters(k=STIFFNESS)
     u = np.tile([2.0, -2.0], (STEPS, 1))
@@ -30,30 +30,19 @@ def measure() -> CaseFinding:
         v[-1].sum().backward()
         errors[dtype] = float(np.abs(v.detach().double().numpy() - compiled.v).max())
         gradients[dtype] = math.nan if inputs.grad is None or q.dtype != dtype else float(inputs.grad.double().norm())
-    wrong = []
-    try:
-        rollout(scene, torch.zeros((2, 2), dtype=torch.float32))
-    except ShootingError as error:
-        if "float64" not in str(error):
-            wrong.append(f"the sentence does not name float64: {error}")
-    else:
-        wrong.append("the compiled rollout takes float32")
+    wrong = refusal("float32 for the compiled rollout", ["float64"], lambda: rollout(scene, torch.zeros((2, 2), dtype=torch.float32)))
     single, double = errors[torch.float32], errors[torch.float64]
-    return CaseFinding(
-        happened=f"Velocities are {single:.1e} m/s off in float32, {double:.0e} m/s in float64, of 0.3 m/s; the gradient norms are {gradients[torch.float32]:.6g} and "
+    return finding(
+        f"Velocities are {single:.1e} m/s off in float32, {double:.0e} m/s in float64, of 0.3 m/s; the gradient norms are {gradients[torch.float32]:.6g} and "
         f"{gradients[torch.float64]:.6g}. Shooting takes float64 and says so to float32.",
-        figures=(
-            at_least("error of float32", single, 1e-4, "m/s", reason="a position of 2.5 m has 2e-7 m in float32, which k turns into 0.2 N"),
-            at_most("error of float64", double, 1e-9, "m/s", reason="rounding of 600 steps with k = 1e6"),
-            none_of("what is taken in float32", wrong, reason="the default is float64, and the only one of the compiled rollout"),
-        ),
+        at_least("error of float32", single, 1e-4, "m/s", reason="a position of 2.5 m has 2e-7 m in float32, which k turns into 0.2 N"),
+        at_most("error of float64", double, 1e-9, "m/s", reason="rounding of 600 steps with k = 1e6"),
+        none_of("what is taken in float32", wrong, reason="the default is float64, and the only one of the compiled rollout"),
     )
 
 
-CASE = HardCase(
-    name="h21_float32",
+CASE = StressCase(
     title="float32 against float64 shooting at k = 1e6",
     expected="The difference is visible; the default is float64.",
     scenes=("three_cart",),
-    measure=measure,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
-from validate.judge.score.cause import ScoredPlan, explain
+from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.table import FEEDBACK, TABLE, feedback_entries
 from validate.judge.score.verdict import (
     EFFORT,
@@ -191,24 +192,26 @@ def test_good_verdicts():
 SCENE = load_scene("three_cart")
 
 
-def told(*metrics: Metric, verdict: Verdict = Verdict.VIOLATES, scheme: bool = True, **more: object) -> str:
+def scored(*metrics: Metric, verdict: Verdict = Verdict.VIOLATES, scheme: bool = True, **more: object) -> ScoredPlan:
     task = SCENE.task
     states = np.zeros((task.steps + 1, 3))
     plan = Trajectory(
         t=uniform_grid(task.step, task.steps), q=states, v=states, u=np.zeros((task.steps, 2)), lam=np.zeros((task.steps, 2)),
         scheme=Scheme.SEMI_IMPLICIT_EULER if scheme else None,
     )  # fmt: skip
-    return explain(
-        ScoredPlan(
-            scene=SCENE,
-            trajectory=plan,
-            replay=None,
-            metrics={item.name: item for item in metrics},
-            verdict=verdict,
-            questions=answers(metrics),
-            **more,  # type: ignore[arg-type] - the rest is given by the test by name
-        )
+    return ScoredPlan(
+        scene=SCENE,
+        trajectory=plan,
+        replay=None,
+        metrics={item.name: item for item in metrics},
+        verdict=verdict,
+        questions=answers(metrics),
+        **more,  # type: ignore[arg-type] - the rest is given by the test by name
     )
+
+
+def told(*metrics: Metric, **more: Any) -> str:
+    return explain(scored(*metrics, **more))
 
 
 MISS = metric("replay_terminal_position_error", False, value=0.27)
@@ -271,6 +274,34 @@ def test_what_declares_no_scheme_hears_nothing_of_grids():
 
 def metric_of_growth(value: float) -> Metric:
     return Metric(name="amplification", question=Question.SHOWN, value=value, unit="1", meaning="")
+
+
+LAW = metric("law_error", None, value=0.08, limit=None)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "cause"),
+    [
+        ((STRAY, metric("physics_scaled", False, 2.0, 1e-5, "s")), "physics_scaled"),
+        ((metric("terminal_position_error", False, 0.5, 0.05), STRAY), "terminal_position_error"),
+        ((metric("replay_cost", False, 2.0, 1.0, "1"),), "replay_cost"),
+        ((metric("unexplained_force", False, 0.4, 0.1, "1"), STRAY), "unexplained_force"),
+        ((STRAY, GRID, LAW, metric_of_growth(549.0)), "relaxed contact"),
+        ((STRAY, GRID, metric_of_growth(100.0)), "unstable"),
+        ((STRAY, GRID, metric_of_growth(99.0)), "coarse grid"),
+        ((STRAY, GRID), "coarse grid"),
+        ((STRAY, LAW), "motion"),
+        ((STRAY, GRID, LAW, metric("defect", False, 1e-3, 1e-6, "1")), "defect"),
+    ],
+)
+def test_the_cause_of_a_violation_is_one_word(metrics: tuple[Metric, ...], cause: str):
+    assert cause_of(scored(*metrics)) == cause
+    assert cause_of(scored(*metrics, verdict=Verdict.HOLDS)) == ""
+
+
+def test_the_cause_of_what_is_undecided_is_what_is_open():
+    assert cause_of(scored(metric("replay_error", None, 0.0599), verdict=Verdict.UNDECIDED)) == "replay_error"
+    assert cause_of(scored(metric("replay_error", None, 0.0599), UNWELL, verdict=Verdict.UNDECIDED)) == UNWELL.name
 
 
 def test_the_other_hold_is_named_where_it_passes():

@@ -13,11 +13,12 @@ from models.catalog import load_scene
 from models.scene.text import scene_text
 from reports.records.check_record import ExaminationRecord
 from validate.execution.campaign import CampaignError, CampaignSettings, select
-from validate.store.provenance import examination_key
-from validate.tasks.examination import Examination, SceneReference
+from validate.store.provenance import check_key
 from validate.tasks.plugins import DEFAULT
+from validate.tasks.task import CheckTask, task_from_json, task_to_json
+from validate.tasks.variant import SceneReference
 
-FAKES = ("--plugin", "examination_fakes:PLUGIN", "--scene", "three_cart")
+FAKES = ("--plugin", "check_fakes:PLUGIN", "--scene", "three_cart")
 
 
 def _records(out: Path) -> dict[str, ExaminationRecord]:
@@ -46,7 +47,7 @@ def asked(cli, tmp_path_factory):
         ("yes", "answered", True, "it says yes."),
         ("no", "answered", False, "it says no."),
         ("maybe", "answered", False, "it says maybe."),
-        ("refuse", "failed", False, "the examination says why it cannot."),
+        ("refuse", "failed", False, "the check says why it cannot."),
         ("raise", "crashed", False, "ValueError: its own mistake"),
         ("segfault", "crashed", False, r"signal 11 \(SIGSEGV\) during the question segfault"),
     ],
@@ -67,7 +68,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failing) == 5
     assert "fails: question: no of three_cart: failed - it says no." in failing
-    assert "fails: question: refuse of three_cart: failed - the examination says why it cannot." in failing
+    assert "fails: question: refuse of three_cart: failed - the check says why it cannot." in failing
     assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s wall\), it says yes\.", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
     assert "question" not in (out / "results.csv").read_text()
@@ -99,7 +100,7 @@ def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
 
 
 def test_selection_by_words_and_scenes_and_quick():
-    settings = CampaignSettings(out=Path(), plugin="examination_fakes:PLUGIN", scenes=("three_cart",), expression="asked")
+    settings = CampaignSettings(out=Path(), plugin="check_fakes:PLUGIN", scenes=("three_cart",), expression="asked")
     entries, left_out = select(settings)
     assert [entry.task.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
@@ -114,32 +115,32 @@ def test_selection_by_words_and_scenes_and_quick():
         select(replace(settings, plugin="campaign_fakes:PLUGIN"))
 
 
-def _examination(**changes) -> Examination:
+def _check(**changes) -> CheckTask:
     whole = {"kind": "k", "name": "n", "expected": "e", "function": "f:g", "arguments": {"a": 1}, "sources": ("validate/fmu_check/",)}
-    return Examination(**{**whole, **changes})
+    return CheckTask(**{**whole, **changes})
 
 
 def test_equal_content_has_equal_keys_and_other_content_another():
-    key = examination_key(_examination())
-    assert key == examination_key(_examination(time_limit=3.0, words=("w",), quick=False, scene="s"))
+    key = check_key(_check())
+    assert key == check_key(_check(time_limit=3.0, words=("w",), quick=False, scene="s"))
     others = [
-        _examination(name="m"),
-        _examination(arguments={"a": 2}),
-        _examination(content=scene_text(load_scene("three_cart"))),
-        _examination(sources=("validate/judge/replay/",)),
-        _examination(sources=()),
-        _examination(function="f:h"),
+        _check(name="m"),
+        _check(arguments={"a": 2}),
+        _check(content=scene_text(load_scene("three_cart"))),
+        _check(sources=("validate/judge/replay/",)),
+        _check(sources=()),
+        _check(function="f:h"),
     ]
-    keys = {key, *(examination_key(other) for other in others)}
+    keys = {key, *(check_key(other) for other in others)}
     assert len(keys) == len(others) + 1
 
 
 def test_a_request_survives_its_file():
-    examination = _examination(key="k", time_limit=4.0, methods=("relu_gd",), words=("w",), scene="s")
-    assert Examination.from_json(json.loads(json.dumps(examination.to_json()))) == examination
+    check = _check(key="k", time_limit=4.0, methods=("relu_gd",), words=("w",), scene="s")
+    assert task_from_json(json.loads(json.dumps(task_to_json(check)))) == check
 
 
-def test_examinations_of_our_own_are_told_apart_by_their_names():
+def test_checks_of_our_own_are_told_apart_by_their_names():
     scenes = [SceneReference(name, load_scene(name)) for name in ("three_cart", "bouncing_mass")]
-    titles = [item.title for item in DEFAULT.examinations(scenes)]
+    titles = [item.title for item in DEFAULT.checks(scenes)]
     assert len(set(titles)) == len(titles)

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from validate.doctor import State, examine_machine
-from validate.doctor.examine import TRIALS, Trial
+from validate.cli.doctor import TRIALS, State, Trial, examine_machine
 
 
 def doctor(*words: str, **environment: str) -> subprocess.CompletedProcess:

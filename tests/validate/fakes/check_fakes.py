@@ -1,6 +1,6 @@
 """Examinations that pass, fail and misbehave, beside the cells of campaign_fakes.py.
 
-python -m validate all --plugin examination_fakes:PLUGIN        # with this folder on PYTHONPATH
+python -m validate all --plugin check_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import campaign_fakes
 from models.errors import TouchstoneError
 from models.scene.text import scene_text
 from reports.records.record import MetricRecord
-from validate.tasks.examination import Course, Examination, Found, SceneReference
+from validate.tasks.check import Course, Found
+from validate.tasks.task import CheckTask
+from validate.tasks.variant import SceneReference
 
 
 def _hang() -> None:
@@ -29,7 +31,7 @@ def _raise() -> None:
 
 
 def _refuse() -> None:
-    raise TouchstoneError("the examination says why it cannot.")
+    raise TouchstoneError("the check says why it cannot.")
 
 
 _MISBEHAVIOUR = {"segfault": lambda: ctypes.string_at(0), "hang": _hang, "raise": _raise, "refuse": _refuse}
@@ -45,18 +47,18 @@ def ask(arguments: Mapping[str, str], course: Course) -> Found:
     return Found(arguments["says"] == "yes", f"it says {arguments['says']}.", (figure,))
 
 
-def _offered(scenes: Sequence[SceneReference]) -> list[Examination]:
+def _offered(scenes: Sequence[SceneReference]) -> list[CheckTask]:
     """For each scene one of each kind of answer; `maybe` is not for quick campaigns. And one about no scene."""
 
-    def question(says: str, scene: SceneReference | None, *, quick: bool = True) -> Examination:
-        return Examination(
+    def question(says: str, scene: SceneReference | None, *, quick: bool = True) -> CheckTask:
+        return CheckTask(
             kind="question",
             name=f"{says} of {scene.scene.name if scene else 'nothing'}",
             expected="it says yes.",
-            function="examination_fakes:ask",
+            function="check_fakes:ask",
             arguments={"says": says},
             content=scene_text(scene.scene) if scene else "",
-            sources=("validate/tasks/examination.py",),
+            sources=("validate/tasks/check.py",),
             scene=scene.scene.name if scene else None,
             quick=quick,
             words=("asked",),
@@ -67,4 +69,4 @@ def _offered(scenes: Sequence[SceneReference]) -> list[Examination]:
     return [*about, *(question("maybe", scene, quick=False) for scene in scenes), question("yes", None)]
 
 
-PLUGIN = replace(campaign_fakes.PLUGIN, examinations=_offered)
+PLUGIN = replace(campaign_fakes.PLUGIN, checks=_offered)

@@ -4,7 +4,7 @@
     verdict = JudgedPlan.of(judgement, "plan.csv")                   # a Judgement that knows what its plan is called
     verdict.page("python -m validate replay plan.csv --scene three_cart")
 
-The judge knows neither methods nor reports; this stands above both, and `touchstone` hands these out as `Solution` and `Judgement`.
+This stands above the judge, which knows neither methods nor reports; `touchstone` hands these out as `Solution` and `Judgement`.
 """
 
 from __future__ import annotations

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 import models.fmu
-import validate.tasks.fmu_examination
+import validate.tasks.fmu_checks
 from models.catalog import load_scene, scene_names
 from reports.records.check_record import StoredRecord
 from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import scene_cost
-from validate.tasks.examination import Course
-from validate.tasks.fmu_examination import VERSIONS, examine
+from validate.tasks.check import Course
+from validate.tasks.fmu_checks import VERSIONS, check
 
 
-def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():
+def test_every_scene_in_every_version_is_checked_and_quick_says_what_it_leaves_out():
     chosen = CampaignSettings(out=Path(), expression="fmu_check")
     entries, _ = select(chosen)
     assert [(entry.task.scene, entry.task.arguments["version"]) for entry in entries] == [
@@ -46,12 +46,12 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert record.fmu.count("failed") == 0
     assert record.fmu.count("passed") > 30
     assert len({(row.name, row.type) for row in record.fmu.rows}) == len(record.fmu.rows)
-    (row,) = csv.DictReader((tmp_path / "examinations.csv").read_text(encoding="utf-8").splitlines())
+    (row,) = csv.DictReader((tmp_path / "checks.csv").read_text(encoding="utf-8").splitlines())
     assert (row["kind"], row["scene"], row["outcome"], row["passed"]) == ("FMU", "bouncing_mass", "answered", "True")
     assert "bouncing_mass" in (tmp_path / "pages" / "fmus.html").read_text(encoding="utf-8")
     again = cli(*command, "--json")
     assert "1 stored, 0 to run" in again.stderr
-    assert [item["passed"] for item in json.loads(again.stdout)["examinations"]] == [True]
+    assert [item["passed"] for item in json.loads(again.stdout)["checks"]] == [True]
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
                 target.writestr(name, data)
         return path
 
-    monkeypatch.setattr(validate.tasks.fmu_examination, "build_fmu", defective)
-    found = examine({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
+    monkeypatch.setattr(validate.tasks.fmu_checks, "build_fmu", defective)
+    found = check({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
     assert not found.passed
     assert "start values are the XML's (CS)" in found.sentence
     assert found.details["fmu"].failed

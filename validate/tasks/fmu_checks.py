@@ -1,4 +1,4 @@
-"""Our own FMUs under our own check: an examination for each scene of a campaign and each version of FMI.
+"""Our own FMUs under our own check: a check for each scene of a campaign and each version of FMI.
 
 The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an isolated child, each check in a fork.
 """
@@ -16,7 +16,9 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene.text import scene_text
 from reports.records.check_record import CheckRow, FmuRecord
-from validate.tasks.examination import Course, Examination, Found, SceneReference
+from validate.tasks.check import Course, Found
+from validate.tasks.task import CheckTask
+from validate.tasks.variant import SceneReference
 
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport
@@ -30,19 +32,19 @@ _SOURCES = (
     "validate/execution/isolated",
     "validate/execution/process.py",
     "validate/fmi/",
-    "validate/tasks/fmu_examination.py",
+    "validate/tasks/fmu_checks.py",
 )
 
 
-def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+def checks(scenes: Sequence[SceneReference]) -> list[CheckTask]:
     """One for each scene and version; all scenes of one version, then of the next."""
     return [
-        Examination(
+        CheckTask(
             kind="FMU",
             name=f"{reference.scene.name}, FMI {version}",
             group=f"FMU, FMI {version}",
             expected="it passes every check of what it offers.",
-            function="validate.tasks.fmu_examination:examine",
+            function="validate.tasks.fmu_checks:check",
             arguments={"scene": reference.where, "version": version},
             content=scene_text(reference.scene),
             sources=_SOURCES,
@@ -55,7 +57,7 @@ def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     ]
 
 
-def examine(arguments: Mapping[str, Any], course: Course) -> Found:
+def check(arguments: Mapping[str, Any], course: Course) -> Found:
     """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
     from validate.fmu_check import CHECK_SECONDS, check_fmu  # imports FMPy: in the child alone
 

@@ -15,7 +15,7 @@ from reports.records.check_record import ExaminationRecord
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, RunRecord, SecondsRecord, StageRecord
 from tests.reports import record_factory as factory
-from validate.store.compare import Change, ChangeKind, Comparison, compare
+from validate.cli.compare import Change, ChangeKind, Comparison, compare
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +29,8 @@ def changed_last(run: RunRecord, **changes) -> RunRecord:
     return run.model_copy(update={"stages": (*run.stages[:-1], last)})
 
 
-def stored(runs: Sequence[RunRecord] = (), examinations: Sequence[ExaminationRecord] = ()) -> Stored:
-    return Stored("all", None, tuple(runs), (), (), 0, tuple(examinations))
+def stored(runs: Sequence[RunRecord] = (), checks: Sequence[ExaminationRecord] = ()) -> Stored:
+    return Stored("all", None, tuple(runs), (), (), 0, tuple(checks))
 
 
 def compared(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> Comparison:
@@ -170,25 +170,25 @@ def test_a_time_is_told_beyond_a_second_and_a_half_as_much_again(slow: float, fa
     assert (changes(second, first), changes(first, second)) == (([up], [down]) if told else ([], []))
 
 
-def examination(passed: bool, name: str = "case", scene: str | None = None) -> ExaminationRecord:
+def check(passed: bool, name: str = "case", scene: str | None = None) -> ExaminationRecord:
     return ExaminationRecord(
         key=name, kind="stress", name=name, expected="", scene=scene, outcome="answered", passed=passed, wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip
 
 
-def test_an_examination_that_no_longer_passes_is_a_regression():
-    good, bad = stored((), [examination(True, scene="push_box")]), stored((), [examination(False, scene="push_box")])
+def test_a_check_that_no_longer_passes_is_a_regression():
+    good, bad = stored((), [check(True, scene="push_box")]), stored((), [check(False, scene="push_box")])
     where = "stress case push_box"
     down, up, same = compare(good, bad), compare(bad, good), compare(bad, bad)
-    assert down.changes == (Change(kind=ChangeKind.REGRESSION, where=where, what="examination", before="passed", after="failed"),)
-    assert up.changes == (Change(kind=ChangeKind.IMPROVEMENT, where=where, what="examination", before="failed", after="passed"),)
+    assert down.changes == (Change(kind=ChangeKind.REGRESSION, where=where, what="check", before="passed", after="failed"),)
+    assert up.changes == (Change(kind=ChangeKind.IMPROVEMENT, where=where, what="check", before="failed", after="passed"),)
     assert (down.pairs, same.changes, down.regressions, up.regressions) == (1, (), down.changes, ())
 
 
 def test_rows_that_are_gone_and_new_ones():
     first, second = factory.run("strict", None, "strict_lcp"), factory.run("relu_gd", None, "relu_gd")
-    found = compare(stored([first], [examination(True, "one")]), stored([second], [examination(True, "two")]))
+    found = compare(stored([first], [check(True, "one")]), stored([second], [check(True, "two")]))
     assert found.changes == (
         Change(kind=ChangeKind.GONE, where="stress one", what="row", before="there", after="gone"),
         Change(kind=ChangeKind.GONE, where=WHERE, what="row", before="there", after="gone"),

@@ -1,0 +1,112 @@
+"""A check as its child makes it: a function is asked a question, and what it finds is as expected or not.
+
+    CheckTask(kind="FMU", name="three_cart, FMI 2.0", expected="...", function="validate.tasks.fmu_checks:check",
+              arguments={"scene": "three_cart", "version": "2.0"}, ...)
+
+Checks are selected, keyed by content, run in a child with the campaign's time limit, stored, resumed and reported like a run. A room that has some offers
+a function `checks(scenes)` (validate.tasks.plugins, CHECKS); the campaign does the rest. The function is called as function(arguments, course) and
+hands back what it found.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from models.errors import MachineError, TouchstoneError
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import MetricRecord, ProvenanceRecord
+from validate.store.disk import raise_if_disk_ended
+from validate.store.store import LOG, PROGRESS
+from validate.tasks.task import CheckTask, ChildExit
+
+# Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no more than 5 s.
+_WRITING_SHARE, _WRITING_MOST = 0.05, 5.0
+# Lines of the log that go into the record.
+_LOG_LINES = 40
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a check found: whether it is as expected, in one sentence, with figures. details: further fields of the record."""
+
+    passed: bool
+    sentence: str
+    figures: tuple[MetricRecord, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a check is given beside its arguments. folder: for scratch files; deadline: time.monotonic() by which it should be done."""
+
+    folder: Path
+    deadline: float
+
+    def at(self, text: str) -> None:
+        """Say where we are, for the parent to read if we never come back."""
+        (self.folder / PROGRESS).write_text(text, encoding="utf-8")
+
+    @property
+    def seconds_left(self) -> float:
+        """Until the deadline [s]."""
+        return max(0.0, self.deadline - time.monotonic())
+
+
+def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float) -> ExaminationRecord:
+    """Ask, in the child. began: time.monotonic() at its start. Raises MachineError; whatever else goes wrong is in the record."""
+    reserve = min(_WRITING_MOST, _WRITING_SHARE * task.time_limit)
+    course = Course(folder, began + task.time_limit - reserve)
+    module, _, name = task.function.partition(":")
+    found, outcome, message = Found(False, ""), "answered", ""
+    try:
+        function: Callable[[Mapping[str, Any], Course], Found] = getattr(importlib.import_module(module), name)
+        found = function(task.arguments, course)
+    except MachineError:
+        raise
+    except TouchstoneError as error:
+        raise_if_disk_ended(folder, error)
+        traceback.print_exc()
+        outcome, message = "failed", str(error)
+    except Exception as error:  # noqa: BLE001 - a check may fail in any way; the log has the traceback, the row has the sentence
+        raise_if_disk_ended(folder, error)
+        traceback.print_exc()
+        outcome, message = "crashed", f"{type(error).__name__}: {next(iter(str(error).splitlines()), '') or 'no further words.'}"
+    log = folder / LOG
+    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+    used = os.times()
+    cpu = used.user + used.system + used.children_user + used.children_system
+    return _record(task, provenance, found, outcome, message, time.monotonic() - began, cpu, text)
+
+
+def unfinished_check(task: CheckTask, provenance: ProvenanceRecord, child: ChildExit) -> ExaminationRecord:
+    """The record of a check whose child left none."""
+    return _record(task, provenance, Found(False, ""), child.outcome, child.message, child.wall, child.cpu, child.log)
+
+
+def _record(
+    task: CheckTask, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
+) -> ExaminationRecord:
+    return ExaminationRecord(
+        key=task.key,
+        kind=task.kind,
+        name=task.name,
+        expected=task.expected,
+        scene=task.scene,
+        outcome=outcome,
+        passed=found.passed,
+        found=found.sentence,
+        message=message,
+        figures=found.figures,
+        wall_seconds=wall,
+        cpu_seconds=cpu,
+        provenance=provenance,
+        log_tail="\n".join(log.splitlines()[-_LOG_LINES:]),
+        **found.details,
+    )
