@@ -35,11 +35,11 @@ class Columns:
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
         self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
-        self.first = np.array([self.place[id(v)] for v in lifted.firsts], dtype=np.intp)
-        self.second = np.array([self.place[id(w)] for w in lifted.seconds], dtype=np.intp)
-        self.twin = np.array([-1 if u is None else self.place[id(u)] for u in lifted.twins], dtype=np.intp)
+        self.first = np.array([self.place[id(pair.first)] for pair in lifted.pairs], dtype=np.intp)
+        self.second = np.array([self.place[id(pair.second)] for pair in lifted.pairs], dtype=np.intp)
+        self.twin = np.array([-1 if pair.twin is None else self.place[id(pair.twin)] for pair in lifted.pairs], dtype=np.intp)
         row = {id(equation): number for number, equation in enumerate(problem.equations)}
-        self.twin_row = np.array([row[id(pair.ve)] for pair in lifted.pairs], dtype=np.intp)
+        self.twin_row = np.array([row[id(pair.data.ve)] for pair in lifted.pairs], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]. Raises nothing."""
@@ -107,7 +107,7 @@ class Workspace:
         return point
 
     def _slacks(self) -> list[Any]:
-        return [*self.lifted.shadow.slack.values(), *self.lifted.firsts]
+        return [*self.lifted.shadow.slack.values(), *(pair.first for pair in self.lifted.pairs)]
 
 
 def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
@@ -143,7 +143,7 @@ def _compile_branches(lifted: Lifted) -> Columns:
     lifted.products(active=False)
     problem = compile_model(lifted.shadow)
     present = {id(variable) for variable in problem.variables}
-    lonely = [pair for pair, second in zip(lifted.pairs, lifted.seconds, strict=True) if id(second) not in present]
+    lonely = [pair.data for pair in lifted.pairs if id(pair.second) not in present]
     if lonely:
         for pair in lonely:
             pair.c.activate()

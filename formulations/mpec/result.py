@@ -15,7 +15,6 @@ from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
-from formulations.mpec.lifted import BoxCondition, SimpleCondition
 from formulations.mpec.strategies import MpecSettings
 from formulations.solution import Outcome
 
@@ -219,11 +218,10 @@ def _pair_states(candidate: Candidate, x: np.ndarray, with_multipliers: bool) ->
     if candidate.branch is not None and with_multipliers:
         nu, mu = candidate.branch.slope[columns.first], candidate.branch.slope[columns.second]
     states = []
-    for k, owner in enumerate(lifted.owners):
+    for k, pair in enumerate(lifted.pairs):
         sides = ((first[k], nu[k]), (second[k], mu[k]))
-        (a, a_multiplier), (b, b_multiplier) = sides[::-1] if lifted.swapped[k] else sides
-        name = lifted.conditions[owner].data.name
-        states.append(PairState(name=name, first=a, second=b, first_multiplier=a_multiplier, second_multiplier=b_multiplier))
+        (a, a_multiplier), (b, b_multiplier) = sides[::-1] if pair.swapped else sides
+        states.append(PairState(name=pair.condition.name, first=a, second=b, first_multiplier=a_multiplier, second_multiplier=b_multiplier))
     return tuple(states)
 
 
@@ -238,38 +236,32 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     rows = ComponentMap((row, -value) for row, value in zip(problem.equations, branch.lagrange.tolist(), strict=True) if id(row) in users)
     bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
     given = dict(zip((id(row) for row in problem.equations), branch.lagrange.tolist(), strict=True))
-    pairs: Any = ComponentMap((condition.data, (0.0, 0.0)) for condition in lifted.conditions)
-    for owner, argument, row in lifted.imposed:
-        _add(pairs, lifted.conditions[owner].data, argument, -given.get(id(row), 0.0))
-    for k, owner in enumerate(lifted.owners):
-        condition, second = lifted.conditions[owner], lifted.seconds[k]
+    pairs: Any = ComponentMap((condition, (0.0, 0.0)) for condition in lifted.conditions)
+
+    def add(condition: Any, argument: int, multiplier: float) -> None:
+        both = list(pairs[condition])
+        both[argument] += multiplier
+        pairs[condition] = (both[0], both[1])
+
+    for condition, argument, row in lifted.imposed:
+        add(condition, argument, -given.get(id(row), 0.0))
+    for k, pair in enumerate(lifted.pairs):
         nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
-        if id(second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
-            mu = bounds.pop(second, 0.0)
-        if lifted.twins[k] is not None:
-            nu = bounds.pop(lifted.twins[k], 0.0)
-        if isinstance(condition, BoxCondition):
-            is_lower = lifted.owners.index(owner) == k
-            _add(pairs, condition.data, condition.argument, nu if is_lower else -nu)
-            _add(pairs, condition.data, 1 - condition.argument, mu if is_lower else 0.0)
-        elif isinstance(condition, SimpleCondition):
-            first, second_value = (mu, nu) if lifted.swapped[k] else (nu, mu)
-            _add(pairs, condition.data, 0, condition.first_flip * first)
-            _add(pairs, condition.data, 1, condition.second_flip * second_value)
+        if id(pair.second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
+            mu = bounds.pop(pair.second, 0.0)
+        if pair.twin is not None:
+            nu = bounds.pop(pair.twin, 0.0)
+        for (argument, sign), multiplier in zip(pair.sides, (nu, mu), strict=True):
+            if sign:
+                add(pair.condition, argument, sign * multiplier)
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
-
-
-def _add(pairs: Any, data: Any, argument: int, multiplier: float) -> None:
-    both = list(pairs[data])
-    both[argument] += multiplier
-    pairs[data] = (both[0], both[1])
 
 
 def _own(candidate: Candidate) -> set[int]:
     """Variables that exist in the shadow only."""
     shadow = candidate.work.lifted.shadow
     extra = [shadow.elastic] if shadow.component("elastic") is not None else []
-    return {id(variable) for variable in (*shadow.slack.values(), *candidate.work.lifted.firsts, *extra)}
+    return {id(variable) for variable in (*shadow.slack.values(), *(pair.first for pair in candidate.work.lifted.pairs), *extra)}
 
 
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:

@@ -85,7 +85,7 @@ class _PathEquation(Strategy):
         lifted.products(active=False)
         shadow = lifted.shadow
         shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
-        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
+        sides = [(pair.first, pair.second) for pair in lifted.pairs]
 
         def equation(_: Any, k: int) -> Any:
             v, w = sides[k]
@@ -129,7 +129,7 @@ class _Penalty(Strategy):
         """No products; a weighted penalty in the objective."""
         lifted.products(active=False)
         lifted.shadow.weight = pyo.Param(mutable=True, initialize=1.0)
-        self._penalise(lifted.shadow, list(zip(lifted.firsts, lifted.seconds, strict=True)))
+        self._penalise(lifted.shadow, [(pair.first, pair.second) for pair in lifted.pairs])
 
     @abstractmethod
     def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
