@@ -176,6 +176,12 @@ def test_residuals_by_hand():
     assert found.constraint_violation == pytest.approx(0.5)
     assert found.dual_infeasibility == pytest.approx(1.05)  # d/dx2: 1 + 0.1 * 0.5; d/dx1: 1 + 0.3 - 2
     assert found.complementarity == pytest.approx(1.0)  # |x1 - 1| * 2; the constraint: 6.5 * 0.1
+    assert residuals(problem, x, np.array([0.2]), zl, np.zeros(2)).complementarity == pytest.approx(1.3)  # 6.5 * 0.2 is more
+    m.c.set_value(m.x[1] * m.x[2] >= -4)
+    m.x[2].setub(4.0)
+    other, zu = compile_model(m), np.array([3.0 if name == "x[2]" else 0.0 for name in order])
+    assert residuals(other, x, np.array([-0.4]), zl, np.zeros(2)).complementarity == pytest.approx(2.2)  # (1.5 + 4) * 0.4
+    assert residuals(other, x, np.zeros(1), zl, zu).complementarity == pytest.approx(3.0)  # |4 - x2| * 3
     wrong = residuals(problem, x, np.array([-3.0]), zl, np.zeros(2))
     assert wrong.dual_infeasibility >= 3.0  # there is no lower bound that a negative multiplier could belong to
 
