@@ -25,8 +25,8 @@ from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_vari
 from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
-from formulations.ipopt import MissingValueError
 from formulations.ipopt.graph import UNARY
+from formulations.ipopt.model import MissingValueError
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
