@@ -259,7 +259,7 @@ def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool, 
         first, second, sides = condition.first, condition.second, ((0, condition.first_flip), (1, condition.second_flip))
         swapped = _is_nonnegative_variable(first) and not _is_nonnegative_variable(second)
         if swapped:
-            first, second, sides = second, first, sides[::-1]
+            first, second, sides = second, first, (sides[1], sides[0])
         yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped, sides
 
 
