@@ -9,7 +9,7 @@ import pytest
 
 import formulations.mpec
 from benchmarks.mpec.macmpec.toy import jr1, ralph1
-from formulations.mpec import STRATEGY_NAMES, MpecIpopt, Stationarity, certify
+from formulations.mpec import STRATEGY_NAMES, MpecIpopt, MpecSettings, Stationarity, certify, solve_mpec
 from tests.formulations.mpec.nearest import solver
 
 
@@ -26,6 +26,16 @@ def test_every_strategy_ends_at_the_solution_and_knows_its_class(strategy, probl
     assert (m.a.value, m.b.value) == pytest.approx(point, abs=1e-8)
     assert (told.certificate.stationarity, told.certificate.b_stationary, told.certificate.biactive) == (stationarity, True, biactive)
     assert all(min(abs(pair.first), abs(pair.second)) <= 1e-12 for pair in told.pairs)
+
+
+@pytest.mark.parametrize("strategy", STRATEGY_NAMES)
+def test_every_relaxation_leads_there_without_polish(strategy):
+    """Where the path went astray, the branches would hide it."""
+    result = solve_mpec(jr1(), MpecSettings(strategy=strategy, polish=False))
+    assert result.solved, result.message
+    assert not result.polished
+    assert result.residual <= 1e-8
+    assert result.objective == pytest.approx(0.5, abs=1e-7)
 
 
 def test_the_plugin_is_registered_under_its_name():
