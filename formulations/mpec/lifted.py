@@ -28,7 +28,7 @@ from pyomo.core.expr import value
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt.errors import MissingValueError, ModelRefusedError
+from formulations.ipopt import MissingValueError, ModelRefusedError
 from formulations.ipopt.model import active_constraints, active_objective, refuse_unknown_components
 
 
@@ -64,6 +64,7 @@ class EqualityCondition:
 
 
 Condition = SimpleCondition | BoxCondition | EqualityCondition
+Sides = tuple[tuple[int, float], tuple[int, float]]
 
 
 def _read_conditions(model: Any) -> list[Condition]:
@@ -149,37 +150,46 @@ def _distance(relation: tuple[Any, Any, Any]) -> tuple[Any, float]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LiftedPair:
+    """Two variables v, w of the shadow of which none is negative and one is 0.
+
+    data: the transformed Complementarity with `v`, `ve`, `ccon`; second: w; condition: what the user wrote
+    twin: the user's variable that v equals, where the first side is a variable with lower bound 0 itself; swapped: whether v is the second
+    argument's side; sides: of v and of w, which argument of `complements` its multiplier belongs to, and with which sign (0: to none)
+    """
+
+    data: Any
+    second: Any
+    condition: Any
+    twin: Any | None
+    swapped: bool
+    sides: Sides
+
+    @property
+    def first(self) -> Any:
+        """The variable v."""
+        return self.data.v
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Lifted:
     """The shadow and its pairs.
 
-    conditions: as the user wrote them; owners: for each pair the number of its condition; pairs: transformed Complementarity data
-    with `v`, `ve`, `ccon`; seconds: the variables w, in the same order; swapped: whether v is the second argument's side
-    imposed: (number of a condition, number of its argument, row) for what holds without a choice
-    twins: the user's variable that v equals, where the first side is a variable with lower bound 0 itself
+    conditions: what the user wrote, as Complementarity data; imposed: (one of them, number of its argument, row) for what holds without a choice
     """
 
-    model: Any
     shadow: Any
-    conditions: tuple[Condition, ...]
-    owners: tuple[int, ...]
-    pairs: tuple[Any, ...]
-    seconds: tuple[Any, ...]
-    swapped: tuple[bool, ...]
-    imposed: tuple[tuple[int, int, Any], ...]
-    twins: tuple[Any | None, ...]
-
-    @property
-    def firsts(self) -> tuple[Any, ...]:
-        """The variables v of the pairs."""
-        return tuple(pair.v for pair in self.pairs)
+    conditions: tuple[Any, ...]
+    pairs: tuple[LiftedPair, ...]
+    imposed: tuple[tuple[Any, int, Any], ...]
 
     def products(self, *, active: bool) -> None:
         """Switch all products v w <= mpec_bound on or off."""
         for pair in self.pairs:
             if active:
-                pair.ccon.activate()
+                pair.data.ccon.activate()
             else:
-                pair.ccon.deactivate()
+                pair.data.ccon.deactivate()
 
 
 def lift(model: Any) -> Lifted:
@@ -204,46 +214,53 @@ def lift(model: Any) -> Lifted:
             shadow.user_objective = pyo.Objective(expr=objective.expr, sense=objective.sense)
         shadow.slack = pyo.VarList(domain=pyo.Reals)
         shadow.slack_rows = pyo.ConstraintList()
-        found = [(number, pair) for number, condition in enumerate(conditions) for pair in _pairs(shadow, condition)]
+        found = [(condition, *pair) for condition in conditions for pair in _pairs(shadow, condition)]
         imposed = [
-            (number, argument, _impose(shadow, *relation))
-            for number, condition in enumerate(conditions)
+            (condition.data, argument, _impose(shadow, *relation))
+            for condition in conditions
             if isinstance(condition, EqualityCondition)
             for argument, relation in condition.relations
         ]
-        shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1][0] >= 0, found[k][1][1] >= 0))
-        pairs = tuple(shadow.pair[k] for k in range(len(found)))
+        shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1] >= 0, found[k][2] >= 0))
+        transformed = tuple(shadow.pair[k] for k in range(len(found)))
         pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
-        for pair in pairs:
-            pair.c.deactivate()  # w >= 0 is the bound of w already; as a row it would cost a slack each
+        for data in transformed:
+            data.c.deactivate()  # w >= 0 is the bound of w already; as a row it would cost a slack each
+    pairs = tuple(
+        LiftedPair(
+            data=data,
+            second=second,
+            condition=condition.data,
+            twin=first if _is_nonnegative_variable(first) else None,
+            swapped=swapped,
+            sides=sides,
+        )
+        for data, (condition, first, second, swapped, sides) in zip(transformed, found, strict=True)
+    )
     return Lifted(
-        model=model,
         shadow=shadow,
-        conditions=tuple(conditions),
-        owners=tuple(number for number, _ in found),
+        conditions=tuple(condition.data for condition in conditions),
         pairs=pairs,
-        seconds=tuple(second for _, (_, second, _) in found),
-        swapped=tuple(swapped for _, (_, _, swapped) in found),
-        twins=tuple(first if _is_nonnegative_variable(first) else None for _, (first, _, _) in found),
-        imposed=tuple((number, argument, row) for number, argument, row in imposed if row is not None),
+        imposed=tuple(item for item in imposed if item[2] is not None),
     )
 
 
-def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool]]:
-    """(expression, variable with lower bound 0, sides swapped?) for each choice that a condition leaves."""
+def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool, Sides]]:
+    """(expression, variable with lower bound 0, whether swapped, sides) for each choice that a condition leaves."""
     if isinstance(condition, BoxCondition):
         above, below = shadow.slack.add(), shadow.slack.add()
         above.setlb(0.0)
         below.setlb(0.0)
         shadow.slack_rows.add(above - below == condition.free)
-        yield _expression(shadow, condition.body - condition.lower), above, False
-        yield _expression(shadow, condition.upper - condition.body), below, False
+        body, free = condition.argument, 1 - condition.argument
+        yield _expression(shadow, condition.body - condition.lower), above, False, ((body, 1.0), (free, 1.0))
+        yield _expression(shadow, condition.upper - condition.body), below, False, ((body, -1.0), (free, 0.0))
     elif isinstance(condition, SimpleCondition):
-        first, second = condition.first, condition.second
+        first, second, sides = condition.first, condition.second, ((0, condition.first_flip), (1, condition.second_flip))
         swapped = _is_nonnegative_variable(first) and not _is_nonnegative_variable(second)
         if swapped:
-            first, second = second, first
-        yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped
+            first, second, sides = second, first, (sides[1], sides[0])
+        yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped, sides
 
 
 def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> Any | None:

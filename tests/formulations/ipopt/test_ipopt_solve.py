@@ -68,6 +68,8 @@ def test_history_has_one_line_an_iteration_and_seconds_add_up():
     result = solve(compile_model(m))
     assert [line.iteration for line in result.history] == list(range(result.iterations + 1))
     assert result.history[-1].objective == pytest.approx(result.objective, rel=1e-6)
+    assert (result.history[0].mu, result.history[0].alpha_pr) == (0.1, 0.0)  # Ipopt's first barrier parameter, and no step yet
+    assert max(result.history[-1].inf_pr, result.history[-1].inf_du) <= 1e-8 < result.history[0].inf_du
     assert 0 < result.seconds.evaluate < result.seconds.wall
     assert result.seconds.linear_algebra <= result.seconds.wall
     assert result.version.startswith("cyipopt ")

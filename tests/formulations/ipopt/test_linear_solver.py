@@ -57,6 +57,9 @@ def test_without_a_compiler_mumps_serves(no_compiler, monkeypatch):
     assert result.options["linear_solver"] == "mumps"
     with pytest.raises(MachineError, match="no C compiler"):
         solve(compile_model(parabola()), options={"linear_solver": "ldlt"})
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "ldlt")
+    with pytest.raises(MachineError, match="no C compiler"):
+        solve(compile_model(parabola()))
 
 
 def test_an_ipopt_that_loads_no_solver_is_left_with_mumps(monkeypatch):
