@@ -66,7 +66,7 @@ def _entry() -> Any:
 def resume(path: Path) -> None:
     from reports.records.load import load
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
-    from validate.plan.warnings import time_steps
+    from validate.plan.time_steps import time_steps
     from validate.store.compare import compare
     from validate.store.store import Store
     from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema
