@@ -134,7 +134,7 @@ class Dynamics:
             Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
-        compiled = sp.lambdify([list(group) for group in groups], matrix, modules="numpy", cse=True)
+        compiled = sp.lambdify([list(group) for group in groups], matrix, modules=[np], cse=True)
         shape = matrix.shape
         return lambda *values: np.asarray(compiled(*(np.asarray(value, dtype=float) for value in values)), dtype=float).reshape(shape)
 
