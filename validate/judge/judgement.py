@@ -106,11 +106,14 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
     plan = plan.from_zero()
     plan.check_fits(scene)
 
+    scored: list[tuple[Replay, Score]] = []  # what is not followed up is what comes back, and need not be scored twice
+
     def follow(opened: Replay) -> bool:
-        return wants_feedback(score(scene, plan, opened).metrics)
+        scored.append((opened, score(scene, plan, opened)))
+        return wants_feedback(scored[-1][1].metrics)
 
     replayed = replay(scene, fmu, plan, limits=limits, track=True if feedback else follow)
-    result = score(scene, plan, replayed)
+    result = scored[0][1] if scored and scored[0][0] is replayed else score(scene, plan, replayed)
     if _may_be_held_otherwise(plan, result):
         other = replay(scene, fmu, _held_otherwise(plan), limits=limits)
         result = score(scene, plan, replayed, other_hold=other)
