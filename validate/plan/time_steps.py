@@ -1,4 +1,4 @@
-"""The time step of every scene of a campaign, looked at before anything runs: is it stable while contacts are closed?
+"""The time step of every scene of a campaign, looked at before anything runs, whether it is stable while contacts are closed.
 
 found = time_steps(scenes, Path("runs/all/campaign.json"))     # one record a scene; those of an earlier campaign are used again where the scene is the same
 """
