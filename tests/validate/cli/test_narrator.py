@@ -57,7 +57,7 @@ def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     assert plain.so_far(tmp_path) == f"1 of 3 runs are stored in {tmp_path}"
     gone = tmp_path / "gone"
     assert plain.so_far(gone) == f"{gone} is gone, and what was stored in it with it"
-    with pytest.raises(MachineError, match=r"cannot write \S+campaign.json \(its folder is gone\); somebody removed or moved it"):
+    with pytest.raises(MachineError, match=r"campaign.json \(its folder is gone\).*removed or moved"):
         write_durably(gone / "campaign.json", "{}")
 
 
