@@ -139,7 +139,7 @@ class Dynamics:
             When it is called, for a symbol that is in no group.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
-        compiled = sp.lambdify([list(group) for group in groups], matrix, modules="numpy", cse=True)
+        compiled = sp.lambdify([list(group) for group in groups], matrix, modules=[np], cse=True)
         shape = matrix.shape
         return lambda *values: np.asarray(compiled(*(np.asarray(value, dtype=float) for value in values)), dtype=float).reshape(shape)
 

@@ -119,7 +119,7 @@ def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndar
         return np.zeros((len(q), 0))
     symbols = [coordinate.symbol for coordinate in scene.coordinates]
     numbers = [sp.sympify(expression).subs(scene.parameter_values) for expression in expressions]
-    values = sp.lambdify(symbols, numbers, modules="numpy", cse=True)(*q.T)
+    values = sp.lambdify(symbols, numbers, modules=[np], cse=True)(*q.T)
     return np.column_stack([np.broadcast_to(value, len(q)) for value in values]).astype(float)
 
 

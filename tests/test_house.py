@@ -34,6 +34,7 @@ def test_import_contracts():
         ("formulations.pipelines", {"pyomo", "torch", "cyipopt", "sympy"}),
         ("validate", {"pyomo", "torch", "fmpy", "sympy"}),
         ("reports", {"pyomo", "torch", "sympy", "fmpy"}),
+        ("validate.judge.replay.job", {"pyomo", "torch", "sympy", "scipy", "sksundae", "pydantic", "h5py"}),  # the child of every replay
     ],
 )
 def test_importing_a_room_is_cheap(module: str, heavy: set[str]):

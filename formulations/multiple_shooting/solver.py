@@ -169,7 +169,7 @@ class _Derivatives:
 
 def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
     """A function of points (n, len(symbols)) to (n, len(entries)), constants spread over the rows."""
-    compiled = sp.lambdify([list(symbols)], list(entries), modules="numpy", cse=True)
+    compiled = sp.lambdify([list(symbols)], list(entries), modules=[np], cse=True)
 
     def function(point: np.ndarray) -> np.ndarray:
         """Evaluate the entries at points (n, symbols) [SI]: (n, entries) [-]. Raises nothing: NaN or inf where one has no number."""

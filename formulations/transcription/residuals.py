@@ -167,7 +167,7 @@ class PlanResiduals:
 
 def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
     """f(*arrays (steps, size of the group)) -> (steps, number of entries), at the scene's parameter values."""
-    evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules="numpy", cse=True)
+    evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules=[np], cse=True)
 
     def function(*arrays: np.ndarray) -> np.ndarray:
         """Evaluate at arrays (steps, size of the group), giving (steps, entries) [units of the matrix]. Raises ValueError for a group of another size."""

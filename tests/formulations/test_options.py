@@ -64,5 +64,5 @@ def test_an_object_is_checked_when_it_is_made_and_belongs_to_its_method():
     with pytest.raises(OptionError, match="option search is 3"):
         MpccOptions(search=3)  # pyright: ignore[reportArgumentType] - what is tested
     assert load_method("mpcc").read_options(MpccOptions(search=False)).search is False
-    with pytest.raises(OptionError, match="its options are MpccOptions, but SoftplusDCOptions were given"):
+    with pytest.raises(OptionError, match="are MpccOptions, but SoftplusDCOptions"):
         load_method("mpcc").read_options(SoftplusDCOptions())

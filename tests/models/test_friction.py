@@ -155,7 +155,7 @@ def test_friction_is_in_the_equations_and_in_the_plan() -> None:
     assert scene.force_names == ("lam_floor", "friction_belt", "friction_foot")
     plan = {"t": np.arange(3) * STEP, "q": np.zeros((3, 3)), "v": np.zeros((3, 3)), "u": np.zeros((2, 1))}
     Trajectory(**plan, lam=np.zeros((2, 3))).check_fits(scene)
-    with pytest.raises(TrajectoryError, match="lam has 1 columns, but scene two_coupled_frictions has 3 contacts and frictions"):
+    with pytest.raises(TrajectoryError, match=r"lam has 1 columns, but .* has 3"):
         Trajectory(**plan, lam=np.zeros((2, 1))).check_fits(scene)
 
 

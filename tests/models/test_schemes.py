@@ -108,7 +108,7 @@ def test_friction_is_refused_and_so_is_a_hold_that_a_step_does_not_have() -> Non
     q, v = np.array([scene.task.start[: scene.nq]]), np.array([scene.task.start[scene.nq :]])
     with pytest.raises(KernelError, match="friction"):
         advance(load_kernel(scene), Scheme.RADAU_IIA_2, q, v, np.zeros((1, scene.nu)), 0.01)
-    with pytest.raises(TrajectoryError, match="holds its inputs over each step, but the plan's hold is linear"):
+    with pytest.raises(TrajectoryError, match=r"holds its inputs.*hold is linear"):
         Trajectory(
             t=np.array([0.0, 1.0]),
             q=np.zeros((2, 1)),

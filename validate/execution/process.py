@@ -248,8 +248,7 @@ def end_family(token: str, child: int | None, family: Mapping[int, str]) -> int:
 
     family: when each of its descendants was started (`ChildProcess.look`); child: its number, None if that is another's by now. Returns when none of them lives any more: a killed process goes on for as long as a busy machine lets it wait for its end.
     """
-    strays = {process for process in reaper.processes_with(token) if process != child}
-    reaper.end_all(token, child)
+    strays = reaper.end_all(token, child) - {child}
     for _ in range(_ROUNDS):
         living = [number for number, began in family.items() if began and number != child and _started(number) == began]
         strays.update(living)

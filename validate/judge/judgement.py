@@ -12,7 +12,7 @@ limited feedback; where a plan that declares no scheme fails, a third tells whet
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -107,16 +107,24 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
     plan = plan.from_zero()
     plan.check_fits(scene)
 
+    scored: list[tuple[Replay, Score]] = []  # what is not followed up is what comes back, and need not be scored twice
+
     def follow(opened: Replay) -> bool:
-        return wants_feedback(score(scene, plan, opened).metrics)
+        scored.append((opened, score(scene, plan, opened)))
+        return wants_feedback(scored[-1][1].metrics)
 
-    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), True if feedback else follow)
+    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), True if feedback else follow, scored)
 
 
-def _judged(subject: Subject, plan: Trajectory, run: Callable[..., Replay], track: Track) -> Judgement:
-    """A plan judged by what `run` replays of it: with feedback where `track` says so, and held the other way where that may be why it fails."""
+def _judged(
+    subject: Subject, plan: Trajectory, run: Callable[..., Replay], track: Track, scored: Sequence[tuple[Replay, Score]] = ()
+) -> Judgement:
+    """A plan judged by what `run` replays of it: with feedback where `track` says so, and held the other way where that may be why it fails.
+
+    scored: replays whose score is known by then.
+    """
     replayed = run(plan, track=track)
-    result = score(subject, plan, replayed)
+    result = next((known for opened, known in scored if opened is replayed), None) or score(subject, plan, replayed)
     if plan.scheme is None and plan.u.shape[1] > 0 and dict(result.questions).get(Question.MOTION) == "no" and not result.verdict.is_good:
         other = run(replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER))
         result = score(subject, plan, replayed, other_hold=other)

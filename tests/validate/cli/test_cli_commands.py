@@ -11,9 +11,12 @@ import sys
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 from formulations.pipelines import pipeline_names
+from models.catalog import load_scene
+from models.trajectory import Trajectory, uniform_grid, write_csv
 from reports.rule_text import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
@@ -62,10 +65,29 @@ def test_list_names_everything(cli):
     assert all(name in plain for name in pipeline_names())
 
 
-def test_list_imports_no_solver():
-    code = "import sys; from validate.cli.group import run; run(['list']); print([n for n in ('torch', 'pyomo', 'sympy', 'numpy') if n in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "spared"),
+    [
+        (("--help",), {"numpy", "sympy", "pydantic"}),
+        (("list",), {"numpy", "sympy", "pydantic"}),
+        (("show", "nothing", "--in", "nowhere/at_all"), {"sympy", "fmpy", "models.scene"}),
+        (("plan", *GOOD, "--out", "nowhere/at_all"), {"numpy.f2py", "h5py", "rich"}),
+        (("replay", "plan.csv", "--scene", "two_body_collision"), {"pydantic", "reports", "h5py", "numpy.ma", "numpy.f2py", "unittest"}),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_a_command_imports_what_it_needs(cli, tmp_path, arguments, spared):
+    scene, plan = load_scene("two_body_collision"), tmp_path / "plan.csv"
+    times = uniform_grid(scene.task.step, scene.task.steps)
+    still, none = np.zeros((len(times), scene.nq)), np.zeros((len(times) - 1, 1))
+    write_csv(plan, Trajectory(t=times, q=still, v=still, u=none[:, :0], lam=none), scene)
+    done = cli(*(str(plan) if word == plan.name else word for word in arguments), PYTHONPROFILEIMPORTTIME="1")
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
+    assert "validate.cli.group" in imported
+    assert not imported & (SOLVERS | spared), done.stderr[-500:]
 
 
 @pytest.mark.parametrize(

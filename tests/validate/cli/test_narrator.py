@@ -27,6 +27,7 @@ class _Busy:
 def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(monkeypatch, width):
     shown, clock = io.StringIO(), iter(range(1000, 100000, 10))
     terminal = functools.partial(rich.console.Console, file=shown, force_terminal=True, width=width, no_color=True)
+    monkeypatch.setenv("TERM", "xterm")  # on a dumb one no bar moves
     monkeypatch.setattr(rich.console, "Console", lambda **_: terminal())
     monkeypatch.setattr(narrator, "_summary", lambda record: "a cell: solved")
     monkeypatch.setattr(narrator.time, "monotonic", lambda: float(next(clock)))
@@ -57,7 +58,7 @@ def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     assert plain.so_far(tmp_path) == f"1 of 3 runs are stored in {tmp_path}"
     gone = tmp_path / "gone"
     assert plain.so_far(gone) == f"{gone} is gone, and what was stored in it with it"
-    with pytest.raises(MachineError, match=r"cannot write \S+campaign.json \(its folder is gone\); somebody removed or moved it"):
+    with pytest.raises(MachineError, match=r"campaign.json \(its folder is gone\).*removed or moved"):
         write_durably(gone / "campaign.json", "{}")
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from validate.cli.group import READER_GONE
 
@@ -61,7 +62,7 @@ def test_an_output_that_cannot_be_written_is_one_sentence(command: str, cli_envi
         words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=cli_environment, check=False)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1].startswith("error: what there is to tell cannot be written (No space left on device); make room")
+    assert not unsaid(done.stderr.splitlines()[-1], "error: ", "cannot be written (No space left on device)", "make room")
     assert "Traceback" not in done.stderr
 
 

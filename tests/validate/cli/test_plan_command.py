@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 
@@ -59,7 +60,7 @@ def test_another_version_is_recognised(cli, ran):
         pytest.fail("the campaign left no good cell")
     try:
         plan = told(cli, ran, "-k", "only_good")
-        assert "stored for other code, options, libraries or another scene file" in {run["why"] for run in plan["runs"]}
+        assert not unsaid({run["why"] for run in plan["runs"]}, "stored for other code", "another scene file")
     finally:
         moved.rename(request.parent)
 
@@ -85,10 +86,9 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
 @pytest.mark.slow
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
-    assert done.stdout.splitlines()[-2:] == [
-        "2 to run: nothing is stored of it",
-        "0 stored, 2 to run; how long that takes is not known: nothing like it has run into this folder",
-    ]
+    why, counts = done.stdout.splitlines()[-2:]
+    assert why == "2 to run: nothing is stored of it"
+    assert not unsaid(counts, "0 stored, 2 to run", "not known", "this folder")
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     assert told["unstable"] == {"waiving": "It falls over."}
     lines = cli("plan", *words, "--table").stdout.splitlines()
     assert "waived by waiving: missed_impulse: nothing is touched twice" in lines
-    assert "waiving is unstable in the open loop, so that feedback is enough there: It falls over." in lines
+    assert [line for line in lines if not unsaid(line, "waiving is unstable", "feedback is enough", ": It falls over.")]
 
 
 @pytest.mark.slow

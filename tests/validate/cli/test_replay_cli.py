@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_fmu import COSIMULATION, FULL_MAP, build_foreign, foreign_plan, write_plan
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -75,8 +76,7 @@ def test_a_gap_whose_sign_contradicts_the_force_decides_nothing(command: Command
         found, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", write(folder / "turned.toml", turned), "--json")
         told = json.loads(out)
         assert (found, told["verdict"]) == (code, word), told["why"]
-    assert told["why"].startswith("max_penetration could not be measured: contact stop pushes, but its gap is open in ")
-    assert told["why"].endswith("the map may have its sign (scale) or its zero (offset) wrong.")
+    assert not unsaid(told["why"], "max_penetration", "contact stop", "gap is open in", "sign (scale)", "zero (offset)")
 
 
 def test_a_goal_whose_limits_the_map_waives_is_no_goal(command: Command, folder: Path):
@@ -95,9 +95,7 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     told = json.loads(out)
     metrics = {metric["name"]: metric for metric in told["metrics"]}
     assert (code, told["verdict"]) == (0, "consistent"), told["why"]
-    assert (
-        told["why"] == "consistent for what this FMU shows (questions 1, 3, 4); the map asks for nothing: give it a [goal] with its limits."
-    )
+    assert not unsaid(told["why"], "consistent", "questions 1, 3, 4)", "asks for nothing", "give it a [goal]")
     assert metrics["ghost_impulse"]["reason"] == metrics["missed_impulse"]["reason"] == "not every contact has a gap named."
     for words in (
         "max_penetration: contact stop has no gap",
@@ -116,7 +114,7 @@ def test_a_plan_that_drives_no_input_is_judged_by_what_the_fmu_does_alone(comman
     code, out, _ = command("idle.csv", "--fmu", "cart.fmu", "--map", write(folder / "idle.toml", bare), "--json")
     told = json.loads(out)
     assert (code, told["verdict"]) == (1, "violates")
-    assert told["why"].startswith("driven by its inputs the motion departs from the plan by 0.302")
+    assert not unsaid(told["why"], "by its inputs", "departs from the plan by 0.302")
 
 
 def test_equal_names_need_no_map(command: Command, folder: Path):
@@ -126,10 +124,10 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
     code, out, _ = command(write(folder / "own.csv", text), "--fmu", "own.fmu")
     assert code == 0
     assert "the map names no [contacts]" in out
-    assert "consistent for what this FMU shows (questions 1, 4); the map asks for nothing" in out
+    assert not unsaid(out, "consistent", "(questions 1, 4)", "asks for nothing")
     code, out, _ = command(write(folder / "own.csv", text.replace("1.0,-1.0", "9.0,-9.0")), "--fmu", "own.fmu")
     assert code == 1
-    assert "violates: driven by its inputs the motion departs from the plan by 0.0109 m" in out
+    assert not unsaid(out, "violates: ", "departs from the plan by 0.0109 m")
 
 
 @pytest.mark.parametrize(
@@ -213,7 +211,7 @@ def test_a_unit_that_the_map_contradicts_is_refused(command: Command, folder: Pa
     text = "t,x [inch],F\n0,1,1\n1,1,1\n"
     code, out, err = command(write(folder / "inch.csv", text), "--fmu", "cart.fmu", "--map", "map.toml")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "positions.x: the plan's column 'x' is in 'inch', but the map says 'm'" in err
+    assert not unsaid(err, "positions.x", "column 'x' is in 'inch'", "map says 'm'")
 
 
 @pytest.mark.parametrize("option", ["--time-limit", "--memory-limit"])
@@ -241,7 +239,7 @@ def test_a_plan_of_another_duration_does_not_hold(command: Command, folder: Path
     code, out, err = command(write(folder / "brief.csv", text), "--scene", "three_cart", "--json")
     told = json.loads(out)
     assert (code, told["verdict"], err) == (1, "violates", "")
-    assert told["why"].startswith("the plan and the task differ in duration by 4 s, limit 0.005 s (it lasts 1 s, the task 5 s)")
+    assert not unsaid(told["why"], "duration by 4 s", "limit 0.005 s", "lasts 1 s", "task 5 s")
     assert told["warnings"] == []
     declared = "# scheme: semi_implicit_euler\n" + text
     _, out, _ = command(write(folder / "brief.csv", declared), "--scene", "three_cart", "--json")

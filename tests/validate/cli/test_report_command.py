@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from wording import unsaid
 
 from validate.cli.report import command
 
@@ -74,7 +75,7 @@ def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(f
     (folder / "campaign.json").write_text(text)
     told = _report(folder)
     assert (told.exit_code, told.exception) == (0, None)
-    assert "campaign.json cannot be read: the report shows the 2 records that can" in told.stderr
+    assert not unsaid(told.stderr, "campaign.json cannot be read", "shows the 2 records")
     assert "own record is missing or unreadable" in (folder / "report.html").read_text(encoding="utf-8")
     shutil.rmtree(folder / "runs")
     refused = _report(folder)

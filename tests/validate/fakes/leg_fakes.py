@@ -1,7 +1,7 @@
 """Pipelines that begin alike, of methods that count how often they ran and can kill their campaign.
 
-COUNTS names a folder; each run of a method leaves a file in it. KILL names a method that ends the
-process its cell was started by, once or as often as KILLS says. ONLY names the pipelines in order, if not all; those of ASKED only
+COUNTS names a folder; each run of a method leaves a file in it. KILL names a method whose first run ends the
+process its cell was started by: for campaigns that run one cell at a time, or two may be the first. ONLY names the pipelines in order, if not all; those of ASKED only
 run if named there.
 """
 
@@ -27,7 +27,7 @@ def _counted(name: str, outcome: Outcome = Outcome.SOLVED):
     def act() -> Outcome:
         folder = Path(os.environ["COUNTS"])
         (folder / f"{name}-{uuid.uuid4().hex}").touch()
-        if os.environ.get("KILL") == name and len(list(folder.glob(f"{name}-*"))) <= int(os.environ.get("KILLS", "1")):
+        if os.environ.get("KILL") == name and len(list(folder.glob(f"{name}-*"))) == 1:
             os.kill(int(os.environ[PARENT_VARIABLE]), signal.SIGKILL)
             time.sleep(1000)  # we die with it
         return outcome

@@ -56,7 +56,7 @@ def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
         ]
         == "m"
     )
-    with pytest.raises(ArchiveError, match=r"no binary for this machine \(binaries/x86_64-linux/m\.so\); it has linux64"):
+    with pytest.raises(ArchiveError, match=r"no binary for this machine .*m\.so\).*linux64"):
         check_archive(write(tmp_path / "old.fmu", {DESCRIPTION: text, LIBRARY: b"x"}))
 
 

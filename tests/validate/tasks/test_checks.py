@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.scene.text import scene_text
@@ -68,8 +69,8 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failing) == 5
     assert "fails: question: no of three_cart: failed - it says no." in failing
-    assert "fails: question: refuse of three_cart: failed - the check says why it cannot." in failing
-    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s wall\), it says yes\.", done.stderr)
+    assert [line for line in failing if not unsaid(line, "question: refuse of three_cart", "says why it cannot")]
+    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .*it says yes", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
     assert "question" not in (out / "results.csv").read_text()
     assert not list(out.glob("runs/.partial-*"))

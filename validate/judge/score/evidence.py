@@ -213,6 +213,8 @@ class Evidence:
         """Mass matrices (n, nq, nq) [kg or kg m^2] at positions q (n, nq). Raises Unmeasured for somebody's FMU."""
         d = derive(self.equations)
         mass = d.function(d.mass_matrix, d.q)
+        if d.structure.constant_mass and len(q):
+            return np.repeat(mass(q[0])[None], len(q), axis=0)
         return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
 
     def printing(self, group: str) -> float:
