@@ -166,7 +166,7 @@ def test_a_collocation_plan_without_a_solution_has_left_its_scheme():
     finite = np.array([0.1, 0.2])
     case: Any = SimpleNamespace(
         printing=PRINTED.get, h=np.array([0.1, 0.2]), trajectory=SimpleNamespace(scheme=Scheme.RADAU_IIA_2), collocation_defect=finite,
-        scene=SimpleNamespace(coordinates=[SimpleNamespace(nominal=0.5, unit="m", velocity_unit="m/s")]), printing_acceleration=0.7,
+        scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5, unit="m", velocity_unit="m/s")]), printing_acceleration=0.7,
     )  # fmt: skip
     found = measures.defect(case)
     assert (found.values.tolist(), found.allowed.tolist()) == ([0.1, 0.2], pytest.approx([0.02 + 0.2 * 0.02, 0.04 + 0.2 * 0.7]))
