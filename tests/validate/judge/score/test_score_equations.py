@@ -163,7 +163,7 @@ def test_the_energy_turned_over_is_the_largest_of_five(place: int):
 def test_energy_is_balanced_by_work_and_losses():
     energy, put_in, lost = np.array([3.0, 4.0, 2.5]), np.array([0.0, 1.5, 1.5]), np.array([0.0, 0.25, 1.0])
     assert eq.energy_residual(energy, put_in, lost) == pytest.approx(1.0)
-    assert eq.energy_residual(energy, put_in, lost + [0.0, 0.0, 4.0]) == pytest.approx(3.0)
+    assert eq.energy_residual(energy, put_in, np.array([0.0, 0.25, 5.0])) == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
