@@ -78,6 +78,53 @@ def test_every_row_of_the_table_stands_as_it_was_decided():
     assert found == [line.strip() for line in ROWS.strip().splitlines()]
 
 
+def foreign(**asked: Any) -> Any:
+    """Somebody's FMU of which nothing is asked, but for what is given."""
+    nothing = {"nc": 0, "nf": 0, "nq": 1, "inputs": [], "coordinates": [], "depths": (), "answers": ()}
+    task = SimpleNamespace(horizon=None, goal=(None, None), has_goal=False)
+    return SimpleNamespace(**(nothing | {"task": task} | asked))
+
+
+def bounds(lower: float, upper: float) -> Any:
+    return SimpleNamespace(lower=lower, upper=upper)
+
+
+def goal(*of: float | None) -> Any:
+    return SimpleNamespace(horizon=None, goal=of, has_goal=any(value is not None for value in of))
+
+
+@pytest.mark.parametrize(
+    ("asked", "rows"),
+    [
+        ({}, set()),
+        ({"task": SimpleNamespace(horizon=2.0, goal=(None, None), has_goal=False)}, {"duration_error"}),
+        ({"inputs": [bounds(-math.inf, math.inf), bounds(-math.inf, 1.0)]}, {"bound_violation"}),
+        ({"inputs": [bounds(-1.0, math.inf)]}, {"bound_violation"}),
+        ({"inputs": [bounds(-1.0, 1.0), bounds(-math.inf, math.inf)]}, {"bound_violation", "feedback_effort"}),
+        ({"coordinates": [SimpleNamespace(has_velocity_bounds=has) for has in (False, True)]}, {"velocity_bound_violation", "replay_velocity_bound_violation"}),
+        ({"task": goal(1.0, None)}, {"terminal_position_error", "replay_terminal_position_error", "terminal_error", "replay_terminal_error"}),
+        ({"task": goal(None, 0.0)}, {"terminal_velocity_error", "replay_terminal_velocity_error", "terminal_error", "replay_terminal_error"}),
+        ({"nc": 1, "depths": (None,)}, {"force_sign_violation", "ghost_impulse", "missed_impulse"}),
+        ({"nc": 2, "depths": (None, 0.5)}, {"force_sign_violation", "ghost_impulse", "missed_impulse", "max_penetration"}),
+        ({"nc": 0, "depths": (0.5,)}, set()),
+        ({"nf": 1}, {"friction_violation", "friction_dissipation_error", "friction_impulse_error"}),
+        ({"answers": [SimpleNamespace(measure=measure) for measure in ("", "depth")]}, {"answer_error"}),
+    ],
+)  # fmt: skip
+def test_an_fmu_is_asked_only_what_it_can_show(asked: dict[str, Any], rows: set[str]):
+    """What needs equations is asked of no FMU, whatever it has."""
+    always = {"replay_error", "replay_error_time", "feedback_share", "feedback_peak", "feedback_saturated", "amplification", "growth_rate"}
+    assert {row.name for row in (*TABLE, *FEEDBACK, *GROWTH) if row.applies(foreign(**asked))} == rows | always
+
+
+def test_units_of_several_components_are_told_once_each():
+    items = [SimpleNamespace(unit=unit, velocity_unit=f"{unit}/s") for unit in ("m", "rad", "m")]
+    scene = foreign(coordinates=items, inputs=[SimpleNamespace(unit=unit) for unit in ("N", "N m", "N")])
+    units = {row.name: row.unit(scene) for row in TABLE}
+    assert (units["replay_error"], units["velocity_bound_violation"], units["bound_violation"]) == ("m, rad", "m/s, rad/s", "N, N m")
+    assert units["defect"] == "m, rad, m/s, rad/s"
+
+
 def test_each_row_measures_what_it_is_called():
     special = {"answer_error", "unexplained_force", "discrete_terminal_position_error", "discrete_terminal_velocity_error"}
     for row in TABLE:
