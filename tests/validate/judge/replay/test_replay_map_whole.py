@@ -6,6 +6,8 @@ import math
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
@@ -14,7 +16,8 @@ from models.errors import TouchstoneError
 from models.plan_table import PlanTable
 from models.trajectory import Trajectory
 from validate.fmi.description import read_package
-from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.equal_names import Dimensions, Named, by_equal_names, hint, may_be_rate
+from validate.judge.replay.map_schema import MapError, read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import Foreign
 
@@ -238,3 +241,97 @@ def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
         assert foreign.model.coordinates[0].unit == "m"
     foreign, _ = whole(plain, "t,F,x\n0,1,0\n1,1,0\n")
     assert (foreign.model.coordinates[0].unit, foreign.model.inputs[0].unit) == ("mm", "kN"), "without a scale it is the FMU's own"
+
+
+# Without a map
+
+
+def variables(*items: tuple[str, str, str] | tuple[str, str, str, Any]) -> Any:
+    """The FMU's variables: (name, causality, unit), and of what a rate is the derivative."""
+    found = [SimpleNamespace(name=name, causality=causality, unit=unit, type="Real", derivative=SimpleNamespace(name=of[0]) if of else None) for name, causality, unit, *of in items]  # fmt: skip
+    return Named(SimpleNamespace(description=SimpleNamespace(modelVariables=found)))  # type: ignore[arg-type]
+
+
+def equal(named: Any, columns: str) -> Any:
+    return by_equal_names(named, SimpleNamespace(names=columns.split(","), where="plan p"))  # type: ignore[arg-type]
+
+
+FMU = (("u", "input", "N"), ("x", "output", "m"), ("y", "output", "m"), ("vx", "output", "m/s", "x"), ("w", "output", "rad/s"), ("lam_a", "output", "N"),
+       ("lam_b", "output", "N"), ("gap_b", "output", "m"))  # fmt: skip
+
+
+def test_columns_are_what_the_variables_of_their_names_are():
+    found = equal(variables(*FMU), "t,u,y,x,w,vx,lam_a,lam_b")
+    assert ({name: item.variable for name, item in found.inputs.items()}, list(found.positions)) == ({"u": "u"}, ["y", "x"])
+    assert {name: (item.variable, item.column) for name, item in found.velocities.items()} == {"y": ("w", "w"), "x": ("vx", "vx")}
+    assert {name: (item.force.variable, item.gap.variable if item.gap else None) for name, item in found.contacts.items()} == {
+        "a": ("lam_a", None),
+        "b": ("lam_b", "gap_b"),
+    }
+
+
+def test_rates_without_as_many_positions_are_positions():
+    found = equal(variables(*FMU), "t,u,y,x,w")
+    assert (list(found.positions), found.velocities) == (["y", "x", "w"], {})
+    assert list(equal(variables(*FMU), "t,w").positions) == ["w"]
+
+
+@pytest.mark.parametrize("rate", ["v_x", "der(x)"])
+def test_a_rate_belongs_to_the_position_that_its_name_says(rate: str):
+    named = variables(("x", "output", "m"), ("y", "output", "m"), (rate, "output", "m/s"), ("other", "output", "m/s"))
+    assert {name: item.variable for name, item in equal(named, f"t,x,y,other,{rate}").velocities.items()} == {"x": rate, "y": "other"}
+    both = variables(("x", "output", "m"), ("y", "output", "m"), ("v_x", "output", "m/s"), ("der(x)", "output", "m/s"))
+    assert {name: item.variable for name, item in equal(both, "t,x,y,v_x,der(x)").velocities.items()} == {"x": "v_x", "y": "der(x)"}
+
+
+def test_names_that_nothing_shares_are_said():
+    with pytest.raises(MapError, match=r"plan p: the FMU has no variable 'z'; name the right one in a map"):
+        equal(variables(*FMU), "t,z")
+    with pytest.raises(MapError, match=r"no variable 'lam_c' \(near it: lam_b, lam_a\)"):
+        equal(variables(*FMU), "t,lam_c")
+    with pytest.raises(MapError, match="the plan and the FMU share no names"):
+        equal(variables(*FMU), "t,lam_a")
+
+
+def test_a_hint_among_many_names_is_that_among_few():
+    """Above two thousand names the likely ones are chosen by their parts of three letters first."""
+    many = [f"zz{index}" for index in range(2500)]
+    assert (
+        hint("body.poss", [*many, "body.pos", "body.position"])
+        == hint("body.poss", ["body.pos", "body.position"])
+        == " (near it: body.pos, body.position)"
+    )
+    assert hint("qqqqqq", many) == hint("qqqqqq", []) == ""
+    assert hint("BODY.POS", [*many, "body.pos"]) == "", "letters of another size are other letters"
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "may"),
+    [("m", "m/s", True), ("m", "m", False), ("rad", "rad/s", True), ("1", "m/s", True), ("m", "1", True), ("m/s", "m/s2", True), ("m s", "m", True), ("m", "kg m/s", False),
+     ("furlong", "m/s", True), ("m", "furlong", True)],
+)  # fmt: skip
+def test_a_velocity_is_in_its_positions_unit_per_second(position: str, velocity: str, may: bool):
+    assert may_be_rate(position, velocity) is may
+
+
+def unit_of(name: str, **exponents: int) -> Any:
+    return SimpleNamespace(name=name, baseUnit=SimpleNamespace(**(dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0) | exponents)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "what", "contradicts"),
+    [
+        ("inch", "position", False), ("inch", "gap", False), ("inch", "velocity", True), ("inch", "force", True), ("pound", "position", True), ("volt", "position", False),
+        ("turn", "position", False), ("m", "position", False), ("kg", "position", True), ("furlong", "position", False), ("", "position", False), (None, "gap", False),
+        ("knot", "velocity", False), ("hertz", "velocity", False), ("moment", "force", False), ("bare", "position", False), ("warm", "gap", False),
+    ],
+)  # fmt: skip
+def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(unit: str | None, what: str, contradicts: bool):
+    defined = [
+        unit_of("inch", m=1), unit_of("pound", kg=1), unit_of("volt", kg=1, m=2, s=-3, A=-1), unit_of("turn"), unit_of("knot", m=1, s=-1), unit_of("hertz", s=-1),
+        unit_of("moment", kg=1, m=2, s=-2), SimpleNamespace(name="bare", baseUnit=None), unit_of("warm", K=1),
+    ]  # fmt: skip
+    of_fmu = Dimensions(SimpleNamespace(unitDefinitions=defined))
+    assert of_fmu.contradicts(unit, what, True) is contradicts
+    own = {"m": what in ("velocity", "force"), "kg": True}
+    assert [of_fmu.contradicts(name, what) for name in own] == list(own.values())

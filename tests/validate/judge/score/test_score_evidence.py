@@ -17,6 +17,7 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score.evidence import Evidence, _at_times
+from validate.judge.score.own_steps import Stepper
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 
@@ -299,3 +300,101 @@ def test_steps_that_are_the_tasks_but_for_rounding_are_the_tasks(nominal: float,
 def test_an_error_that_nobody_knows_is_infinite():
     case: Any = SimpleNamespace(replay=SimpleNamespace(error=SimpleNamespace(estimate=None)))
     assert vars(of("error", case)) == dict.fromkeys(("position", "state", "gap"), math.inf)
+
+
+# Small steps within the plan's
+
+
+class Falling:
+    """A kernel of one coordinate under its input, whose parts are exact but for an error that shrinks with them."""
+
+    def __init__(self, error: float = 0.0, jump: bool = False) -> None:
+        self.scene, self.error, self.jump, self.parts = SimpleNamespace(nl=1), error, jump, []
+
+    def rollouts(self, x: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        count = u.shape[1]
+        self.parts.append((len(x), count, h))
+        q, v = x[:, :1].copy(), x[:, 1:].copy()
+        for part in range(count):
+            q += h * (v + h * u[:, part] / 2)
+            v += h * u[:, part]
+        lam = np.cumsum(np.abs(u), axis=1)
+        off = (-1.0) ** len(self.parts) if self.jump else 1.0 / count
+        return lam, np.hstack([q, v + self.error * off])
+
+
+def stepper(kernel: Falling, t: list[float], u: list[float], hold: Hold = Hold.ZERO_ORDER, end: float | None = None) -> Stepper:
+    states = np.zeros((len(t), 1))
+    plan = Trajectory(
+        t=np.array(t), q=states, v=states, u=np.array(u)[:, None], lam=states[1:], hold=hold, u_end=None if end is None else np.array([end])
+    )
+    return Stepper(kernel, HeldInputs(plan), plan.t, np.diff(plan.t))  # type: ignore[arg-type]
+
+
+def size_of(dv: np.ndarray) -> np.ndarray:
+    return np.abs(dv[:, 0])
+
+
+X = np.array([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]])
+
+
+def test_each_step_is_run_from_its_own_state_under_its_own_input():
+    """Steps of 0.5, 0.25 and 0.5 s; of equal length together."""
+    kernel = Falling()
+    found = stepper(kernel, [0.0, 0.5, 0.75, 1.25], [4.0, -8.0, 2.0]).run(X, size_of, 1.0)
+    assert found.ends == pytest.approx(np.array([[1 + 1 + 0.5, 4.0], [3 - 0.25 - 0.25, -3.0], [0.25, 1.0]]))
+    assert kernel.parts == [(1, 50, 0.005), (2, 50, 0.01), (1, 100, 0.0025), (2, 100, 0.005)]
+    assert (found.least.ravel().tolist(), found.most.ravel().tolist()) == ([4.0, 8.0, 2.0], [400.0, 800.0, 200.0])
+
+
+def test_inputs_that_are_lines_are_taken_in_the_middle_of_each_part():
+    """From 4 to 8 in half a second: their mean is 6, wherever it is cut."""
+    found = stepper(Falling(), [0.0, 0.5], [4.0], Hold.LINEAR, 8.0).run(X[:1], size_of, 1.0)
+    assert found.ends[0, 1] == pytest.approx(2.0 + 0.5 * 6.0, abs=1e-12)
+    assert found.least[0, 0] == pytest.approx(4.0 + 4.0 / 200)
+
+
+@pytest.mark.parametrize(("error", "parts"), [(0.0, 100), (0.09, 100), (0.11, 200), (0.21, 400)])
+def test_parts_are_doubled_until_they_change_less_than_a_thousandth(error: float, parts: int):
+    """An error of 1/n changes by half of what it was at n/2: 0.1/100 of a scale of 1."""
+    kernel = Falling(error)
+    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
+    assert kernel.parts[-1][1] == parts
+
+
+def test_only_steps_that_are_not_settled_go_on_and_what_never_settles_is_said():
+    kernel = Falling(0.11)
+    with pytest.raises(Unmeasured, match=r"at t = 0 s, over one step, is not to be had: 12800 parts"):
+        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
+    stepper(kernel, [0.0, 0.5, 1.0], [0.0, 0.0]).run(X[:2], lambda dv: np.abs(dv[:, 0]) * np.array([1.0, 0.1]), 1.0)
+    assert [(rows, parts) for rows, parts, _ in kernel.parts] == [(2, 50), (2, 100), (1, 200)]
+
+
+def test_a_position_that_changes_counts_as_a_velocity_over_its_step():
+    """Off by 0.11/n in position over a step of half a second: twice that in velocity."""
+    kernel = Falling()
+
+    def off(x: np.ndarray, u: np.ndarray, h: float) -> Any:
+        lam, ends = Falling.rollouts(kernel, x, u, h)
+        return lam, ends + np.array([0.055 / u.shape[1], 0.0])
+
+    kernel.rollouts = off  # type: ignore[method-assign]
+    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
+    assert kernel.parts[-1][1] == 200
+
+
+def test_departures_arrive_at_each_next_position():
+    """Under -9 and 3: x moves by h v + h^2 u/2, so v = (move - h^2 u/2)/h; off by 1 it changes by 1/h."""
+    q = np.array([[1.0], [2.0], [1.5]])
+    found = stepper(Falling(), [0.0, 0.5, 0.75], [-9.0, 3.0]).departures(q, np.array([0.0]), np.array([1.0]))
+    assert found.v.ravel() == pytest.approx([(1.0 + 9.0 / 8) / 0.5, (-0.5 - 3.0 / 32) / 0.25])
+    assert np.abs(found.missed).max() < 1e-10
+    assert found.gains == pytest.approx([2.0, 4.0], rel=1e-6)
+
+
+def test_a_position_that_is_never_reached_is_missed():
+    """It moves as it likes: the best of all tries is told, and by how much it misses."""
+    kernel = Falling()
+    kernel.rollouts = lambda x, u, h: (np.zeros((len(x), 1, 1)), np.hstack([np.clip(x[:, 1:], -1.0, 1.0), x[:, 1:]]))  # type: ignore[method-assign,assignment]
+    found = stepper(kernel, [0.0, 0.5], [0.0]).departures(np.array([[0.0], [3.0]]), np.array([0.5]), np.array([1.0]))
+    assert found.missed.ravel() == pytest.approx([2.0], abs=1e-3)
