@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from models.catalog import load_scene
 from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits
@@ -474,3 +476,89 @@ def test_a_run_that_was_refused_says_when(status: int, outcome: ReplayOutcome):
         run = Run(t=list(times))
         run.end_refused(error, 0.5)
         assert (run.outcome, run.message) == (outcome, f"fmi2DoStep returned an error (after t = {when} s).")
+
+
+# How often, how exactly, and whether with feedback
+
+
+@pytest.mark.parametrize("looks", [0, 1, 5, 9])
+@pytest.mark.parametrize("too_many", [False, True])
+def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it(
+    looks: int, too_many: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """Each time with at most what would have seen it, and at most half of what it had; six times, or until that takes too many steps."""
+    asked: list[ReplaySettings] = []
+    seen = iter([0.1] * looks + [None] * 20)
+    monkeypatch.setattr(
+        run_module,
+        "run_job",
+        lambda package, variables, plan, start, settings, *given: asked.append(settings) or simulated([1.25, 1.0], [1.5]),
+    )
+    monkeypatch.setattr(run_module, "overlooked", lambda kernel, found: next(seen))
+    monkeypatch.setattr(run_module, "with_max_step", lambda t, settings, longest: None if too_many else replace(settings, max_step=longest))
+    fmu: Any = SimpleNamespace(digest="sha")
+    found, last = run_module._seeing_all(MODEL, None, fmu, VARIABLES, PLAN, replace(SETTINGS, max_step=0.15), None, None)  # type: ignore[arg-type]
+    runs = 1 if too_many else min(looks + 1, 6)
+    assert [one.max_step for one in asked] == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
+    assert len(last.reference) == 2
+    lost = looks >= 6 or (looks > 0 and too_many)
+    assert (found.error.estimate is None, "steps over a contact that is shorter than any of its steps" in found.message) == (lost, lost)
+
+
+def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypatch: pytest.MonkeyPatch):
+    scene = load_scene("wall_pendulum")
+    states = np.zeros((3, 1))
+    plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
+    law = Feedback(
+        gains=np.zeros((2, 1, 2)),
+        reference=np.zeros((3, 2)),
+        u=plan.u,
+        lower=np.array([-9.0]),
+        upper=np.array([9.0]),
+        scale=np.array([9.0]),
+    )
+    jobs: list[Any] = []
+
+    def seeing(scene: Any, kernel: Any, package: Any, variables: Any, plan: Any, settings: Any, limits: Any, feedback: Any) -> Any:
+        jobs.append((settings, limits, feedback))
+        runs = simulated([1.25, 1.0], [1.5])
+        for run in runs.reference:
+            run.applied = [np.array([3.0]), np.array([4.0])]
+        return assembled(runs), runs
+
+    fmu: Any = SimpleNamespace(digest="sha")
+    monkeypatch.setattr(run_module, "read_package", lambda path: fmu)
+    monkeypatch.setattr(run_module, "unpacked", nullcontext)
+    monkeypatch.setattr(run_module, "find_variables", lambda package, scene: VARIABLES)
+    monkeypatch.setattr(run_module, "_seeing_all", seeing)
+    monkeypatch.setattr(run_module, "measure_growth", lambda kernel, scene, plan: "growth")
+    monkeypatch.setattr(run_module, "design_feedback", lambda kernel, scene, plan: law)
+    opened = run_module.replay(scene, Path("a.fmu"), plan)
+    assert (opened.growth, opened.tracked) == ("growth", None)
+    settings, limits, feedback = jobs[0]
+    assert (settings.tolerances, settings.fineness, settings.event_budget, settings.parts, settings.max_step) == (
+        (1e-11, 1e-13),
+        (50, 100, 200),
+        10_000,
+        3,
+        math.inf,
+    )
+    assert (limits, feedback) == (None, None)
+    for track in (True, lambda replay: replay.growth == "growth"):
+        found = run_module.replay(scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0))  # type: ignore[arg-type]
+        assert found.tracked is not None
+        assert found.tracked.applied is not None
+        assert (found.tracked.applied.tolist(), found.tracked.feedback, jobs[-1][1:]) == ([[3.0], [4.0]], law, (Limits(seconds=3.0), law))
+        assert found.tracked.effort is not None
+        assert found.tracked.effort.peak == (2.0,)
+    blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: False)
+    assert blind.growth is None
+
+    def refuses(*given: Any) -> Any:
+        raise run_module.TrackingError("it overflows")
+
+    monkeypatch.setattr(run_module, "design_feedback", refuses)
+    refused = run_module.replay(scene, Path("a.fmu"), plan, track=lambda replay: True)
+    assert (refused.tracked, refused.message.endswith("No tracked replay: it overflows")) == (None, True)
+    with pytest.raises(run_module.TrackingError):
+        run_module.replay(scene, Path("a.fmu"), plan, track=True)
