@@ -215,6 +215,34 @@ def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: st
     assert words in refusal(lambda: whole(text))
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (WHOLE.replace("lower = -100.0", "lower = -500.000001"), "inputs.F.lower: -500 lies beyond"),
+        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2, but must be below upper, 2"),
+        (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: its lower bound is -500, its upper bound -500, in the plan's unit"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: input should be greater than or equal to 0"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = true"), "limits.replay_terminal_velocity_error: "),
+        (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: input should be a finite number"),
+        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: string should have at least 1 character"),
+        (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: input should be a valid number"),
+    ],
+)  # fmt: skip
+def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: str):
+    assert words in refusal(lambda: whole(text))
+
+
+def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
+    foreign, _ = whole(
+        WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace(
+            "scale = 2.0, offset = 1.0", "scale = 2"
+        )
+    )
+    limit = foreign.model.limit("replay_terminal_velocity_error")
+    assert limit is not None
+    assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
+
+
 def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
     foreign, _ = whole(WHOLE.replace("lower = -100.0", "lower = -500.0000004, upper = 1500.000001"))
     assert (foreign.model.inputs[0].lower, foreign.model.inputs[0].upper) == (-500.0000004, 1500.000001)
