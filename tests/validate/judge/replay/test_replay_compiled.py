@@ -267,6 +267,7 @@ class Loops:
     def step_through(self, place: Any, first: int, last: int) -> int:
         loop = ctypes.cast(place, ctypes.POINTER(everyday._Loop)).contents
         self.calls.append((first, last))
+        self.told = {name: getattr(loop, name) for name, *_ in everyday._Loop._fields_}
         loop.done, loop.reached, loop.place = min(self.made, last), 0.3, 99
         for array, size, base in ((loop.outputs, 3 * 4, 10.0), (loop.local, 3 * 3, 50.0)):
             numbers = (ctypes.c_double * size).from_address(array)
@@ -319,6 +320,19 @@ def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
     assert (run.t, run.knots, run.outcome, len(run.local)) == ([0.0, 0.5], [0, 1], outcome, local)
     assert ("t = 1 s" in run.message) is (outcome is not ReplayOutcome.OK)
     assert bool(instance.refused) is (reason is everyday.Reason.CALL_REFUSED)
+
+
+def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(monkeypatch: pytest.MonkeyPatch):
+    """Two of the outputs are states; nothing may be beyond 1e9; what is restored is the same within 1e-9 of its size."""
+    for rolls_back in (True, False):
+        _, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
+        told = {
+            name: loops.told[name]
+            for name in ("bounded", "bound", "same", "rolls_back", "linear", "gives_slopes", "parts", "own_step_count", "own_step")
+        }
+        assert told == {
+            "bounded": 2, "bound": 1e9, "same": 1e-9, "rolls_back": rolls_back, "linear": 0, "gives_slopes": 0, "parts": 1, "own_step_count": 0, "own_step": 0.1,
+        }  # fmt: skip
 
 
 def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(monkeypatch: pytest.MonkeyPatch):
