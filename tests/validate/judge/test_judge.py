@@ -411,3 +411,18 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
     assert (track is True) is feedback
     if not feedback:
         assert track("opened") == "wanted of opened"
+
+
+def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):
+    scene = load_scene("wall_pendulum")
+    states = np.array([[0.1], [0.2], [0.4]])
+    plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=-states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
+    write_netcdf(tmp_path / "plan.nc", plan, scene)
+    write_csv(tmp_path / "plan.csv", plan, scene)
+    for path in (tmp_path / "plan.nc", tmp_path / "plan.csv", str(tmp_path / "plan.nc"), str(tmp_path / "plan.csv")):
+        found = as_trajectory(path, scene)
+        assert found is not None
+        assert (found.q.tolist(), found.v.tolist(), found.u.tolist()) == (plan.q.tolist(), plan.v.tolist(), plan.u.tolist())
+    linear = as_trajectory(tmp_path / "plan.csv", scene, hold="zero", scheme="semi_implicit_euler")
+    assert linear is not None
+    assert (linear.hold, linear.scheme) == (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER)
