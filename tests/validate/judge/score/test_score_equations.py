@@ -257,3 +257,13 @@ def test_an_answer_is_off_by_so_many_of_its_own_tolerances():
     assert eq.answer_error(case) == pytest.approx((3.0, 0.5))
     case.scene.answers[1].tolerance = 0.005
     assert eq.answer_error(case) == pytest.approx((10.0, 4.0))
+
+
+def test_a_depth_is_looked_for_within_the_replay_alone():
+    """It ends while it still falls: what comes after is nobody's."""
+    t = 0.1 * np.arange(6)
+    gap, v = np.full((6, 2), 0.3), np.zeros((6, 3))
+    gap[:, 1], v[:, 2] = 0.4 - t, -1.0
+    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    gap[:, 1], v[:, 2] = t - 0.1, 1.0
+    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
