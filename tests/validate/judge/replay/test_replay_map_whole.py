@@ -363,3 +363,8 @@ def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(unit: str | No
     assert of_fmu.contradicts(unit, what, True) is contradicts
     own = {"m": what in ("velocity", "force"), "kg": True}
     assert [of_fmu.contradicts(name, what) for name in own] == list(own.values())
+
+
+def test_very_many_short_names_do_not_crowd_out_the_long_one_that_is_meant():
+    """Two shared parts in twelve letters say more than one in three: what counts is the length of both names."""
+    assert hint("abcdefghijkl", [*["abc"] * 2500, "abcxefgxijxl"]) == " (near it: abcxefgxijxl)"
