@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
 import stat
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from models.catalog import load_scene
+from models.errors import MachineError
 from models.fmu import build_fmu
-from validate.fmi.archive import CHECKS, DESCRIPTION, ArchiveError, ArchiveLimits, check_archive, problems, unpack
+from validate.fmi import archive as module
+from validate.fmi.archive import (
+    CHECKS,
+    DESCRIPTION,
+    ArchiveError,
+    ArchiveLimits,
+    FmuArchive,
+    binary_name,
+    check_archive,
+    interfaces,
+    problems,
+    unpack,
+)
 
 GOOD = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
 LIBRARY = "binaries/linux64/m.so"
@@ -148,3 +164,150 @@ def test_duplicates_and_counts(tmp_path: Path):
 def test_all_problems_of_a_file_are_listed(tmp_path: Path):
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "../a": "", "b\\c": "", "/d": ""})
     assert [problem.check for problem in problems(path)] == ["names", "names", "names"]
+
+
+# Limits, at them and just beside
+
+
+def sized(path: Path, count: int) -> Path:
+    """Description and library, and one entry of so many bytes that cannot be packed well."""
+    return write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", "data": hashlib.sha256(b"").digest() * (count // 32) + b"\0" * (count % 32)})
+
+
+def checks(path: Path, **limits: Any) -> list[str]:
+    return [problem.check for problem in problems(path, ArchiveLimits(**limits))]
+
+
+def test_what_is_as_large_as_is_let_in_is_let_in(tmp_path: Path):
+    path = sized(tmp_path / "m.fmu", 10_000)
+    unpacked, packed = 10_000 + len(GOOD) + 1, path.stat().st_size
+    assert check_archive(path).unpacked == unpacked
+    assert (checks(path, unpacked=unpacked), checks(path, unpacked=unpacked - 1)) == ([], ["size"])
+    assert (checks(path, entries=3), checks(path, entries=2)) == ([], ["entries"])
+    assert (checks(path, xml=len(GOOD)), checks(path, xml=len(GOOD) - 1)) == ([], ["size"])
+    ratio = unpacked / packed
+    assert ratio > 5.0
+    assert checks(path, ratio=ratio * 0.99, ratio_matters_from=unpacked) == []
+    assert checks(path, ratio=ratio * 1.01, ratio_matters_from=unpacked - 1) == []
+    (bomb,) = problems(path, ArchiveLimits(ratio=5.0, ratio_matters_from=unpacked - 1))
+    assert bomb.check == "ratio"
+    assert f"{ratio:.0f} times as much; from 5 times on" in bomb.sentence
+    assert ArchiveLimits() == ArchiveLimits(
+        unpacked=2_147_483_648, entries=20_000, ratio=100.0, ratio_matters_from=33_554_432, xml=67_108_864
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(1_073_741_824, "1 GB"), (1_073_741_823, "1.02e+03 MB"), (3 * 1024**3 // 2, "1.5 GB"), (524_288, "0.5 MB")]
+)
+def test_sizes_are_told_in_megabytes_and_gigabytes(count: int, said: str):
+    assert module._size(count) == said
+
+
+def test_encrypted_entries_and_names_that_are_none_are_refused(tmp_path: Path):
+    path = tmp_path / "m.fmu"
+    write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", "secret": "a"})
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"PK\x01\x02") + 8] |= 1  # of the last entry in the table of contents
+    path.write_bytes(data)
+    (problem,) = problems(path)
+    assert (problem.check, "'secret' is encrypted" in problem.sentence) == ("encryption", True)
+    for name in ("", "a\0b"):
+        item: Any = SimpleNamespace(orig_filename=name, external_attr=0, flag_bits=0)
+        (found,) = module._ArchiveCheck(path, ArchiveLimits())._of_entry(item)
+        assert (found.check, "has no proper name" in found.sentence) == ("names", True)
+    for kind, expected in ((stat.S_IFREG, []), (stat.S_IFDIR, []), (0, []), (stat.S_IFLNK, ["links"]), (stat.S_IFIFO, ["links"])):
+        item = SimpleNamespace(orig_filename="a", external_attr=kind << 16, flag_bits=0x2)
+        assert [found.check for found in module._ArchiveCheck(path, ArchiveLimits())._of_entry(item)] == expected
+
+
+def test_a_check_may_be_let_pass(tmp_path: Path):
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD})
+    found = check_archive(path, but_for="binary")
+    assert (found.kinds, found.platforms, found.entries, found.path) == ({}, (), 1, path)
+    assert found.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    with pytest.raises(ArchiveError):
+        check_archive(path, but_for="kind")
+
+
+def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_none(tmp_path: Path):
+    both = GOOD.replace("<CoSimulation", '<ModelExchange modelIdentifier="other"/><ScheduledExecution modelIdentifier="m"/><CoSimulation')
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: both, LIBRARY: b"x", "binaries/win64/m.dll": b"x", "binaries/": ""})
+    found = check_archive(path)
+    assert found.kinds == {"CoSimulation": {"modelIdentifier": "m"}}
+    assert found.platforms == ("linux64", "win64")
+    alone = GOOD.replace("CoSimulation", "ScheduledExecution")
+    with pytest.raises(ArchiveError, match="Co-Simulation, only Scheduled Execution, which needs a scheduler"):
+        check_archive(write(path, {DESCRIPTION: alone, LIBRARY: b"x"}))
+    with pytest.raises(ArchiveError, match=r"nor Co-Simulation\.$"):
+        check_archive(write(path, {DESCRIPTION: '<fmiModelDescription fmiVersion="2.0"><Unit/></fmiModelDescription>', LIBRARY: b"x"}))
+    assert set(interfaces(both.encode())) == {"ModelExchange", "ScheduledExecution", "CoSimulation"}
+
+
+def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):
+    """Only the description must be XML; what else ends in .xml is looked at for a DOCTYPE alone, whatever its letters."""
+    others: dict[str, bytes | str] = {
+        "a.xml": "<broken",
+        "b.ssd": '<?xml version="1.0" encoding="nobody"?><x/>',
+        "c.XML": "<html/>",
+        "d.txt": "<!DOCTYPE x><x/>",
+    }
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **others})
+    assert problems(path) == ()
+    for name in ("a.ssv", "a.ssm", "a.ssb", "A.SSD"):
+        assert checks(write(path, {DESCRIPTION: GOOD, LIBRARY: b"x", name: "<!DOCTYPE x><x/>"})) == ["xml"]
+    nested = write(path, {f"m/{DESCRIPTION}": GOOD, "a.xml": "<!DOCTYPE x><x/>"})
+    assert checks(nested) == ["xml"], "what is dangerous ends it"
+
+
+@pytest.mark.parametrize("version", ["3.0.1-beta", "3.1", "3.0.", "4.0", "2.0.4", ""])
+def test_versions(version: str, tmp_path: Path):
+    text = GOOD.replace('"2.0"', f'"{version}"')
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: text, "binaries/x86_64-linux/m.so": b"x", LIBRARY: b"x"})
+    assert checks(path) == ([] if version == "3.0.1-beta" else ["version"])
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "two", "three"),
+    [
+        ("Linux", "x86_64", "binaries/linux64/m.so", "binaries/x86_64-linux/m.so"), ("Linux", "ARM64", "binaries/linux64/m.so", "binaries/aarch64-linux/m.so"),
+        ("Darwin", "arm64", "binaries/darwin64/m.dylib", "binaries/aarch64-darwin/m.dylib"),
+        ("Windows", "AMD64", "binaries/win64/m.dll", "binaries/x86_64-windows/m.dll"), ("Plan9", "mips", "binaries/plan964/m.so", "binaries/mips-plan9/m.so"),
+    ],
+)  # fmt: skip
+def test_where_a_binary_lies_on_each_machine(system: str, machine: str, two: str, three: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module.platform, "system", lambda: system)
+    monkeypatch.setattr(module.platform, "machine", lambda: machine)
+    assert (binary_name("2.0", "m"), binary_name("3.0", "m")) == (two, three)
+
+
+def test_only_what_is_wanted_is_unpacked_and_only_what_was_checked(tmp_path: Path):
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "sources/a.c": "int a;", "documentation/b": "b", "sourcesc": "c"})
+    archive = check_archive(path)
+    unpack(archive, tmp_path / "out", leave_out=("sources/", "documentation/"))
+    assert sorted(item.name for item in (tmp_path / "out").rglob("*") if item.is_file()) == ["m.so", DESCRIPTION, "sourcesc"]
+    write(path, {DESCRIPTION: GOOD, LIBRARY: b"xy", "sources/a.c": "int a;", "documentation/b": "b", "sourcesc": "c"})
+    with pytest.raises(ArchiveError, match="the file changed while it was read"):
+        unpack(archive, tmp_path / "again")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(MachineError, match=r"cannot be unpacked to .*file \(.+\); make room there"):
+        unpack(check_archive(path), tmp_path / "file")
+    gone = FmuArchive(path=tmp_path / "gone", digest="", version="2.0", kinds={}, platforms=(), entries=0, unpacked=0)
+    with pytest.raises(MachineError, match=r"\(No such file or directory\)"):
+        unpack(gone, tmp_path / "out")
+
+
+@pytest.mark.parametrize("error", [NotImplementedError("strong encryption\nand more"), EOFError(), RuntimeError("odd")])
+def test_what_python_cannot_read_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception):
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x"})
+
+    def fails(self: Any, name: Any) -> bytes:
+        raise error
+
+    monkeypatch.setattr(zipfile.ZipFile, "read", fails)
+    (problem,) = problems(path)
+    first = str(error).partition("\n")[0] or "EOFError"
+    assert (problem.check, problem.sentence) == ("zip", f"FMU {path}: it is a zip file that cannot be read ({first}).")
+    monkeypatch.setattr(zipfile.ZipFile, "read", lambda self, name: (_ for _ in ()).throw(PermissionError(13, "Permission denied")))
+    with pytest.raises(MachineError, match=r"it cannot be read \(Permission denied\)"):
+        problems(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +13,15 @@ import pytest
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.errors import SceneError, TrajectoryError
+from models.errors import SceneError, TouchstoneError, TrajectoryError
 from models.scene import Scene
 from models.scene.parts import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.replay import exit_code
-from validate.judge.judgement import as_trajectory, judge
+from validate.judge import judgement as module
+from validate.judge.judgement import as_trajectory, judge, judge_fmu, judge_on_fmu
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import Question, Verdict
 
@@ -328,3 +330,99 @@ def test_our_methods_declare_their_scheme():
 )
 def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
     assert (exit_code(verdict, "feedback"), exit_code(verdict, "holds")) == (lenient, strict)
+
+
+# Somebody's FMU: what is asked of whom, with a replay and a score that answer what the test says
+
+
+def answered(motion: str, verdict: Verdict) -> Any:
+    return SimpleNamespace(questions=((Question.MOTION, motion),), verdict=verdict)
+
+
+@pytest.mark.parametrize(
+    ("hold", "scheme", "inputs", "motion", "verdict", "again"),
+    [
+        (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True),
+        (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
+        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False),
+        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "no", Verdict.HOLDS_WITH_FEEDBACK, False),
+    ],
+)
+def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
+    hold: Hold, scheme: Scheme | None, inputs: int, motion: str, verdict: Verdict, again: bool, monkeypatch: pytest.MonkeyPatch
+):
+    nodes = np.zeros((3, 1))
+    plan = Trajectory(t=uniform_grid(0.5, 2), q=nodes, v=nodes, u=np.zeros((2, inputs)), lam=np.zeros((2, 0)), hold=hold, scheme=scheme)
+    replays: list[Any] = []
+    scores: list[Any] = []
+    monkeypatch.setattr(module, "replay_foreign", lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}")
+    monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered(motion, verdict))
+    foreign: Any = SimpleNamespace(model="model")
+    found = judge_on_fmu(foreign, "package", plan, feedback=True, limits="limits")  # type: ignore[arg-type]
+    assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
+    assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "track": True})
+    assert scores[0] == (("model", plan, "replay 1"), {})
+    assert len(replays) == len(scores) == 1 + again
+    if again:
+        other = replays[1][0][2]
+        assert (other.hold, replays[1][1]) == (Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER, {"limits": "limits"})
+        assert scores[1] == (("model", plan, "replay 1"), {"other_hold": "replay 2"})
+
+
+def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked: list[Any] = []
+    monkeypatch.setattr(module, "read_package", lambda path: f"package of {path}")
+    monkeypatch.setattr(module, "judge_on_fmu", lambda *given, **named: (given, named))
+    monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: asked.append(given) or ("foreign", "trajectory"))
+    (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
+    columns = {"t": np.array([0.0, 1.0]), "u": np.array([1.0])}
+    for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
+        given, named = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
+        assert given == ("foreign", "package of a.fmu", "trajectory")
+        assert (named["feedback"], named["limits"]) == (True, module.Limits())
+        package, table, map_file, hold, where = asked[-1]
+        assert (package, table.names[0], map_file, hold, where) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu")
+    (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
+    judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))
+    assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
+    (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
+    with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: there is no metric of that name \(near it: replay_error"):
+        judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml")
+    with pytest.raises(TrajectoryError, match="plan: a int has no names for the variables of an FMU"):
+        judge_fmu(Path("a.fmu"), 7)
+
+
+@pytest.mark.parametrize("feedback", [True, False])
+def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monkeypatch: pytest.MonkeyPatch):
+    scene = load_scene("wall_pendulum")
+    states = np.zeros((3, 1))
+    plan = Trajectory(t=np.array([5.0, 5.5, 6.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
+    tracks: list[Any] = []
+    monkeypatch.setattr(module, "replay", lambda *given, **named: tracks.append((given, named)) or "replay")
+    monkeypatch.setattr(module, "score", lambda *given, **named: SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics=given[2]))
+    monkeypatch.setattr(module, "wants_feedback", lambda metrics: f"wanted of {metrics}")
+    found = module.judge_trajectory(scene, Path("a.fmu"), plan, feedback=feedback, limits=None)
+    assert found.plan is not None
+    assert (found.plan.t.tolist(), found.replay) == ([0.0, 0.5, 1.0], "replay")
+    track = tracks[0][1]["track"]
+    assert (track is True) is feedback
+    if not feedback:
+        assert track("opened") == "wanted of opened"
+
+
+def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):
+    scene = load_scene("wall_pendulum")
+    states = np.array([[0.1], [0.2], [0.4]])
+    plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=-states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
+    write_netcdf(tmp_path / "plan.nc", plan, scene)
+    write_csv(tmp_path / "plan.csv", plan, scene)
+    for path in (tmp_path / "plan.nc", tmp_path / "plan.csv", str(tmp_path / "plan.nc"), str(tmp_path / "plan.csv")):
+        found = as_trajectory(path, scene)
+        assert found is not None
+        assert (found.q.tolist(), found.v.tolist(), found.u.tolist()) == (plan.q.tolist(), plan.v.tolist(), plan.u.tolist())
+    linear = as_trajectory(tmp_path / "plan.csv", scene, hold="zero", scheme="semi_implicit_euler")
+    assert linear is not None
+    assert (linear.hold, linear.scheme) == (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER)

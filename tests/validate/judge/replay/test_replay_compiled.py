@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi import loops
 from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.fmi.instance import Misbehaviour, References, TerminationRequested
 from validate.judge.replay import everyday
 from validate.judge.replay import reference as exchange
 from validate.judge.replay.result import ReplayOutcome, Run
@@ -194,3 +198,234 @@ def test_what_is_no_status_of_fmi_is_refused(tmp_path: Path, status: int):
         ):
             assert run.outcome is ReplayOutcome.FMU_FAILED
             assert f"fmi2ExitInitializationMode failed with status {status}" in run.message
+
+
+# What the loops are told, and what is done with their answers
+
+
+def instance_of(major: int = 2) -> Any:
+    """An FMU whose functions lie at addresses that say which they are."""
+    addresses: list[str] = []
+
+    def address(name: str) -> int:
+        addresses.append(name)
+        return 1000 + len(addresses)
+
+    refused: list[Any] = []
+    return SimpleNamespace(
+        major=major,
+        fmu=SimpleNamespace(component=77, address=address),
+        asked=addresses,
+        refuse=lambda *given: refused.append(given),
+        refused=refused,
+    )
+
+
+@pytest.mark.parametrize("major", [2, 3])
+def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_needed(major: int):
+    instance = instance_of(major)
+    inputs, outputs, rates = References([3]), References([4, 5]), References([6, 7, 8])
+    found = library.describe(
+        instance, ["SetTime", "NewDiscreteStates", "GetReal"], inputs=inputs, outputs=outputs, rates=rates, states=9, indicators=10
+    )
+    assert (found.component, found.three, found.states, found.indicators, found.inputs, found.outputs, found.rates) == (
+        77,
+        major == 3,
+        9,
+        10,
+        1,
+        2,
+        3,
+    )
+    assert (found.input_references, found.output_references, found.rate_references) == tuple(
+        ctypes.addressof(item.array) for item in (inputs, outputs, rates)
+    )
+    assert instance.asked == (
+        ["GetReal", "SetTime", "NewDiscreteStates"] if major == 2 else ["GetFloat64", "SetTime", "UpdateDiscreteStates"]
+    )
+    assert {place: call for place, call in enumerate(found.call) if call} == {0: 1001, 2: 1002, 9: 1003}
+    without = library.describe(instance, [], inputs=inputs, outputs=outputs)
+    assert (without.rates, without.states, without.indicators) == (0, 0, 0)
+    found.fault_call, found.fault_status = 9, 3
+    library.refuse(instance, found)
+    assert instance.refused == [("NewDiscreteStates" if major == 2 else "UpdateDiscreteStates", 3)]
+
+
+def test_an_event_that_does_not_end_is_a_request_or_a_misbehaviour():
+    with pytest.raises(TerminationRequested, match=r"t = 2\.5 s"):
+        library.unsettled(library.Reason.WANTS_END, 2.5)
+    with pytest.raises(Misbehaviour, match="did not end after"):
+        library.unsettled(library.Reason.NEVER_SETTLES, 2.5)
+
+
+class Loops:
+    """Loops that come back for a reason, with the first `done` of their steps made."""
+
+    def __init__(self, reason: Any, done: int) -> None:
+        self.reason, self.made, self.calls = reason, done, []
+
+    def step_through(self, place: Any, first: int, last: int) -> int:
+        loop = ctypes.cast(place, ctypes.POINTER(everyday._Loop)).contents
+        self.calls.append((first, last))
+        self.told = {name: getattr(loop, name) for name, *_ in everyday._Loop._fields_}
+        loop.done, loop.reached, loop.place = min(self.made, last), 0.3, 99
+        for array, size, base in ((loop.outputs, 3 * 4, 10.0), (loop.local, 3 * 3, 50.0)):
+            numbers = (ctypes.c_double * size).from_address(array)
+            for index in range(3 if base == 10.0 else 0, size):
+                numbers[index] = base + index
+        return int(self.reason if self.made < last else everyday.Reason.DONE)
+
+
+def stepped(
+    reason: Any, done: int, monkeypatch: pytest.MonkeyPatch, *, rolls_back: bool = False, feedback: Any = None, fault: int = 0
+) -> tuple[Run, Loops, Any]:
+    """Three steps of half a second of an FMU with three outputs."""
+    states = np.zeros((4, 1))
+    plan = Trajectory(t=0.5 * np.arange(4), q=states, v=states, u=np.ones((3, 1)), lam=np.zeros((3, 0)))
+    loops, run, forgotten = Loops(reason, done), Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]), []
+    instance = instance_of()
+    instance.forget = lambda place: forgotten.append(place.value)
+    monkeypatch.setattr(library, "load", lambda: loops)
+    described = library.describe(instance, [], inputs=References([3]), outputs=References([4, 5, 6]))
+    described.fault_status = fault
+    monkeypatch.setattr(library, "describe", lambda *given, **named: described)
+    stepping = everyday.Stepping(
+        fmu=instance, given=References([3]), outputs=References([4, 5, 6]), inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2, rolls_back=rolls_back,
+        own_step_of=References([]), own_step=0.1,
+    )  # fmt: skip
+    try:
+        everyday.step_through(stepping, run)
+    finally:
+        stepped.forgotten = forgotten  # type: ignore[attr-defined]
+    return run, loops, instance
+
+
+def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPatch):
+    run, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
+    assert (run.t, run.knots, run.local, loops.calls) == ([0.0, 0.5, 1.0, 1.5], [0, 1, 2, 3], [], [(0, 3)])
+    assert [row.tolist() for row in run.outputs[1:]] == [[13.0, 14.0, 15.0], [16.0, 17.0, 18.0], [19.0, 20.0, 21.0]]
+    rolled, _, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=True)
+    assert [row.tolist() for row in rolled.local] == [[50.0, 51.0, 52.0], [53.0, 54.0, 55.0], [56.0, 57.0, 58.0]]
+    assert stepped.forgotten == [99]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("reason", "outcome", "local"),
+    [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER, 2), (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED, 2), (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK, 1)],
+)  # fmt: skip
+def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
+    reason: Any, outcome: ReplayOutcome, local: int, monkeypatch: pytest.MonkeyPatch
+):
+    run, _, instance = stepped(reason, 1, monkeypatch, rolls_back=True)
+    assert (run.t, run.knots, run.outcome, len(run.local)) == ([0.0, 0.5], [0, 1], outcome, local)
+    assert ("t = 1 s" in run.message) is (outcome is not ReplayOutcome.OK)
+    assert bool(instance.refused) is (reason is everyday.Reason.CALL_REFUSED)
+
+
+def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(monkeypatch: pytest.MonkeyPatch):
+    """Two of the outputs are states; nothing may be beyond 1e9; what is restored is the same within 1e-9 of its size."""
+    for rolls_back in (True, False):
+        _, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
+        told = {
+            name: loops.told[name]
+            for name in ("bounded", "bound", "same", "rolls_back", "linear", "gives_slopes", "parts", "own_step_count", "own_step")
+        }
+        assert told == {
+            "bounded": 2, "bound": 1e9, "same": 1e-9, "rolls_back": rolls_back, "linear": 0, "gives_slopes": 0, "parts": 1, "own_step_count": 0, "own_step": 0.1,
+        }  # fmt: skip
+
+
+def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(Misbehaviour, match=r"it returned early at 0\.3 s, which was not allowed"):
+        stepped(everyday.Reason.EARLY_RETURN, 1, monkeypatch)
+    with pytest.raises(everyday.RollbackError):
+        stepped(everyday.Reason.NOT_RESTORED, 1, monkeypatch, rolls_back=True)
+    stepped(everyday.Reason.CALL_REFUSED, 1, monkeypatch, fault=4)
+    assert stepped.forgotten == []  # type: ignore[attr-defined]
+
+
+def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypatch: pytest.MonkeyPatch):
+    law = Feedback(
+        gains=np.ones((3, 1, 2)),
+        reference=np.zeros((4, 2)),
+        u=np.ones((3, 1)),
+        lower=np.array([-100.0]),
+        upper=np.array([100.0]),
+        scale=np.array([1.0]),
+    )
+    run, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
+    assert loops.calls == [(0, 1), (1, 2), (2, 3)]
+    assert [row.tolist() for row in run.applied] == [[1.0 - 3.0], [1.0 - 27.0], [1.0 - 33.0]]
+    run, loops, _ = stepped(everyday.Reason.OUT_OF_BOUNDS, 1, monkeypatch, feedback=law)
+    assert (loops.calls, len(run.applied), run.t) == ([(0, 1), (1, 2)], 2, [0.0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("linear", "interpolates", "internal", "fineness", "rolls_back", "parts", "slopes"),
+    [
+        (False, False, None, 200, False, 4, False), (False, False, None, 49, False, 1, False), (False, False, 9, 200, False, 1, False), (True, True, None, 200, False, 4, True),
+        (True, False, None, 200, False, 200, False), (True, False, 9, 200, False, 200, False), (False, False, None, 150, True, 4, False), (False, False, None, 50, True, 2, False),
+        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False),
+    ],
+)  # fmt: skip
+def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
+    linear: bool,
+    interpolates: bool,
+    internal: int | None,
+    fineness: int,
+    rolls_back: bool,
+    parts: int,
+    slopes: bool,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    found: list[Any] = []
+    log: list[Any] = []
+    instance = SimpleNamespace(
+        choose=lambda choices: log.append(choices), initialise=lambda *given: log.append((given[0], given[1], given[2].array[:], given[3].tolist())),
+        unload=lambda: log.append("unload"), read=lambda references: np.array([1.0, 2.0]),
+    )  # fmt: skip
+    monkeypatch.setattr(everyday, "load_instance", lambda package, kind: instance if kind == "CS" else None)
+    monkeypatch.setattr(everyday, "step_through", lambda stepping, run: found.append(stepping))
+    states = np.zeros((3, 1))
+    plan = Trajectory(
+        t=np.array([0.5, 1.0, 2.0]),
+        q=states,
+        v=states,
+        u=np.array([[3.0], [4.0]]),
+        lam=np.zeros((2, 0)),
+        hold=Hold.LINEAR if linear else Hold.ZERO_ORDER,
+    )
+    variables = Variables(q=(1,), v=(2,), u=(5,), lam=(), gap=(), energies={}, powers={}, zero=frozenset(), parameters=((6, 0.5),), start=(7,), internal_step=internal, choices=((8, 1),))  # fmt: skip
+    package: Any = SimpleNamespace(is_three=False, cosimulation=SimpleNamespace(canInterpolateInputs=interpolates))
+    run = everyday.simulate(package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back)
+    (stepping,) = found
+    own = 0.5 / fineness
+    assert (stepping.parts, stepping.slopes, stepping.states, stepping.rolls_back, stepping.own_step) == (parts, slopes, 2, rolls_back, own)
+    assert (stepping.own_step_of.array[:], stepping.given.array[:], stepping.outputs.array[:]) == (
+        [] if internal is None else [internal],
+        [5],
+        [1, 2],
+    )
+    settings = [(6, 0.5), (7, 9.0)] + ([] if internal is None else [(internal, own)])
+    assert log == [((8, 1),), (0.5, settings, [5], [3.0]), "unload"]
+    assert (run.t, run.knots, run.outputs[0].tolist()) == ([0.5], [0], [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "outcome"),
+    [([np.nan, 1.0], ReplayOutcome.NOT_A_NUMBER), ([1.0, -2e9], ReplayOutcome.DIVERGED), ([1.0, 1e9], ReplayOutcome.OK)],
+)
+def test_a_first_row_that_is_no_number_or_out_of_bounds_ends_the_run(values: list[float], outcome: ReplayOutcome):
+    stepping: Any = SimpleNamespace(
+        inputs=SimpleNamespace(times=np.array([0.5, 1.0])),
+        fmu=SimpleNamespace(read=lambda outputs: np.array([*values, 1e12])),
+        outputs=None,
+        states=2,
+    )
+    run = Run()
+    assert everyday._record_start(stepping, run) is (outcome is ReplayOutcome.OK)
+    assert (run.outcome, "t = 0.5 s" in run.message, run.t) == (
+        outcome,
+        outcome is not ReplayOutcome.OK,
+        [0.5] if outcome is ReplayOutcome.OK else [],
+    )

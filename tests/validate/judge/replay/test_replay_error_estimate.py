@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,23 @@ import pytest
 
 from models.catalog import load_scene
 from models.trajectory import Trajectory
-from validate.judge.replay import Difference
+from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay import error_estimate as module
 from validate.judge.replay.error_estimate import (
     difference,
     estimate,
     heeds_step,
     larger,
     local_errors,
+    overlooked,
     step_ratio,
     with_max_step,
     with_steps_of,
 )
-from validate.judge.replay.job import Job
+from validate.judge.replay.job import Job, ReplaySettings
+from validate.judge.replay.result import Run as Recorded
+from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignModel, ForeignTask
+from validate.judge.replay.wiring import ENERGIES, Variables
 
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
 
@@ -179,3 +185,205 @@ def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():
     assert finer is not None
     assert (finer.max_step, finer.fineness) == (1e-4, (500, 1000))
     assert with_max_step(job, 1e-8) is None, "more than a million steps"
+
+
+# Contacts that were stepped over
+
+
+def stepped_over(gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5)) -> float | None:
+    """What a replay of two contacts makes of its gaps; rates are those of gaps."""
+    rows = len(t)
+    replayed: Any = SimpleNamespace(t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "penetration_rates", lambda kernel, q, v: -np.array(rate))
+        return overlooked(None, replayed)  # type: ignore[arg-type]
+
+
+def parabola(lowest: float, bend: float, place: float, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return lowest + bend / 2 * (t - place) ** 2, bend * (t - place)
+
+
+def test_a_contact_between_two_rows_asks_for_an_eighth_of_what_it_lasts():
+    """g = g0 + b/2 (t - t0)^2 is below zero for 2 sqrt(-2 g0 / b); of two the shorter counts."""
+    t = np.array([0.0, 0.5, 1.5])
+    left, right = parabola(-0.01, 8.0, 0.2, t), parabola(-0.02, 2.0, 0.9, t)
+    gap, rate = np.column_stack([left[0], right[0]]), np.column_stack([left[1], right[1]])
+    assert stepped_over(gap, rate) == pytest.approx(2 * math.sqrt(0.02 / 8.0) / 8)
+    assert stepped_over(gap[:, 1:], rate[:, 1:]) == pytest.approx(2 * math.sqrt(0.04 / 2.0) / 8)
+    assert stepped_over(gap[:1], rate[:1], t[:1]) is None
+
+
+@pytest.mark.parametrize("change", ["touches at the first row", "touches at the last row", "leaves", "comes", "does not reach", "no time"])
+def test_what_is_no_contact_between_two_rows(change: str):
+    t = np.array([0.0, 1.0])
+    gap, rate = (values[:, None] for values in parabola(-0.01, 8.0, 0.5, t))
+    assert stepped_over(gap, rate, t) is not None
+    if change == "touches at the first row":
+        gap[0] = -1e-9
+    elif change == "touches at the last row":
+        gap[1] = -1e-9
+    elif change == "leaves":
+        rate[0] = 1e-9
+    elif change == "comes":
+        rate[1] = -1e-9
+    elif change == "does not reach":
+        gap += 0.02
+    else:
+        t = np.zeros(2)
+    assert stepped_over(gap, rate, t) is None
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_lowest_of_a_piece_is_where_its_cubic_is(side: int):
+    """Parabolas with a valley within, before and behind the piece from 2 to 4 s; lines; and a hill."""
+    t = np.array([2.0, 4.0])
+    for bend, place, lowest, where in (
+        (8.0, 2.5, -0.01, 0.25),
+        (8.0, 1.0, None, 0.0),
+        (8.0, 5.0, None, 1.0),
+        (-8.0, 2.5, None, 1.0),
+        (-8.0, 3.5, None, 0.0),
+    ):
+        gap, rate = parabola(-0.01, bend, place, t)
+        others = np.array([5.0, 5.0]), np.zeros(2)
+        gaps, rates = (np.column_stack([one, other] if side == 0 else [other, one]) for one, other in zip((gap, rate), others, strict=True))
+        value, share = module.lowest_between(t, gaps, rates)
+        assert value[0, side] == pytest.approx(gap.min() if lowest is None else lowest, abs=1e-12)
+        assert share[0, side] == pytest.approx(where, abs=1e-12)
+        assert value[0, 1 - side] == 5.0
+
+
+# Settings
+
+
+SETTINGS = ReplaySettings(tolerances=(1e-11, 1e-13), fineness=(50, 100, 200), event_budget=7)
+
+
+def task_of(step: float) -> Any:
+    return SimpleNamespace(task=SimpleNamespace(step=step))
+
+
+def test_nothing_is_seen_less_often_than_on_the_tasks_own_grid():
+    """Steps of 0.3 and 0.1 s: the longest is three of the task's 0.1 s, or two of 0.2; the shortest, but at least a tenth of the mean, counts for the rest."""
+    t = np.array([0.0, 0.3, 0.4])
+    found = module.with_steps_of(task_of(0.1), t, SETTINGS)
+    assert (found.parts, found.fineness) == (SETTINGS.parts * 3, (50, 100, 200))
+    found = module.with_steps_of(task_of(0.04), t, SETTINGS)
+    assert (found.parts, found.fineness, found.event_budget) == (SETTINGS.parts * 8, (150, 300, 600), 7)
+    assert module.with_steps_of(task_of(0.5), t, SETTINGS) == SETTINGS
+    assert module.with_steps_of(task_of(1e-6), t, SETTINGS).parts == 3000
+    assert module.with_steps_of(task_of(0.1 * (1 - 5e-7)), np.array([0.0, 0.1]), SETTINGS) == SETTINGS, "rounding makes no step longer"
+
+
+def test_a_longest_step_holds_in_every_simulation():
+    t = np.array([0.0, 0.5, 1.0])
+    found = module.with_max_step(t, SETTINGS, 0.004)
+    assert found is not None
+    assert (found.max_step, found.fineness) == (0.004, (150, 300, 600)), "half a second in 50 parts is 2.5 times too much"
+    assert module.with_max_step(t, SETTINGS, 0.02).fineness == SETTINGS.fineness  # type: ignore[union-attr]
+    assert module.with_max_step(t, replace(SETTINGS, fineness=()), 0.2).fineness == ()  # type: ignore[union-attr]
+    assert module.with_max_step(t, SETTINGS, 1.01e-6) is not None
+    assert module.with_max_step(t, SETTINGS, 0.99e-6) is None, "more than a million steps"
+
+
+def test_without_inertia_the_everyday_replay_is_fine_enough_for_its_lag():
+    """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50; two of the three runs will do."""
+    plan: Any = SimpleNamespace(t=np.array([0.0, 0.5, 1.0]))
+
+    def found(lag: float | None, settings: ReplaySettings = SETTINGS) -> tuple[int, ...]:
+        return module.fine_enough(SimpleNamespace(lag=lag), plan, settings).fineness  # type: ignore[arg-type]
+
+    assert found(0.001) == (250, 500)
+    assert found(0.0009) == (300, 600)
+    assert found(0.1) == (50, 100)
+    assert found(0.001, replace(SETTINGS, fineness=(200, 100))) == (300, 600)
+    assert found(None) == SETTINGS.fineness
+    assert found(0.001, replace(SETTINGS, fineness=())) == ()
+
+
+# The lag of scenes without inertia
+
+
+def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tuple[Any, list[Any]]:
+    """A replay with the error of its lag, and what was simulated for it: the run at twice the lag is off by 0.25 in its one position."""
+    asked: list[Any] = []
+
+    def job(package: Any, variables: Any, plan: Any, start: Any, settings: ReplaySettings, limits: Any, feedback: Any) -> Any:
+        asked.append((package, variables, start, settings.tolerances, settings.fineness, limits, feedback))
+        run = Recorded(
+            t=[0.0, 1.0], outputs=[np.array([1.0, 0.0, 5.0]), np.array([2.25, 0.0, 5.0])], knots=[0, 1], outcome=outcome, message="cut"
+        )
+        none: tuple[Recorded, ...] = ()
+        return SimpleNamespace(
+            reference=(Recorded(), run) if method == "reference" else none, everyday=(Recorded(), run) if method == "everyday" else none
+        )
+
+    twice = Variables(
+        q=(1,),
+        v=(2,),
+        u=(),
+        lam=(),
+        gap=(3,),
+        energies={},
+        powers={},
+        zero=frozenset(ENERGIES),
+        parameters=(),
+        start=(),
+        internal_step=None,
+    )
+    replayed = Replay(
+        scene="s", outcome=ReplayOutcome.OK, message="so far.", method=method, t=np.array([0.0, 0.5, 1.0]), q=np.array([[1.0], [9.0], [2.0]]),
+        v=np.zeros((3, 1)), lam=np.zeros((3, 1)), gap=np.full((3, 1), 5.0), friction=np.zeros((3, 0)), knots=np.array([0, 2]),
+        kinetic_energy=np.zeros(3), potential_energy=np.zeros(3), contact_energy=np.zeros(3), input_work=None, dissipated_work=None, contact_impulse=None,
+        events=(), event_budget=7, error=ReplayError(estimate=known), seconds_reference=0.0, seconds_everyday=0.0, fmu="",
+    )  # fmt: skip
+    model = ForeignModel(
+        name="s", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(), contacts=(ForeignContact(name="c", force_name="l", gap_name="g"),),
+        task=ForeignTask(start=(None, None), goal=(None, None), step=0.1),
+    )  # fmt: skip
+    plan: Any = SimpleNamespace(start="start")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "run_job", job)
+        found = module.with_lag_error(model, "package", twice, plan, SETTINGS, "limits", "feedback", replayed)  # type: ignore[arg-type]
+    assert asked[0][:3] == ("package", twice, "start")
+    assert asked[0][5:] == ("limits", "feedback")
+    return found, asked[0][3:5]
+
+
+@pytest.mark.parametrize(("method", "asked"), [("reference", ((1e-11,), ())), ("everyday", ((), (200,)))])
+def test_the_error_of_the_lag_is_added_to_the_replays_own(method: str, asked: Any):
+    found, simulated = lagged(ReplayOutcome.OK, method, Difference(position=0.5, state=1.0, gap=2.0))
+    assert tuple(simulated) == asked
+    assert found.error.lag == Difference(position=0.25, state=0.25, gap=0.0)
+    assert found.error.estimate == Difference(position=0.75, state=1.25, gap=2.0)
+    assert lagged(ReplayOutcome.OK, method, None)[0].error.estimate is None
+    lost, _ = lagged(ReplayOutcome.DIVERGED, method, Difference(position=0.5, state=1.0, gap=2.0))
+    assert (lost.error.estimate, lost.error.lag) == (None, None)
+    assert lost.message == "so far. What the relaxation time does is not known: with twice as much, cut"
+
+
+def test_what_has_no_lag_is_as_it_is():
+    given: Any = SimpleNamespace(ok=False)
+    assert module.with_lag_error(None, None, "twice", None, SETTINGS, None, None, given) is given  # type: ignore[arg-type]
+    given.ok = True
+    assert module.with_lag_error(None, None, None, None, SETTINGS, None, None, given) is given  # type: ignore[arg-type]
+    assert module.twice_the_lag(None, SimpleNamespace(lag=None)) is None  # type: ignore[arg-type]
+
+
+def test_twice_the_lag_is_another_parameter_of_the_fmu(monkeypatch: pytest.MonkeyPatch):
+    """None where the FMU does not know it: then nothing differs."""
+    scene: Any = SimpleNamespace(lag=0.25, continuous=lambda lag: SimpleNamespace(lag=lag))
+    for knows in (True, False):
+        monkeypatch.setattr(module, "find_variables", lambda package, scene, knows=knows: (package, scene.lag if knows else 0))
+        assert module.twice_the_lag("package", scene) == (("package", 0.5) if knows else None)  # type: ignore[arg-type,comparison-overlap]
+
+
+def test_local_errors_without_as_many_velocities_as_positions_are_not_carried():
+    """A foreign FMU whose map names no velocity of its one position."""
+    fine, ends = still(), still(nodes=3)
+    ends.q[1, 0] += 0.1
+    for run in (fine, ends):
+        run.v = run.v[:, :1]
+    ends.v[0, 0] += 0.4
+    found = local_errors(fine, ends, TIMES, carried=True, heeds=True)
+    assert found == Difference(position=pytest.approx(0.1), state=pytest.approx(math.hypot(0.1, 0.4)), gap=0.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.description import FmuError
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
+from validate.judge.replay.subject import find_variables
 from validate.judge.score import score
 
 STEPS = 60
@@ -138,3 +141,80 @@ def test_a_binary_that_does_not_load_is_named(tmp_path: Path, scene: Scene, fmu:
     with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded on this machine"):
         replay(scene, broken, make_plan(scene))
     assert Path.cwd() == before  # FMPy leaves the process in a folder that no longer exists
+
+
+# Which variables of an FMU are those of a scene
+
+
+def described(names: dict[str, tuple[int, str]], kind: str = "Real") -> Any:
+    """An FMU of such variables: name -> (reference, causality)."""
+    items = [
+        SimpleNamespace(name=name, valueReference=reference, causality=causality, type=kind)
+        for name, (reference, causality) in names.items()
+    ]
+    return SimpleNamespace(path=Path("a.fmu"), description=SimpleNamespace(modelVariables=items))
+
+
+def named(scene: Scene) -> dict[str, tuple[int, str]]:
+    """Every name that a replay uses, under a reference of its own."""
+    groups = [
+        [item.name for item in scene.coordinates], [item.velocity_name for item in scene.coordinates], [item.name for item in scene.inputs],
+        [item.force_name for item in scene.contacts], [item.gap_name for item in scene.contacts], [item.force_name for item in scene.frictions],
+        ["kinetic_energy", "potential_energy", "contact_energy"], ["input_power", "dissipated_power"], [item.name for item in scene.parameters], ["internal_step"],
+    ]  # fmt: skip
+    inputs = {item.name for item in scene.inputs}
+    parameters = {item.name for item in scene.parameters}
+    return {
+        name: (100 * place + index, "input" if name in inputs else "parameter" if name in parameters else "output")
+        for place, group in enumerate(groups) for index, name in enumerate(group)
+    }  # fmt: skip
+
+
+def test_every_variable_of_a_scene_is_found_by_its_name():
+    scene = load_scene("transport")
+    found = find_variables(described(named(scene)), scene)
+    assert (found.q, found.v, found.u) == (tuple(range(2)), (100, 101), (200,))
+    assert (found.lam, found.gap, found.friction) == (
+        tuple(300 + i for i in range(scene.nc)),
+        tuple(400 + i for i in range(scene.nc)),
+        tuple(500 + i for i in range(scene.nf)),
+    )
+    assert (dict(found.energies), dict(found.powers)) == (
+        {"kinetic_energy": 600, "potential_energy": 601, "contact_energy": 602},
+        {"input_power": 700, "dissipated_power": 701},
+    )
+    assert found.parameters == tuple((800 + index, item.value) for index, item in enumerate(scene.parameters))
+    assert (found.start, found.internal_step, found.choices) == ((0, 1, 100, 101), 900, ())
+
+
+@pytest.mark.parametrize(
+    ("name", "zero"),
+    [
+        ("three_cart", {"potential_energy"}), ("bouncing_mass", {"input_power", "dissipated_power"}), ("wall_pendulum", {"dissipated_power"}),
+        ("transport", {"potential_energy"}),
+    ],
+)  # fmt: skip
+def test_what_a_scene_does_not_have_is_zero(name: str, zero: set[str]):
+    scene = load_scene(name)
+    assert find_variables(described(named(scene)), scene).zero == zero
+
+
+def test_what_an_fmu_lacks_of_a_group_leaves_the_group_out_or_is_refused(scene: Scene):
+    whole = named(scene)
+    some = {
+        name: item
+        for name, item in whole.items()
+        if name not in ("lam_left", "gap_right", "input_power", "contact_energy", "internal_step")
+    }
+    found = find_variables(described(some), scene)
+    assert (found.lam, found.gap, found.internal_step) == ((), (), None)
+    assert (list(found.energies), list(found.powers)) == (["kinetic_energy", "potential_energy"], ["dissipated_power"])
+    for name in ("q2", "v1", "u3"):
+        with pytest.raises(FmuError, match=f"FMU a.fmu: it has no variable '{name}' of scene three_cart; give its name"):
+            find_variables(described({other: item for other, item in whole.items() if other != name}), scene)
+    with pytest.raises(FmuError, match=r"u1 \(value reference 200\) is no input"):
+        find_variables(described(whole | {"u1": (200, "output")}), scene)
+    with pytest.raises(FmuError, match="q1 is of type Integer, but must be Real or Float64"):
+        find_variables(described(whole, "Integer"), scene)
+    first = scene.parameters[0].name
+    assert len(find_variables(described(whole | {first: (1, "local")}), scene).parameters) == len(scene.parameters) - 1

@@ -19,9 +19,12 @@ from models.netcdf import Column, read_columns
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf, write_netcdf
-from validate.judge.replay import Replay
+from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.netcdf import storable, write_replay
+from validate.judge.replay.result import Event, Growth
 from validate.judge.replay.run import replay
+from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.wiring import Effort
 
 STEPS = 40
 
@@ -191,3 +194,101 @@ def test_names_that_netcdf_does_not_allow_are_changed_and_said():
         ("_", ""),
     ]
     assert {(item.dimension, item.unit) for item in found} == {("time", "m")}
+
+
+def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
+    """Two of each, every number different: names, units, what they are, and numbers beside arrays."""
+    q, v, lam, gap, impulse = (np.arange(6.0).reshape(3, 2) + 10.0 * place for place in range(5))
+    energies = {
+        name: np.arange(3.0) + 100.0 * place
+        for place, name in enumerate(("kinetic_energy", "potential_energy", "contact_energy", "input_work", "dissipated_work"), 1)
+    }
+    model = ForeignModel(
+        name="cart", task=ForeignTask(start=(), goal=(), step=0.1),
+        coordinates=(ForeignCoordinate(name="x", velocity_name="vx", unit="m", velocity_unit="m/s", description="place"), ForeignCoordinate(name="a", velocity_name="w", unit="rad", velocity_unit="rad/s")),
+        inputs=(ForeignInput(name="F", unit="N"), ForeignInput(name="M", unit="N m")),
+        contacts=(ForeignContact(name="stop", force_name="push", gap_name="room", description="a spring"), ForeignContact(name="wall", force_name="lam_wall", gap_name="gap_wall")),
+    )  # fmt: skip
+    given = Replay(
+        scene="cart", outcome=ReplayOutcome.OK, message="a note", method="everyday", t=np.array([0.0, 0.5, 1.0]), q=q, v=v, lam=lam, gap=gap,
+        friction=np.zeros((3, 0)), knots=np.array([0, 2]), contact_impulse=impulse, **energies, events=(Event(time=0.5, contact="stop", closes=True),),
+        event_budget=77, error=ReplayError(estimate=Difference(position=1.0, state=2.0, gap=np.inf)), seconds_reference=3.0, seconds_everyday=4.0, fmu="sha",
+        growth=Growth(amplification=5.0, begin=6.0, end=7.0, duration=8.0), applied=np.array([[51.0, 52.0]]),
+        effort=Effort(rms=(1.0,), peak=(2.0,), rms_share=3.0, peak_share=4.0, plan_share=5.0, saturated=6.0),
+    )  # fmt: skip
+    write_replay(tmp_path / "replay.nc", given, model)
+    columns, attributes = read_columns(tmp_path / "replay.nc")
+    expected = {
+        "t": (given.t, "s", "time"), "x": (q[:, 0], "m", "place"), "a": (q[:, 1], "rad", ""), "vx": (v[:, 0], "m/s", "velocity of x"),
+        "w": (v[:, 1], "rad/s", "velocity of a"), "push": (lam[:, 0], "N", "contact force, a spring"), "lam_wall": (lam[:, 1], "N", "contact force, wall"),
+        "room": (gap[:, 0], "m", "gap, negative in contact, a spring"), "gap_wall": (gap[:, 1], "m", "gap, negative in contact, wall"),
+        "impulse_stop": (impulse[:, 0], "N s", "impulse since the start, a spring"), "impulse_wall": (impulse[:, 1], "N s", "impulse since the start, wall"),
+        "kinetic_energy": (energies["kinetic_energy"], "J", "kinetic energy"), "potential_energy": (energies["potential_energy"], "J", "potential energy without contacts"),
+        "contact_energy": (energies["contact_energy"], "J", "energy stored in contacts"), "input_work": (energies["input_work"], "J", "work of the inputs since the start"),
+        "dissipated_work": (energies["dissipated_work"], "J", "work dissipated since the start"), "knots": (given.knots, "1", "rows that are nodes of the plan"),
+        "applied_F": (np.array([51.0]), "N", "F as applied"), "applied_M": (np.array([52.0]), "N m", "M as applied"),
+    }  # fmt: skip
+    assert {name: (item.values.tolist(), item.unit, item.description) for name, item in columns.items()} == {
+        name: (values.tolist(), unit, text) for name, (values, unit, text) in expected.items()
+    }
+    assert {name: columns[name].dimension for name in ("x", "knots", "applied_F")} == {"x": "time", "knots": "node", "applied_F": "step"}
+    facts = json.loads(str(attributes.pop("facts")))
+    assert {name: attributes[name] for name in ("content", "scene", "fmu_sha256")} == {
+        "content": "touchstone replay",
+        "scene": "cart",
+        "fmu_sha256": "sha",
+    }
+    assert facts.pop("error")["estimate"] == {"position": 1.0, "state": 2.0, "gap": None}
+    assert facts == {
+        "outcome": "OK", "message": "a note", "method": "everyday", "events": [[0.5, "stop", True]], "event_budget": 77, "seconds_reference": 3.0,
+        "seconds_everyday": 4.0, "has_impulse": True, "growth": {"amplification": 5.0, "begin": 6.0, "end": 7.0, "duration": 8.0},
+        "effort": {"rms": [1.0], "peak": [2.0], "rms_share": 3.0, "peak_share": 4.0, "plan_share": 5.0, "saturated": 6.0},
+    }  # fmt: skip
+    bare = replace(
+        given,
+        contact_impulse=None,
+        growth=None,
+        effort=None,
+        applied=given.applied[:0] if given.applied is not None else None,
+        input_work=None,
+    )
+    write_replay(tmp_path / "bare.nc", bare, model)
+    columns, attributes = read_columns(tmp_path / "bare.nc")
+    assert expected.keys() - columns.keys() == {"impulse_stop", "impulse_wall", "applied_F", "applied_M", "input_work"}
+    facts = json.loads(str(attributes["facts"]))
+    assert (facts["has_impulse"], facts["growth"], facts["effort"]) == (False, None, None)
+    with pytest.raises(TrajectoryError, match=r"other\.nc: the replay is of scene cart, not of other"):
+        write_replay(tmp_path / "other.nc", given, replace(model, name="other"))
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ReplayError(estimate=None), "state how good its results are"),
+        (ReplayError(estimate=None, tolerance=Difference(position=1.0, state=1.0, gap=1.0)), ""),
+        (ReplayError(estimate=None, everyday=Difference(position=1.0, state=1.0, gap=1.0)), ""),
+        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=1.0)), "state [accuracy] position in the map too"),
+        (ReplayError(estimate=Difference(position=1.0, state=np.inf, gap=1.0)), "state [accuracy] velocity in the map too"),
+        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=np.inf)), "state [accuracy] position and gap in the map too"),
+        (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0), step_source="rollback, stated"), "a better stated accuracy"),
+        (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0), step_source="rollback"), "a plan with shorter steps"),
+    ],
+)  # fmt: skip
+def test_what_would_decide_an_undecided_replay(error: ReplayError, words: str, replayed: Replay):
+    assert error.would_decide.startswith(words)
+    assert bool(error.would_decide) is bool(words)
+    everyday = replace(replayed, error=error, method="everyday")
+    assert everyday.would_decide == error.would_decide
+    assert replace(everyday, method="reference").would_decide == replace(everyday, outcome=ReplayOutcome.CRASHED).would_decide == ""
+
+
+def test_a_replay_holds_finite_numbers_that_nobody_changes(replayed: Replay):
+    with pytest.raises(ValueError, match="read-only"):
+        replayed.q[0, 0] = 1.0
+    broken = replayed.q.copy()
+    broken[0, 0] = np.nan
+    with pytest.raises(ValueError, match="finite numbers only"):
+        replace(replayed, q=broken)
+    assert replayed.end.tolist() == [*replayed.q[-1], *replayed.v[-1]]
+    assert replayed.energy.tolist() == (replayed.kinetic_energy + replayed.potential_energy + replayed.contact_energy).tolist()
+    assert Growth(amplification=0.0, begin=0.0, end=1.0, duration=2.0).rate == pytest.approx(np.log(1e-300) / 2.0)

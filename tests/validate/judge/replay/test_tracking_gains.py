@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import expm, solve_discrete_are
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -15,6 +18,7 @@ from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
 from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
+from validate.judge.replay import tracking as module
 from validate.judge.replay.tracking import (
     FlowDerivative,
     TrackingError,
@@ -223,3 +227,125 @@ def test_many_uneven_steps_are_taken_in_blocks():
     assert growth is not None
     assert growth.amplification == pytest.approx(np.exp(2.0 * t[-1]), rel=1e-10)
     assert growth.rate == pytest.approx(2.0)
+
+
+def subject(goal: tuple[float | None, ...]) -> Any:
+    """Positions of 2 m and of 0.5 rad; one input within -3 and 5 N, one without bounds."""
+    return SimpleNamespace(
+        coordinates=[SimpleNamespace(nominal=2.0), SimpleNamespace(nominal=0.5)], task=SimpleNamespace(goal=goal),
+        inputs=[SimpleNamespace(lower=-3.0, upper=5.0), SimpleNamespace(lower=-np.inf, upper=np.inf)],
+    )  # fmt: skip
+
+
+def test_weights_are_nominals_scales_and_at_the_end_all_steps_but_for_what_is_free(monkeypatch: pytest.MonkeyPatch):
+    asked: list[Any] = []
+    monkeypatch.setattr(module, "lqr_gains", lambda *given: asked.append([np.asarray(part).tolist() for part in given]) or "gains")
+    states = np.arange(8.0).reshape(4, 2)
+    plan = Trajectory(t=uniform_grid(0.1, 3), q=states, v=-states, u=np.array([[1.0, -7.0], [2.0, 3.0], [0.0, 0.0]]), lam=np.zeros((3, 0)))
+    law = module.feedback_from(subject((1.0, None, None, 0.0)), plan, np.ones((3, 4, 4)), np.ones((3, 4, 2)))
+    weight = [0.25, 4.0, 0.25, 4.0]
+    assert asked[0][2:] == [weight, [1 / 16, 1 / 49], [3 * 0.25, 4.0, 0.25, 3 * 4.0]]
+    assert (law.gains, law.lower.tolist(), law.upper.tolist(), law.scale.tolist()) == ("gains", [-3.0, -np.inf], [5.0, np.inf], [4.0, 7.0])
+    assert law.reference[1].tolist() == [2.0, 3.0, -2.0, -3.0]
+    assert law.u is plan.u
+
+
+def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):
+    """x = 2 X + 1 and v = 4 V - 1; U = 10 u + 5: A of (v by x) times 4/2, B of x times 2 * 10."""
+    asked: list[Any] = []
+    A, B = np.array([[[1.0, 2.0], [3.0, 4.0]]]), np.array([[[5.0], [6.0]]])
+
+    def linearised(package: Any, variables: Any, plan: Trajectory, start: Any, states: np.ndarray, limits: Any) -> Any:
+        asked.append((package, variables, plan.u.tolist(), start, states.tolist(), limits))
+        return A, B
+
+    monkeypatch.setattr(module, "linearised", linearised)
+    monkeypatch.setattr(module, "feedback_from", lambda *given: given)
+    monkeypatch.setattr(module, "largest_growth", lambda *given: given)
+    plan = Trajectory(
+        t=np.array([0.0, 0.5]), q=np.array([[3.0], [5.0]]), v=np.array([[7.0], [3.0]]), u=np.array([[2.0]]), lam=np.zeros((1, 0))
+    )
+    model: Any = SimpleNamespace(coordinates=[SimpleNamespace(nominal=0.25)])
+    units = (np.array([2.0, 4.0]), np.array([1.0, -1.0])), (np.array([10.0]), np.array([5.0]))
+    (given_model, given_plan, a, b), (steps, t, sizes) = module.design_foreign(
+        model, "package", "variables", plan, units, "start", "limits"
+    )  # type: ignore[arg-type,misc]
+    assert asked == [("package", "variables", [[25.0]], "start", [[1.0, 2.0], [2.0, 1.0]], "limits")]
+    assert (given_model, given_plan, a.tolist(), b.tolist()) == (model, plan, [[[1.0, 1.0], [6.0, 4.0]]], [[[100.0], [240.0]]])
+    assert (steps is a, t is plan.t, sizes.tolist()) == (True, True, [0.25, 0.25])
+    with pytest.raises(TrackingError, match="does not say its positions"):
+        module.design_foreign(model, "package", "variables", replace(plan, missing=frozenset({"q", "v"})), units, "start", None)  # type: ignore[arg-type]
+
+
+def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch: pytest.MonkeyPatch):
+    """x' = v, v' = a x + b u with a from 1 to 3 within the step, here as in a child."""
+    first, last = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 4.0]]]), np.array([[[0.0, 1.0, 0.0], [3.0, 0.0, 6.0]]])
+    mean = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
+    plan = Trajectory(t=np.array([1.0, 1.25]), q=np.zeros((2, 1)), v=np.zeros((2, 1)), u=np.array([[7.0]]), lam=np.zeros((1, 0)))
+    variables: Any = SimpleNamespace(to_json=lambda: "variables")
+    fmu: Any = SimpleNamespace(path=Path("a.fmu"))
+    states, asked = np.array([[1.0, 2.0], [3.0, 4.0]]), []
+    monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: None)
+    monkeypatch.setattr(
+        module, "jacobians", lambda request, given: asked.append((request, given)) or (None, {"first": first, "last": last})
+    )
+
+    def isolated(function: str, request: Any, given: Any, *, limits: Any, what: str) -> Any:
+        asked.append((request, given))
+        return SimpleNamespace(ok=function == "validate.judge.replay.tracking:jacobians" and limits == "limits" and what == "FMU a.fmu", arrays={"first": first, "last": last}, sentence="it crashed.")  # fmt: skip
+
+    monkeypatch.setattr(module, "run_isolated", isolated)
+    for limits in (None, "limits"):
+        A, B = module.linearised(fmu, variables, plan, "start", states, limits)  # type: ignore[arg-type]
+        whole = expm(0.25 * mean)
+        assert A[0] == pytest.approx(whole[:2, :2], rel=1e-12)
+        assert B[0] == pytest.approx(whole[:2, 2:], rel=1e-12)
+    for request, given in asked:
+        assert request == {"path": str(Path("a.fmu").resolve()), "variables": "variables"}
+        assert (given["t"] is plan.t, given["u"] is plan.u, given["start"], given["states"] is states) == (True, True, "start", True)
+    with pytest.raises(TrackingError, match=r"it crashed\."):
+        module.linearised(fmu, variables, plan, "start", states, "other")  # type: ignore[arg-type]
+    last[0, 1, 0] = np.nan
+    with pytest.raises(TrackingError, match="a directional derivative is not a finite number"):
+        module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
+    monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: "it has no inputs")
+    with pytest.raises(TrackingError, match=r"FMU a\.fmu: the plan cannot be tracked, because it has no inputs\."):
+        module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
+
+
+def test_the_largest_growth_is_that_of_the_piece_where_it_is_largest():
+    """1/2, 4, 3, 1/8 in a row: 12 from the second node to the fourth."""
+    steps = np.array([0.5, 4.0, 3.0, 0.125])[:, None, None] * np.eye(2)
+    growth = largest_growth(steps, np.array([1.0, 1.5, 2.5, 4.0, 8.0]), np.array([3.0, 0.1]))
+    assert growth is not None
+    assert (growth.amplification, growth.begin, growth.end, growth.duration) == (pytest.approx(12.0), 1.5, 4.0, 7.0)
+    assert growth.rate == pytest.approx(np.log(12.0) / 7.0)
+    assert largest_growth(steps * np.array([1.0, 1e200, 1e200, 1.0])[:, None, None], np.arange(5.0), np.ones(2)) is None
+    assert module._edges(120).tolist()[:3] == [0, 2, 5]
+    assert (len(module._edges(120)), module._edges(120)[-1], module._edges(3).tolist()) == (51, 120, [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "asked"),
+    [
+        ([5.0, 2.0, 2.0], 2.0, [1, 8]), ([1000.0, 100.0, 10.0, 1.0], None, [1, 8, 64, 512]), ([9.0, 2.9, 2.0], 2.0, [1, 8, 64]), ([None, 2.0, 1.9], 1.9, [1, 8, 64]),
+        ([0.5, 0.01], 0.01, [1, 8]), ([None] * 4, None, [1, 8, 64, 512]),
+    ],
+)  # fmt: skip
+def test_a_growth_counts_once_smaller_steps_give_no_less_than_a_third_of_it(
+    found: list[float | None], expected: float | None, asked: list[int], monkeypatch: pytest.MonkeyPatch
+):
+    """Of a plan that declares no scheme; one that does is asked once."""
+    rest, parts_asked = iter(found), []
+
+    def growth(parts: int, kernel: Any, scene: Any, plan: Any) -> Any:
+        parts_asked.append(parts)
+        value = next(rest)
+        return None if value is None else SimpleNamespace(amplification=value)
+
+    monkeypatch.setattr(module, "_growth_in", growth)
+    answer = measure_growth(None, None, SimpleNamespace(scheme=None))  # type: ignore[arg-type]
+    assert (None if answer is None else answer.amplification, parts_asked) == (expected, asked)
+    declared = iter([7.0])
+    monkeypatch.setattr(module, "_growth_in", lambda parts, *given: (parts, next(declared)))
+    assert measure_growth(None, None, SimpleNamespace(scheme="euler")) == (1, 7.0)  # type: ignore[arg-type,comparison-overlap]

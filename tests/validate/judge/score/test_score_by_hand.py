@@ -22,7 +22,8 @@ from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge import score as score_room
 from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
-from validate.judge.score import score
+from validate.judge.score import measures, score
+from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import Measured
 from validate.judge.score.verdict import Metric, Question
 
@@ -136,9 +137,17 @@ class Case:
             "seconds_everyday": 0.0, "fmu": "none",
         }  # fmt: skip
 
+    def replayed(self) -> Replay:
+        return Replay(**{key: value.copy() if isinstance(value, np.ndarray) else value for key, value in self.replay.items()})
+
+    def evidence(self, **known: Any) -> Evidence:
+        """What is measured from, with some of it given instead of computed."""
+        found = Evidence(self.scene, Trajectory(**self.plan), self.replayed())
+        found.__dict__.update(known)
+        return found
+
     def metric(self, name: str) -> Metric:
-        replay = Replay(**{key: value.copy() if isinstance(value, np.ndarray) else value for key, value in self.replay.items()})
-        found = score(self.scene, Trajectory(**self.plan), replay).metric(name)
+        found = score(self.scene, Trajectory(**self.plan), self.replayed()).metric(name)
         assert found is not None, name
         return found
 
@@ -397,3 +406,84 @@ def test_how_many_errors_a_metric_must_be_from_its_limit(
     monkeypatch.setattr(score_room, "TABLE", tuple(asked if other is entry else other for other in score_room.TABLE))
     metric = Case(1.0).metric("energy_residual_relative")
     assert (metric.limit, metric.error, metric.ok) == (1.0, 0.15, ok)
+
+
+# Half a unit of the last digit of each, all different.
+PRINTED = {"t": 0.0, "q": 0.01, "v": 0.02, "u": 0.03, "lam": 0.05}
+# Impulse of what is only just in touch: 1e-9 of k L = 5 N over half a second.
+GRAZING = 1e-9 * 5.0 * STEPS * H
+PUSHES = both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "allowed", "scales"),
+    [
+        ("start_error", both(), [0.01, 0.01, 0.02, 0.02], [0.5, 2.0, 0.5, 2.0]),
+        ("bound_violation", both(), 0.03, [8.0, 1.5]),
+        ("velocity_bound_violation", both(), 0.02, [3.5, 1.0]),
+        ("terminal_position_error", both(), 0.01 * math.sqrt(2.0), 1.0),
+        ("terminal_velocity_error", both(), 0.02 * math.sqrt(2.0), 1.0),
+        # Of |lam (lam - push)|, with pushes of -100 and -12 N, off by k times 0.01 m: 1 and 0.4 N.
+        (
+            "physics_scaled",
+            PUSHES,
+            H * (0.05 * (4 + 100) + 2 * 1.0 + 0.05 * 1.05) / 5.0**2 + H * (0.05 * (6 + 12) + 3 * 0.4 + 0.05 * 0.45) / 4.0**2,
+            2 * 0.5,
+        ),
+        # Where a force is planned, where the body is in touch at one end of a step, and where it bounces between them: two steps of the floor, one of the stop.
+        (
+            "contact_law_error",
+            both(put("lam", (0, 1), 3.0), put("q", (-1, 0), -1.1), put("v", (1, 0), -20.0), undeclared),
+            H * (2 * (0.05 + 1.0) + (0.05 + 0.4)) + GRAZING,
+            3.0 * H,
+        ),
+        ("force_sign_violation", PUSHES, 0.05, 3.0),
+        ("friction_violation", put("lam", (1, 0), 2.0), 0.05 * 1.3, 0.6),
+        # mu N = 0.6 N at a slip of 0.2 m/s, which is known to 2 (0.02 + 0.8 * 0.01) m/s.
+        (
+            "friction_dissipation_error",
+            both(put("lam", (1, 0), 2.0), put("v", (2, 1), 0.8)),
+            [2 * 0.6 * 2 * (0.02 + 0.8 * 0.01) + 2 * 0.05 * 0.2],
+            [0.6 * 0.2],
+        ),
+        ("replay_error", both(), 0.01, [0.5, 2.0]),
+        ("ghost_impulse", PUSHES, 0.5 * 2 * 0.05 + GRAZING, 5.0 * H),
+        # Two contacts of 4 and 6 N: trapezoids of one row, of which the first is at the end of the replay.
+        (
+            "missed_impulse",
+            both(put("replay.lam", (-1, 0), 4.0), put("replay.lam", (3, 1), 6.0)),
+            0.5 * 2 * 0.05 + GRAZING,
+            4.0 * H / 4 + 6.0 * H / 2,
+        ),
+        ("defect", both(), [*2 * (2 * 0.01 + H * 0.02,), *2 * (2 * 0.02 + H * 0.7,)], [0.5, 2.0, 0.5, 2.0]),
+        ("law_error", both(), 0.0, STEPS * (1e-6 * 0.5 + 0.01)),
+    ],
+)
+def test_what_was_printed_excuses_what_it_may_be_the_cause_of(name: str, change: Change, allowed: Any, scales: Any):
+    case = Case(1.0)
+    change(case)
+    found = getattr(measures, name)(case.evidence(_printing=PRINTED, printing_acceleration=0.7))
+    assert found.allowed == pytest.approx(allowed, rel=1e-9)
+    assert found.scales == pytest.approx(scales, rel=1e-9)
+
+
+def test_a_damped_contact_is_wrong_by_its_velocities_too():
+    case = Case(1.0)
+    floor, stop = case.scene.contacts
+    case.scene = replace(case.scene, contacts=(replace(floor, damping=sp.Integer(2)), stop))
+    case.replay["error"] = ReplayError(estimate=Difference(position=1e-3, state=2e-2, gap=3e-3))
+    case.replay["lam"][7:, 0] = 5.0
+    found = case.evidence(slopes=(np.array([300.0, 40.0]), np.array([6.0, 7.0])))
+    touching = 2 * H / 2
+    assert measures._impulse_error(found) == pytest.approx(touching * (300.0 * 3e-3 + 7.0 * 2e-2))
+
+
+def test_energy_of_a_body_at_rest_is_measured_by_what_moving_would_take():
+    """A thousandth of 2/2 0.5^2 + 0.5/2 2^2 J at nominal speeds."""
+    case = Case(1.0)
+    case.replay["input_work"][4] = 1e-9
+    assert case.metric("energy_residual_relative").value == pytest.approx(1e-9 / 1.25e-3)
+    for name in ("input_work", "dissipated_work"):
+        blind = Case(1.0)
+        blind.replay[name] = None
+        assert "no outputs input_power and dissipated_power" in blind.metric("energy_residual").reason

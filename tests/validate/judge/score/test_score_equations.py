@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from models.catalog import load_scene
+from validate.judge.replay.result import Difference, Event
 from validate.judge.score import equations as eq
 from validate.judge.score.own_steps import force_window
 from validate.judge.score.printing import half_unit
+from validate.judge.score.verdict import Unmeasured
 
 
 def test_physics_and_its_scale():
@@ -137,3 +143,127 @@ def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
     assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(0.5)  # but it is where kilometres count
     assert half_unit(np.round(MOTION), most=999.0) == 0.0
     assert half_unit(0.01 * np.arange(500.0)[:, None] ** 2 / 3.0, most=1.0) == 0.0
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_the_energy_turned_over_is_the_largest_of_five(place: int):
+    """Of the potential only its range counts, of works their size, of the others what is there."""
+    small = [np.array([0.0, 0.1, 0.05])] * 5
+    large = [
+        np.array([1.0, 2.0, 0.0]),
+        np.array([10.0, 12.0, 11.0]),
+        np.array([0.5, 2.0, 2.0]),
+        np.array([0.0, -2.0, 1.0]),
+        np.array([0.0, -2.0, 1.0]),
+    ]
+    parts = [large[index] if index == place else small[index] for index in range(5)]
+    assert eq.energy_turnover(*parts) == 2.0
+
+
+def test_energy_is_balanced_by_work_and_losses():
+    energy, put_in, lost = np.array([3.0, 4.0, 2.5]), np.array([0.0, 1.5, 1.5]), np.array([0.0, 0.25, 1.0])
+    assert eq.energy_residual(energy, put_in, lost) == pytest.approx(1.0)
+    assert eq.energy_residual(energy, put_in, np.array([0.0, 0.25, 5.0])) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_friction_dissipates_all_of_its_range_or_sticks(side: float):
+    """Two frictions over three steps; mu N between 1 and 2 N; 1 N against the slip of 0.5 m/s is within, 0.5 N too little, 3 N too much, 0.25 N along too little by 1.25."""
+    least, most = np.full((3, 2), 1.0), np.full((3, 2), 2.0)
+    slip = side * np.array([[0.5, 0.0], [-0.5, 2.0], [0.5, 0.25]])
+    second = [5.0, -1.25, -3.0]
+    for first, expected in (((-1.0, 1.0, -1.0), 0.0), ((-0.5, 1.0, -1.5), 0.25), ((-3.0, 1.0, -1.0), 0.5), ((0.25, 1.0, -1.0), 0.625)):
+        found = eq.friction_dissipation_error(side * np.column_stack([first, second]), least, most, slip)
+        assert found == pytest.approx([expected, 0.25])
+
+
+def test_friction_beyond_its_cone_and_its_impulse():
+    friction, limit = np.array([[1.0, -3.0], [-2.5, 0.5]]), np.array([[2.0, 2.0], [2.0, 1.0]])
+    assert eq.friction_violation(friction, limit) == pytest.approx(1.0)
+    assert eq.friction_violation(friction[1:], limit[1:]) == pytest.approx(0.5)
+    assert eq.friction_violation(friction[:1, :1], limit[:1, :1]) == 0.0
+    # Pieces of 0.5, 1 and 2 s in steps 0, 0 and 1: trapezoids of what differs from 1 and then from -2 N.
+    replayed = np.array([[1.0], [2.0], [-1.0], [-5.0]])
+    found = eq.friction_impulse_error(np.array([[1.0], [-2.0]]), np.array([0, 0, 1]), replayed, np.array([0.5, 1.0, 2.0]))
+    assert found == pytest.approx(0.5 * (0 + 1) / 2 + 1.0 * (1 + 2) / 2 + 2.0 * (1 + 3) / 2)
+
+
+def test_what_is_free_in_the_goal_is_no_distance_and_the_largest_difference_says_where():
+    assert eq.distance(np.array([3.0, 7.0, -1.0]), np.array([0.0, np.nan, 3.0])) == pytest.approx(5.0)
+    one = np.array([[0.0, 1.0], [2.0, 1.0], [0.0, 0.0]])
+    assert eq.largest_difference(one, np.array([[0.0, 0.5], [2.0, 4.0], [1.0, 0.0]])) == (3.0, 1)
+
+
+# Closed forms
+
+
+def contacts_of_carts(events: list[tuple[float, str, bool]], **rows: np.ndarray) -> Any:
+    """Three carts, whose gaps are q2 - q1 - 0.5 and q3 - q2 - 0.5, at six rows a tenth of a second apart."""
+    scene = load_scene("three_cart")
+    v = np.array([[7.0, 1.0, 2.0]] * 6)
+    v[2], v[4] = (7.0, 1.0, -1.0), (7.0, -0.5, 1.0)
+    replay = {"t": 0.1 * np.arange(6), "q": np.zeros((6, 3)), "v": v} | rows
+    told = tuple(Event(time=time, contact=contact, closes=closes) for time, contact, closes in events)
+    error = Difference(position=1.0, state=0.02, gap=0.01)
+    return SimpleNamespace(scene=scene, equations=scene, error=error, replay=SimpleNamespace(events=told, **replay))
+
+
+EVENTS = [
+    (0.1, "right", False),
+    (0.2, "right", True),
+    (0.25, "left", True),
+    (0.3, "left", False),
+    (0.4, "right", False),
+    (0.5, "right", True),
+]
+
+
+def test_the_first_contact_is_measured_from_where_it_closes_to_where_the_same_one_opens():
+    case = contacts_of_carts(EVENTS)
+    measured = {name: eq.MEASURES[name](case) for name in ("closing time", "contact time", "restitution")}
+    # Its gap closes at 2 m/s and opens at 1.5 m/s.
+    assert measured["closing time"] == pytest.approx((0.2, 0.01 / 2))
+    assert measured["contact time"] == pytest.approx((0.2, 0.01 / 2 + 0.01 / 1.5))
+    assert measured["restitution"] == pytest.approx((0.75, 2 * 0.02 / 2))
+    with pytest.raises(Unmeasured, match="no contact closes"):
+        eq.MEASURES["closing time"](contacts_of_carts(EVENTS[:1]))
+    with pytest.raises(Unmeasured, match="contact right does not open again"):
+        eq.MEASURES["contact time"](contacts_of_carts(EVENTS[:4]))
+
+
+@pytest.mark.parametrize("contact", [0, 1])
+@pytest.mark.parametrize("deepest", [0.02, 0.17, 0.28, 0.485], ids=["at the first row", "before a row", "behind a row", "at the last row"])
+def test_a_depth_is_found_between_the_rows(contact: int, deepest: float):
+    """A parabola, 0.1 m deep: a cubic with the same ends is the same."""
+    t = 0.1 * np.arange(6)
+    gap, v = np.full((6, 2), 0.3), np.zeros((6, 3))
+    gap[:, contact] = 8.0 * (t - deepest) ** 2 - 0.1
+    v[:, contact + 1] = 16.0 * (t - deepest)
+    if contact == 0:
+        v[:, 2] = v[:, 1]
+    found = eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v))
+    assert found == pytest.approx((0.1, 0.01), abs=1e-6)
+    open_gap = eq.MEASURES["depth"](contacts_of_carts([], gap=gap + 1.0, v=v))
+    assert open_gap[0] == 0.0
+
+
+def test_an_answer_is_off_by_so_many_of_its_own_tolerances():
+    answers = [("closing time", 0.23, 0.01), ("restitution", 0.7, 0.1), ("", 5.0, 1.0)]
+    case = contacts_of_carts(EVENTS)
+    case.scene = SimpleNamespace(
+        contacts=case.scene.contacts,
+        answers=[SimpleNamespace(measure=measure, value=value, tolerance=tolerance) for measure, value, tolerance in answers],
+    )
+    assert eq.answer_error(case) == pytest.approx((3.0, 0.5))
+    case.scene.answers[1].tolerance = 0.005
+    assert eq.answer_error(case) == pytest.approx((10.0, 4.0))
+
+
+def test_a_depth_is_looked_for_within_the_replay_alone():
+    """It ends while it still falls: what comes after is nobody's."""
+    t = 0.1 * np.arange(6)
+    gap, v = np.full((6, 2), 0.3), np.zeros((6, 3))
+    gap[:, 1], v[:, 2] = 0.4 - t, -1.0
+    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    gap[:, 1], v[:, 2] = t - 0.1, 1.0
+    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)

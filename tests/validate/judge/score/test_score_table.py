@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,15 +12,17 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from models.errors import TrajectoryError
+from models.errors import SceneError, TrajectoryError
 from models.scene import Limit, Scene
+from models.trajectory import Hold, Trajectory
+from validate.judge import score as score_module
 from validate.judge.replay.result import Growth
 from validate.judge.replay.wiring import Effort
-from validate.judge.score import _check_belongs, _metric, _not_asked, _worst
+from validate.judge.score import _check_belongs, _metric, _not_asked, _of_what_is_asked, _worst
 from validate.judge.score import table as module
 from validate.judge.score.measures import Measured
 from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries, limit_name
-from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured
+from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured, Verdict
 
 # name: question, unit on `transport`, what the plan must say, default limit, whether it is of the replay, and which of the scenes below it is of.
 ROWS = """
@@ -76,6 +80,53 @@ def test_every_row_of_the_table_stands_as_it_was_decided():
         for row in (*TABLE, *FEEDBACK, *GROWTH)
     ]
     assert found == [line.strip() for line in ROWS.strip().splitlines()]
+
+
+def foreign(**asked: Any) -> Any:
+    """Somebody's FMU of which nothing is asked, but for what is given."""
+    nothing = {"nc": 0, "nf": 0, "nq": 1, "inputs": [], "coordinates": [], "depths": (), "answers": ()}
+    task = SimpleNamespace(horizon=None, goal=(None, None), has_goal=False)
+    return SimpleNamespace(**(nothing | {"task": task} | asked))
+
+
+def bounds(lower: float, upper: float) -> Any:
+    return SimpleNamespace(lower=lower, upper=upper)
+
+
+def goal(*of: float | None) -> Any:
+    return SimpleNamespace(horizon=None, goal=of, has_goal=any(value is not None for value in of))
+
+
+@pytest.mark.parametrize(
+    ("asked", "rows"),
+    [
+        ({}, set()),
+        ({"task": SimpleNamespace(horizon=2.0, goal=(None, None), has_goal=False)}, {"duration_error"}),
+        ({"inputs": [bounds(-math.inf, math.inf), bounds(-math.inf, 1.0)]}, {"bound_violation"}),
+        ({"inputs": [bounds(-1.0, math.inf)]}, {"bound_violation"}),
+        ({"inputs": [bounds(-1.0, 1.0), bounds(-math.inf, math.inf)]}, {"bound_violation", "feedback_effort"}),
+        ({"coordinates": [SimpleNamespace(has_velocity_bounds=has) for has in (False, True)]}, {"velocity_bound_violation", "replay_velocity_bound_violation"}),
+        ({"task": goal(1.0, None)}, {"terminal_position_error", "replay_terminal_position_error", "terminal_error", "replay_terminal_error"}),
+        ({"task": goal(None, 0.0)}, {"terminal_velocity_error", "replay_terminal_velocity_error", "terminal_error", "replay_terminal_error"}),
+        ({"nc": 1, "depths": (None,)}, {"force_sign_violation", "ghost_impulse", "missed_impulse"}),
+        ({"nc": 2, "depths": (None, 0.5)}, {"force_sign_violation", "ghost_impulse", "missed_impulse", "max_penetration"}),
+        ({"nc": 0, "depths": (0.5,)}, set()),
+        ({"nf": 1}, {"friction_violation", "friction_dissipation_error", "friction_impulse_error"}),
+        ({"answers": [SimpleNamespace(measure=measure) for measure in ("", "depth")]}, {"answer_error"}),
+    ],
+)  # fmt: skip
+def test_an_fmu_is_asked_only_what_it_can_show(asked: dict[str, Any], rows: set[str]):
+    """What needs equations is asked of no FMU, whatever it has."""
+    always = {"replay_error", "replay_error_time", "feedback_share", "feedback_peak", "feedback_saturated", "amplification", "growth_rate"}
+    assert {row.name for row in (*TABLE, *FEEDBACK, *GROWTH) if row.applies(foreign(**asked))} == rows | always
+
+
+def test_units_of_several_components_are_told_once_each():
+    items = [SimpleNamespace(unit=unit, velocity_unit=f"{unit}/s") for unit in ("m", "rad", "m")]
+    scene = foreign(coordinates=items, inputs=[SimpleNamespace(unit=unit) for unit in ("N", "N m", "N")])
+    units = {row.name: row.unit(scene) for row in TABLE}
+    assert (units["replay_error"], units["velocity_bound_violation"], units["bound_violation"]) == ("m, rad", "m/s, rad/s", "N, N m")
+    assert units["defect"] == "m, rad, m/s, rad/s"
 
 
 def test_each_row_measures_what_it_is_called():
@@ -261,3 +312,127 @@ def test_a_replay_belongs_to_the_nodes_of_its_plan():
     ):
         with pytest.raises(TrajectoryError, match=part):
             _check_belongs(scene, plan, replay(**changes))  # type: ignore[arg-type]
+
+
+# From metrics to a score
+
+
+def asking(**ok: bool | None) -> tuple[Metric, ...]:
+    """Judged metrics of such names."""
+    questions = {row.name: row.question for row in TABLE}
+    return tuple(
+        Metric(name=name, question=questions[name.removeprefix("tracked_")], value=1.0, unit="m", meaning="", limit=1.0, ok=value)
+        for name, value in ok.items()
+    )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "terminal_position_error",
+        "terminal_velocity_error",
+        "cost",
+        "replay_terminal_position_error",
+        "replay_terminal_velocity_error",
+        "replay_cost",
+    ],
+)
+def test_who_asks_for_an_end_or_a_cost_asks_for_something(name: str):
+    scene, plan = SimpleNamespace(nc=1, nf=1), SimpleNamespace(has_states=True, missing=frozenset())
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(**{name: True})) is Verdict.HOLDS  # type: ignore[arg-type]
+    shown = tuple(replace(metric, limit=None) for metric in asking(**{name: True}))
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, shown) is Verdict.CONSISTENT  # type: ignore[arg-type]
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS_WITH_FEEDBACK, ()) is Verdict.CONSISTENT  # type: ignore[arg-type]
+    for verdict in (Verdict.VIOLATES, Verdict.UNDECIDED):
+        assert _of_what_is_asked(scene, plan, verdict, ()) is verdict  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("has_states", "missing", "nc", "nf", "claims"),
+    [
+        (True, {"lam", "friction"}, 1, 1, True), (False, {"lam", "friction"}, 1, 1, False), (False, {"friction"}, 1, 1, True), (False, {"lam"}, 1, 1, True),
+        (False, set(), 0, 0, False), (False, {"friction"}, 0, 1, False), (False, {"lam"}, 1, 0, False), (False, set(), 0, 1, True), (False, set(), 1, 0, True),
+    ],
+)  # fmt: skip
+def test_who_claims_nothing_is_not_judged_where_nothing_is_asked(has_states: bool, missing: set[str], nc: int, nf: int, claims: bool):
+    scene, plan = SimpleNamespace(nc=nc, nf=nf), SimpleNamespace(has_states=has_states, missing=frozenset(missing))
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(replay_error=True)) is (
+        Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
+    )  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
+@pytest.mark.parametrize("ok", [(True, True), (True, False), (True, None), (None,), ()])
+def test_the_other_hold_passes_where_every_metric_of_the_motion_does(
+    hold: Hold, ok: tuple[bool | None, ...], monkeypatch: pytest.MonkeyPatch
+):
+    """Of the plan held the other way, beside the replay made so; what is not judged and what is of other questions is not asked."""
+    words = iter(ok)
+    holds: list[Any] = []
+
+    def measured(entry: MetricEntry, case: Any) -> Metric:
+        assert entry.question is Question.MOTION
+        holds.append((case.trajectory.hold, case._replay))
+        word = next(words, "shown")
+        return Metric(
+            name=entry.name,
+            question=entry.question,
+            value=1.0,
+            unit="m",
+            meaning="",
+            limit=None if word == "shown" else 1.0,
+            ok=None if word == "shown" else word,
+        )  # type: ignore[arg-type]
+
+    monkeypatch.setattr(score_module, "_metric", measured)
+    states = np.zeros((3, 1))
+    plan = Trajectory(t=np.array([0.0, 0.1, 0.2]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)), hold=hold)
+    scene, other = load_scene("wall_pendulum"), SimpleNamespace(ok=True)
+    assert score_module._passes_otherwise(scene, plan, other) is all(word is True for word in ok)  # type: ignore[arg-type]
+    assert {held for held, _ in holds} == {Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER}
+    assert all(replayed is other for _, replayed in holds)
+    assert not score_module._passes_otherwise(scene, plan, None)
+    assert not score_module._passes_otherwise(scene, plan, SimpleNamespace(ok=False))  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_replays():
+    scene = load_scene("wall_pendulum")
+    fails = replace(
+        TABLE[0],
+        name="x",
+        question=Question.MOTION,
+        measure=lambda case: (_ for _ in ()).throw(Unmeasured("unseen.")),
+        default=(0.5, "r"),
+        needs=(),
+    )  # type: ignore[arg-type,return-value]
+    trajectory = SimpleNamespace(missing=frozenset(), scheme=None)
+
+    class Case:
+        def __init__(self, subject: Any, replay: Any) -> None:
+            self.scene, self.trajectory, self._replay = subject, trajectory, replay
+
+        @property
+        def replay(self) -> Any:
+            if self._replay is None:
+                raise Unmeasured("none")
+            return self._replay
+
+    foreign = SimpleNamespace(limit=lambda name: None, coordinates=[])
+    for subject, replayed, of_replay, is_open in (
+        (scene, "there", False, True), (scene, "there", True, True), (foreign, "there", True, False), (foreign, None, True, True), (foreign, None, False, False),
+    ):  # fmt: skip
+        metric = _metric(replace(fails, of_replay=of_replay, unit=lambda scene: "m"), Case(subject, replayed))  # type: ignore[arg-type]
+        assert (metric.limit is not None, metric.reason, metric.value, metric.default) == (is_open, "unseen.", None, True)
+
+
+def test_an_answer_by_a_measure_that_nobody_knows_is_refused_with_its_file(tmp_path: Path):
+    scene = load_scene("bouncing_mass")
+    wrong = replace(scene, answers=(replace(scene.answers[0], measure="depht"),))
+    with pytest.raises(
+        SceneError,
+        match=r"^scene bouncing_mass: answer .* is measured by 'depht', but the measures are closing time, contact time, restitution, depth\.$",
+    ):
+        score_module.check_limits(wrong)
+    with pytest.raises(SceneError, match=rf"^scene file {tmp_path}: scene bouncing_mass: answer"):
+        score_module.check_limits(wrong, tmp_path)
+    score_module.check_limits(replace(scene, answers=(replace(scene.answers[0], measure=""),)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,17 @@ from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.judgement import judge
 from validate.judge.replay.run import replay
+from validate.judge.score import unexplained as module
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.unexplained import LIMIT, _without_inertia, unexplained_force
+from validate.judge.score.unexplained import (
+    LIMIT,
+    _by_departures,
+    _by_velocities,
+    _of_friction,
+    _reference,
+    _without_inertia,
+    unexplained_force,
+)
 
 # Carts of 1 kg with c = 2 N s/m and contacts of 30 N/m; 0.5 m long.
 K, C, LENGTH, SECONDS = 30.0, 2.0, 0.5, 1.0
@@ -212,3 +222,173 @@ def test_a_scene_without_inertia_is_forgiven_what_was_printed():
     assert asked[0] is v
     told["q"] = 1.0
     assert _without_inertia(case, h, v).tolist() == [0.0, 0.0]  # type: ignore[arg-type]
+
+
+# By hand: two coordinates, steps of 1/2 and 1/4 s, M = diag(4, 9), everything printed
+
+H2 = np.array([0.5, 0.25])
+UNIT = np.sqrt(13.0)  # the size of a speed of 1 in both
+TOLD = {"q": 0.01, "v": 0.02, "u": 0.0, "lam": 0.03, "t": 0.005}
+
+
+def by_hand(ends: np.ndarray, **more: Any) -> Any:
+    """From q = (0, 0), (1, -1), (2, 0.5)."""
+    return SimpleNamespace(
+        **{
+            "q": np.array([[0.0, 0.0], [1.0, -1.0], [2.0, 0.5]]), "masses": np.array([np.diag([4.0, 9.0])] * 3), "scene": SimpleNamespace(nq=2, nf=1),
+            "printing": TOLD.get, "printing_acceleration": 0.7, "own_steps": lambda v: SimpleNamespace(ends=ends, least=None, most=None),
+            "equations": SimpleNamespace(relaxation_index=None), "trajectory": SimpleNamespace(missing=frozenset(), scheme=None),
+        } | more
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_velocity_that_jumps_takes_its_change_of_momentum_in_a_step(side: float):
+    """It arrives with (3, -2) and goes on with (4.5, -2): 1.5 of 4 kg; what is printed excuses its share. The second step arrives as it goes on."""
+    v = side * np.array([[2.0, -2.0], [4.5, -2.0], [4.0, 6.0]])
+    ends = side * np.array([[1.0, -1.0, 3.0, -2.0], [2.0, 0.5, 4.0, 6.0]])
+    case = by_hand(ends)
+    case.q = side * case.q
+    allowed = 2 * 0.02 + 0.5 * 0.7 + 0.01 * (1.0 / 0.5)
+    assert _by_velocities(case, H2, v, 0.02) == pytest.approx([(2.0 * 1.5 - allowed * UNIT) / 0.5, 0.0])
+    case.printing = dict.fromkeys(TOLD, 0.0).get
+    case.printing_acceleration = 0.0
+    assert _by_velocities(case, H2, v, 0.0) == pytest.approx([2.0 * 1.5 / 0.5, 0.0])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_position_beyond_both_its_velocities_and_the_true_motion_is_missed(side: float):
+    """In 1/2 s it moves by -1 where its speeds are -0.5 and -1 m/s (0.5 too far), and the true motion arrives 0.4 from it; in 1/4 s by 1.5 at 2 and 3 m/s."""
+    v = side * np.array([[2.0, -0.5], [2.0, -1.0], [4.0, 3.0]])
+    v[1, 1] = -1.0 * side
+    ends = side * np.array([[1.0, -0.6, 2.0, -1.0], [2.0, 0.1, 4.0, 3.0]])
+    case = by_hand(ends)
+    case.q = side * case.q
+    first = (0.4 - 2 * 0.01 - 0.5 * 0.02 - 0.01 * 0.5) / 0.5
+    second = (0.4 - 2 * 0.01 - 0.25 * 0.02 - 0.01 * 1.0) / 0.25
+    assert _by_velocities(case, H2, v, 0.02) == pytest.approx([3.0 * first / 0.5, 3.0 * second / 0.25])
+    case.own_steps = lambda v: SimpleNamespace(ends=side * np.array([[1.0, 3.0, 2.0, -1.0], [2.0, -9.0, 4.0, 3.0]]))
+    first = (0.5 - 2 * 0.01 - 0.5 * 0.02 - 0.01 * 0.5) / 0.5
+    second = (1.5 - 0.75 - 2 * 0.01 - 0.25 * 0.02 - 0.01 * 1.0) / 0.25
+    assert _by_velocities(case, H2, v, 0.02) == pytest.approx([3.0 * first / 0.5, 3.0 * second / 0.25])
+
+
+def test_without_inertia_a_position_beyond_its_velocities_counts_too():
+    case = by_hand(np.array([[1.0, -0.6, 9.0, 9.0], [2.0, 0.5, 9.0, 9.0]]))
+    case.equations = SimpleNamespace(relaxation_index=0, parameters=[SimpleNamespace(value=0.5)])
+    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0).get, 0.0
+    v = np.array([[2.0, -0.5], [2.0, -1.0], [4.0, 6.0]])
+    assert _by_velocities(case, H2, v, 0.0) == pytest.approx([3.0 * 0.4 / 0.5 / 0.5, 0.0])
+    mean = np.array([[2.0, -1.0], [4.0, 5.0], [4.0, 7.0]])  # what it moves by is within these, and the true motion does not move so
+    assert _by_velocities(case, H2, mean, 0.0) == pytest.approx([3.0 * 0.4 / 0.5 / 0.5, 0.0])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_velocities_that_lead_to_the_next_position_jump_at_the_nodes(side: float):
+    """From the task's (1, 0) with (1.5, 0): 0.5 of 4 kg over 1/2 s. Arriving with (2, 1), going on with (2, 1.3): 0.3 of 9 kg over the mean of both steps."""
+    departing = side * np.array([[1.5, 0.0], [2.0, 1.3]])
+    ends = side * np.array([[1.0, -1.0, 2.0, 1.0], [2.0, 0.5, 4.0, 6.0]])
+    missed = side * np.array([[0.0, 0.0], [0.05, 0.0]])
+    gains = np.array([2.0, 4.0])
+    case = by_hand(ends, departures=SimpleNamespace(v=departing, missed=missed, gains=gains), start_velocity=side * np.array([1.0, 0.0]))
+    allowed = [(2 * 0.01 + 0.01 * 1.5) * (2.0 + 2.0) + 0.5 * 0.7, (2 * 0.01 + 0.01 * 2.0) * (4.0 + 2.0) + 0.25 * 0.7]
+    jumps = [(2.0 * 0.5 - allowed[0] * UNIT) / 0.5, (3.0 * 0.3 - allowed[1] * UNIT) / 0.375]
+    misses = [-1.0, (2.0 * 0.05 - 2 * 0.01 * UNIT) / 0.25**2]
+    assert _by_departures(case, H2) == pytest.approx(np.maximum(np.maximum(jumps, misses), 0.0))
+    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0).get, 0.0
+    assert _by_departures(case, H2) == pytest.approx([2.0 * 0.5 / 0.5, max(3.0 * 0.3 / 0.375, 2.0 * 0.05 / 0.25**2)])
+    case.departures.missed = missed * 0.0
+    assert _by_departures(case, H2) == pytest.approx([2.0 * 0.5 / 0.5, 3.0 * 0.3 / 0.375])
+
+
+def rubbed(claimed: list[float], least: list[float], most: list[float]) -> Any:
+    """Friction of one contact, in three steps, which pushes the first coordinate: 1 N makes 0.5 m/s^2 of 4 kg, the size 1."""
+    lam = np.column_stack([np.full(3, 7.0), claimed])
+    within = SimpleNamespace(least=np.column_stack([np.zeros(3), least]), most=np.column_stack([np.full(3, 99.0), most]))
+
+    def acceleration(q: Any, v: Any, u: Any, forces: np.ndarray) -> np.ndarray:
+        assert (v.tolist(), u) == ([[1.0, 1.0]] * 3, "inputs")
+        return np.column_stack([0.5 * forces[:, 1] + forces[:, 0], np.zeros(3)])
+
+    return SimpleNamespace(
+        kernel=SimpleNamespace(acceleration=acceleration), trajectory=SimpleNamespace(lam=lam, u="inputs", missing=frozenset(), scheme=None),
+        scene=SimpleNamespace(nc=1, nf=1), own_steps=lambda v: within, own_velocities=np.ones((4, 2)), q=np.zeros((4, 2)),
+        masses=np.array([np.diag([4.0, 9.0])] * 4), friction=lam[:, 1:], printing={"lam": 0.25}.get,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_friction_that_is_claimed_must_move_it_as_the_true_one_does(side: float):
+    """Any within its range in this step and the next, whose input may set in at the node; or the mean of that range."""
+    ends = np.sort(side * np.array([[1.0, 2.0, -1.0], [3.0, 5.0, 0.0]]), axis=0)
+    case = rubbed((side * np.array([5.0, -3.0, 2.0])).tolist(), ends[0].tolist(), ends[1].tolist())
+    # Ranges (1, 5), (-1, 5) and (-1, 0), a quarter wider for what is printed.
+    assert _of_friction(case) == pytest.approx([0.0, 1.75, 1.75])
+    exact = rubbed((side * np.array([3.0, 2.0, -0.5])).tolist(), ends[0].tolist(), ends[1].tolist())
+    assert _of_friction(exact).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_friction_is_asked_only_where_it_is_claimed_without_a_scheme(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "_of_motion", lambda case, enough: np.array([1.0, 5.0]))
+    monkeypatch.setattr(module, "_of_friction", lambda case: np.array([3.0, 2.0]))
+    case = by_hand(np.zeros((2, 4)))
+    assert module._forces(case, 0.0).tolist() == [3.0, 5.0]
+    for missing, scheme, nf in (({"friction"}, None, 1), ({"lam"}, None, 1), ((), "euler", 1), ((), None, 0)):
+        case.trajectory, case.scene.nf = SimpleNamespace(missing=frozenset(missing), scheme=scheme), nf
+        assert module._forces(case, 0.0).tolist() == [1.0, 5.0]
+
+
+def test_velocities_that_are_not_said_are_those_that_explain_more(monkeypatch: pytest.MonkeyPatch):
+    """Backward differences from the task's start; those of departures only where these leave more than is enough."""
+    asked: list[Any] = []
+    monkeypatch.setattr(module, "_by_velocities", lambda case, h, v, p_v: asked.append((v.tolist(), p_v)) or np.array([1.0, 4.0]))
+    monkeypatch.setattr(module, "_by_departures", lambda case, h: departures)
+    monkeypatch.setattr(module, "_without_inertia", lambda case, h, v: (h.tolist(), v))
+    t = np.array([0.0, 0.5, 0.75])
+    case = by_hand(np.zeros((2, 4)), start_velocity=np.array([9.0, 8.0]), departures=SimpleNamespace(v="departing"))
+    case.trajectory = SimpleNamespace(missing=frozenset({"v"}), t=t, v=np.ones((3, 2)))
+    departures = np.array([3.0, 3.5])
+    assert module._of_motion(case, 3.9).tolist() == [3.0, 3.5]
+    assert module._of_motion(case, 4.0).tolist() == [1.0, 4.0]
+    departures = np.array([4.5, 0.0])
+    assert module._of_motion(case, 3.9).tolist() == [1.0, 4.0]
+    assert asked[0] == ([[9.0, 8.0], [2.0, -2.0], [4.0, 6.0]], pytest.approx(2 * 0.01 / 0.25))
+    case.trajectory.missing = frozenset()
+    module._of_motion(case, 0.0)
+    assert asked[-1] == ([[1.0, 1.0]] * 3, 0.02)
+    case.trajectory.missing, case.equations.relaxation_index = frozenset({"v"}), 0
+    assert module._of_motion(case, 0.0) == ([0.5, 0.25], "departing")
+
+
+def referred(lam: Any, inputs: list[tuple[float, float]], u: Any, gravity: float = 0.0) -> float:
+    """Two contacts of which 1 N makes 0.25 and 0.5 m/s^2 of 4 kg - 0.5 and 1 in size -, two inputs that make 1 and 2; gravity adds to all."""
+
+    def acceleration(q: Any, v: np.ndarray, u: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        assert not v.any()
+        return np.column_stack([0.25 * forces[:, 0] + 0.5 * forces[:, 1] + 0.5 * u[:, 0] + 1.0 * u[:, 1] + gravity, np.zeros(len(q))])
+
+    lam = np.array(lam)
+    case: Any = SimpleNamespace(
+        equations=SimpleNamespace(
+            nc=2, nl=3, nu=2, inputs=[SimpleNamespace(lower=low, upper=high) for low, high in inputs],
+            coordinates=[SimpleNamespace(nominal=3.0), SimpleNamespace(nominal=2.0)],
+        ),
+        kernel=SimpleNamespace(acceleration=acceleration), opened_q=np.zeros((len(lam), 2)), opened_lam=lam,
+        masses_at=lambda q: np.array([np.diag([4.0, 9.0])] * len(q)), trajectory=SimpleNamespace(u=np.array(u), duration=2.0),
+    )  # fmt: skip
+    return _reference(case)
+
+
+def test_forces_are_measured_by_the_largest_contact_force_or_a_tenth_of_the_inputs_range():
+    bounds, u = [(-1.0, 3.0), (-2.0, 0.5)], [[0.0, 0.0]]
+    assert referred([[6.0, 1.0], [0.0, 5.0]], bounds, u) == pytest.approx(5.0)
+    assert referred([[12.0, 1.0], [0.0, 5.0]], bounds, u, gravity=-7.0) == pytest.approx(6.0), "gravity is none of them"
+    assert referred([[0.2, 0.0], [0.0, 0.1]], bounds, u) == pytest.approx(0.1 * 2.0 * 2.5)
+    assert referred([[0.2, 0.0], [0.0, 0.1]], [bounds[0], (-2.0, -1.0)], u) == pytest.approx(0.1 * 4.0)
+    # Without contact the whole range; an input without bounds twice its own largest value.
+    assert referred([[0.0, 0.0]], bounds, u) == pytest.approx(2.0 * 2.5)
+    assert referred([[0.0, 0.0]], [(-1.0, np.inf), (-0.1, 0.1)], [[1.0, 0.0], [-4.0, 9.0]]) == pytest.approx(2.0 * 4.0)
+    # Without either the largest force of the motion, or what moves it by its nominals within the plan of 2 s.
+    still = [(0.0, 0.0), (0.0, 0.0)]
+    assert referred([[0.0, 0.0]], still, u, gravity=-5.0) == pytest.approx(10.0)
+    assert referred([[0.0, 0.0]], still, u) == pytest.approx(np.hypot(2.0 * 3.0, 3.0 * 2.0) / 4.0)

@@ -1,0 +1,564 @@
+"""The simulations of a replay as one job: what is asked of a child, what its end means, and how the runs are put together; with a child that answers what the test says."""
+
+from __future__ import annotations
+
+import math
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.errors import MachineError
+from models.trajectory import Hold, Trajectory
+from validate.execution.isolated import Ending, Limits
+from validate.fmi.archive import FmuError
+from validate.judge.replay import Difference, ReplayError, ReplayOutcome
+from validate.judge.replay import everyday as everyday_module
+from validate.judge.replay import job as module
+from validate.judge.replay import run as run_module
+from validate.judge.replay.everyday import RollbackError, base_step, everyday_refusal, offers_rollback, require_some_method
+from validate.judge.replay.job import ReplaySettings, Simulated, run_job
+from validate.judge.replay.result import Event, Run
+from validate.judge.replay.run import Foreign
+from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, Outputs
+from validate.judge.replay.tracking import tracking_refusal
+from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
+
+VARIABLES = Variables(q=(1,), v=(2,), u=(5,), lam=(3,), gap=(4,), energies={}, powers={"input_power": 6, "dissipated_power": 7}, zero=frozenset(),
+                      parameters=(), start=(1, 2), internal_step=None)  # fmt: skip
+SETTINGS = ReplaySettings(tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)
+PLAN = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=np.zeros((3, 1)), v=np.zeros((3, 1)), u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)),
+                  hold=Hold.LINEAR, u_end=np.array([3.0]))  # fmt: skip
+START = np.array([8.0, 9.0])
+
+
+def package(*, exchange: bool = True, cosimulation: bool = True, once: bool = False, saves: bool = True) -> Any:
+    def interface(there: bool) -> Any:
+        return SimpleNamespace(canBeInstantiatedOnlyOncePerProcess=once, canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=True) if there else None  # fmt: skip
+
+    return SimpleNamespace(path=Path("some.fmu"), exchange=interface(exchange), cosimulation=interface(cosimulation))
+
+
+def ended(ending: Ending, **more: Any) -> Any:
+    return SimpleNamespace(**({"ending": ending, "ok": ending is Ending.OK, "sentence": f"it was {ending.name}.", "cpu": 2.5, "strays": 0, "value": None, "arrays": None} | more))  # fmt: skip
+
+
+def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: int = 0) -> Any:
+    """A child that made such runs, each with numbers of its own."""
+    value: dict[str, Any] = {"refusal": refusal, "note": note, "seconds": [0.25, 0.5], "runs": []}
+    arrays: dict[str, np.ndarray] = {}
+    for number, kind in enumerate(kinds):
+        value["runs"].append(
+            {"kind": kind, "outcome": "DIVERGED" if number else "OK", "message": f"run {number}", "events": [[0.5, 1.0, 1]]}
+        )
+        for place, name in enumerate(("t", "outputs", "accumulated", "knots", "applied", "local")):
+            arrays[f"{number}_{name}"] = np.array([10.0 * number + place])
+    return ended(Ending.OK, value=value, arrays=arrays, strays=strays)
+
+
+def asked(monkeypatch: pytest.MonkeyPatch, answers: list[Any], fmu: Any, limits: Limits = Limits(), **more: Any) -> tuple[Any, list[Any]]:  # noqa: B008 - frozen
+    """What comes of a job whose children end so, and what each was asked."""
+    requests: list[Any] = []
+    rest = iter(answers)
+
+    def isolated(function: str, request: Any, given: Any, *, limits: Any, what: str) -> Any:
+        requests.append((function, dict(request), dict(given), limits, what))
+        return next(rest)
+
+    monkeypatch.setattr(module, "run_isolated", isolated)
+    monkeypatch.setattr(module, "library_path", lambda: Path("loops.so"))
+    return run_job(fmu, VARIABLES, more.get("plan", PLAN), START, more.get("settings", SETTINGS), limits, more.get("feedback")), requests
+
+
+def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
+    found, requests = asked(monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), Limits(seconds=3.0))
+    ((function, request, given, limits, what),) = requests
+    assert (function, limits.seconds, what) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu")
+    assert request == {
+        "path": str(Path("some.fmu").resolve()), "variables": VARIABLES.to_json(), "hold": "linear", "tolerances": [1e-11, 1e-13], "fineness": [50, 100],
+        "event_budget": 7, "parts": 4, "max_step": 0.25, "rolls_back": True, "loops": "loops.so",
+    }  # fmt: skip
+    assert (given["t"], given["u"], given["start"], given["u_end"].tolist()) == (PLAN.t, PLAN.u, START, [3.0])
+    ((reference,), (everyday,)) = found.reference, found.everyday
+    assert (reference.t, reference.outputs, reference.accumulated, reference.knots, reference.applied, reference.local) == ([0.0], [1.0], [2.0], [3.0], [4.0], [5.0])  # fmt: skip
+    assert (reference.outcome, everyday.outcome, everyday.message, everyday.t) == (
+        ReplayOutcome.OK,
+        ReplayOutcome.DIVERGED,
+        "run 1",
+        [10.0],
+    )
+    assert reference.events == [(0.5, 1, True)]
+    assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note) == ("refused", 0.25, 0.5, "noted")
+
+
+def test_an_endless_step_and_a_plan_without_an_end_are_told_by_leaving_them_out(monkeypatch: pytest.MonkeyPatch):
+    feedback = Feedback(gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4), scale=np.ones(5))
+    constant = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
+    _, requests = asked(monkeypatch, [told([])], package(), plan=constant, settings=replace(SETTINGS, max_step=math.inf), feedback=feedback)
+    request, given = requests[0][1], requests[0][2]
+    assert (request["max_step"], request["hold"], "u_end" in given) == (None, "zero_order", False)
+    assert {name: len(array) for name, array in given.items() if name.startswith("feedback_")} == {
+        "feedback_gains": 1, "feedback_reference": 1, "feedback_u": 2, "feedback_lower": 3, "feedback_upper": 4, "feedback_scale": 5,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("exchange", "cosimulation"), [(True, True), (True, False), (False, True)])
+def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulation: bool, monkeypatch: pytest.MonkeyPatch):
+    fmu = package(exchange=exchange, cosimulation=cosimulation, once=True)
+    answers = [
+        told(["reference"], note="a"),
+        told(["reference"], "no first", "b"),
+        told(["everyday"], "no second", "a"),
+        told(["everyday"], note="c"),
+    ]
+    chosen = (answers[:2] if exchange else []) + (answers[2:] if cosimulation else [])
+    found, requests = asked(monkeypatch, chosen, fmu)
+    runs = [((1e-11,), (), True), ((1e-13,), (), True)] if exchange else []
+    runs += [((), (50,), False), ((), (100,), True)] if cosimulation else []
+    assert [(tuple(item[1]["tolerances"]), tuple(item[1]["fineness"]), item[1]["rolls_back"]) for item in requests] == runs
+    assert (len(found.reference), len(found.everyday)) == (2 * exchange, 2 * cosimulation)
+    assert (found.seconds_reference, found.seconds_everyday) == (0.25 * len(runs), 0.5 * len(runs))
+    assert found.refusal == ("no first" if exchange else "no second" if cosimulation else None)
+    assert found.note == " ".join(
+        (["a", "b"] if exchange else []) + (["c"] if exchange and cosimulation else ["a", "c"] if cosimulation else [])
+    )
+
+
+@pytest.mark.parametrize(
+    ("ending", "outcome"),
+    [
+        (Ending.TIME_LIMIT, ReplayOutcome.TIME_LIMIT), (Ending.MEMORY_LIMIT, ReplayOutcome.MEMORY_LIMIT), (Ending.SIGNAL, ReplayOutcome.CRASHED),
+        (Ending.ABORT, ReplayOutcome.ABORTED), (Ending.NO_RESULT, ReplayOutcome.NO_RESULT),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("exchange", [True, False])
+def test_what_ended_a_child_is_the_outcome_of_its_one_run(
+    ending: Ending, outcome: ReplayOutcome, exchange: bool, monkeypatch: pytest.MonkeyPatch
+):
+    found, requests = asked(monkeypatch, [ended(ending)], package(exchange=exchange, saves=False))
+    runs, others = (found.reference, found.everyday) if exchange else (found.everyday, found.reference)
+    assert ([(run.outcome, run.message) for run in runs], others) == ([(outcome, f"it was {ending.name}.")], ())
+    assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note, len(requests)) == (None, 2.5, 0.0, "", 1)
+    without, _ = asked(monkeypatch, [ended(ending)], package(saves=False), settings=replace(SETTINGS, tolerances=()))
+    assert (len(without.reference), len(without.everyday)) == (0, 1)
+
+
+@pytest.mark.parametrize("ending", [Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT, Ending.TIME_LIMIT, Ending.MEMORY_LIMIT])
+@pytest.mark.parametrize("survives", [True, False])
+def test_what_does_not_survive_its_saved_state_runs_once_more_without(ending: Ending, survives: bool, monkeypatch: pytest.MonkeyPatch):
+    again = told(["reference"], note="own", strays=1) if survives else ended(Ending.ABORT)
+    retried = ending not in (Ending.TIME_LIMIT, Ending.MEMORY_LIMIT)
+    found, requests = asked(monkeypatch, [ended(ending), again], package())
+    assert [item[1]["rolls_back"] for item in requests] == ([True, False] if retried else [True])
+    if retried and survives:
+        assert (
+            found.note
+            == f"own No step was rolled back, as the FMU did not survive it: it was {ending.name}. The FMU left 1 process behind, which we ended."
+        )
+    else:
+        assert found.reference[0].message == f"it was {ending.name}.", "the first end is told"
+
+
+@pytest.mark.parametrize(("strays", "words"), [(1, "The FMU left 1 process behind"), (3, "The FMU left 3 processes behind"), (0, "")])
+def test_what_an_fmu_leaves_behind_is_said(strays: int, words: str, monkeypatch: pytest.MonkeyPatch):
+    found, _ = asked(monkeypatch, [told([], strays=strays)], package())
+    assert found.note.startswith(words)
+    assert bool(found.note) is bool(words)
+
+
+def test_mistakes_of_the_machine_and_of_others_are_raised(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(MachineError, match="it was MACHINE"):
+        asked(monkeypatch, [ended(Ending.MACHINE)], package())
+    with pytest.raises(FmuError, match="it was ERROR"):
+        asked(monkeypatch, [ended(Ending.ERROR)], package())
+
+
+@pytest.mark.parametrize(
+    ("first", "note", "rolled"),
+    [
+        (Run(), "", True),
+        (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."), "No step was rolled back: it said no.", False),
+        (RollbackError(), "No step was rolled back: the state it restores is not the one it saved.", False),
+        (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
+    ],
+)
+def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolled: bool, monkeypatch: pytest.MonkeyPatch):
+    calls: list[bool] = []
+    plain = Run(message="plain")
+
+    def simulate(*given: Any, rolls_back: bool = False) -> Run:
+        calls.append(rolls_back)
+        if rolls_back and isinstance(first, Exception):
+            raise first
+        return first if rolls_back else plain
+
+    monkeypatch.setattr(module, "simulate_everyday", simulate)
+    run, said = module._rolled_back("package", "variables", "start", "inputs", 200)  # type: ignore[arg-type]
+    assert (run is (first if rolled else plain), said, calls) == (True, note, [True] if rolled else [True, False])
+    plain.outcome = ReplayOutcome.DIVERGED
+    assert module._rolled_back("package", "variables", "start", "inputs", 200)[1] == "", "a run that fails anyway needs no such note"  # type: ignore[arg-type]
+
+
+# What an interface must offer
+
+
+@pytest.mark.parametrize(
+    ("saves", "variable", "internal", "variability", "offered"),
+    [
+        (True, True, None, "", True), (True, False, None, "", False), (False, True, None, "", False), (True, False, 7, "tunable", True),
+        (True, True, 7, "fixed", False), (False, True, 7, "tunable", False),
+    ],
+)  # fmt: skip
+def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(
+    saves: bool, variable: bool, internal: int | None, variability: str, offered: bool
+):
+    interface = SimpleNamespace(canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=variable)
+    items = [SimpleNamespace(valueReference=3, variability="tunable"), SimpleNamespace(valueReference=7, variability=variability)]
+    fmu: Any = SimpleNamespace(cosimulation=interface, description=SimpleNamespace(modelVariables=items))
+    assert offers_rollback(fmu, replace(VARIABLES, internal_step=internal)) is offered
+    assert not offers_rollback(SimpleNamespace(cosimulation=None), VARIABLES)  # type: ignore[arg-type]
+
+
+def test_an_everyday_replay_is_refused_where_steps_must_be_equal():
+    even, uneven = HeldInputs(PLAN), HeldInputs(replace(PLAN, t=np.array([0.0, 0.5, 1.1])))
+    takes, equal = (SimpleNamespace(cosimulation=SimpleNamespace(canHandleVariableCommunicationStepSize=takes)) for takes in (True, False))
+    assert [everyday_refusal(fmu, inputs) is None for fmu in (takes, equal) for inputs in (even, uneven)] == [True, True, True, False]  # type: ignore[arg-type]
+    assert "differ in length" in str(everyday_refusal(equal, uneven))  # type: ignore[arg-type]
+    rounded = HeldInputs(replace(PLAN, t=np.array([0.0, 0.5, 1.0 + 2e-10])))
+    assert everyday_refusal(equal, rounded) is None  # type: ignore[arg-type]
+    assert everyday_refusal(SimpleNamespace(cosimulation=None), even) == "the FMU offers no Co-Simulation"  # type: ignore[arg-type]
+    require_some_method(package(), "no")
+    require_some_method(package(exchange=False), None)
+    with pytest.raises(FmuError, match=r"some\.fmu: it offers no Model Exchange, and no; the plan cannot"):
+        require_some_method(package(exchange=False), "no")
+
+
+@pytest.mark.parametrize(("three", "interpolates", "takes"), [(False, True, True), (False, False, False), (True, True, False)])
+def test_slopes_are_taken_by_fmi_2_alone_where_it_interpolates(three: bool, interpolates: bool, takes: bool):
+    fmu: Any = SimpleNamespace(is_three=three, cosimulation=SimpleNamespace(canInterpolateInputs=interpolates))
+    assert everyday_module._takes_slopes(fmu) is takes
+
+
+@pytest.mark.parametrize(("times", "expected"), [([0.0, 0.5, 1.5], 0.5), ([0.0, 1e-6, 2.0], 0.1), ([0.0, 1.5, 2.0], 0.5)])
+def test_a_step_of_a_microsecond_is_not_the_measure_of_all(times: list[float], expected: float):
+    assert base_step(np.array(times)) == pytest.approx(expected)
+
+
+def described(states: list[int], *, three: bool = False, **claims: str) -> Any:
+    derivatives = [
+        SimpleNamespace(variable=SimpleNamespace(derivative=SimpleNamespace(valueReference=item, name=f"state {item}"))) for item in states
+    ]
+    return SimpleNamespace(
+        exchange="there", is_three=three, can=lambda kind, ability: kind == "ModelExchange" and ability in claims,
+        description=SimpleNamespace(derivatives=derivatives),
+    )  # fmt: skip
+
+
+def test_feedback_needs_derivatives_of_states_that_are_the_positions_and_velocities():
+    whole = described([2, 1], providesDirectionalDerivative="true")
+    assert tracking_refusal(whole, VARIABLES) is None
+    assert tracking_refusal(described([2, 1], three=True, providesDirectionalDerivatives="true"), VARIABLES) is None
+    for fmu, variables, words in (
+        (SimpleNamespace(exchange=None), VARIABLES, "no Model Exchange"),
+        (described([2, 1], three=True, providesDirectionalDerivative="true"), VARIABLES, "no directional derivatives"),
+        (described([2, 1]), VARIABLES, "no directional derivatives"),
+        (whole, replace(VARIABLES, u=()), "no inputs"),
+        (described([2, 9, 8], providesDirectionalDerivative="true"), VARIABLES, "its state state 9 is none of"),
+        (described([2], providesDirectionalDerivative="true"), VARIABLES, "one for one"),
+        (described([2, 1], providesDirectionalDerivative="true"), replace(VARIABLES, v=(1,)), "its state state 2 is none"),
+        (described([1, 1], providesDirectionalDerivative="true"), replace(VARIABLES, v=(1,)), "one for one"),
+    ):
+        assert words in str(tracking_refusal(fmu, variables))
+
+
+# From runs to a replay
+
+
+MODEL = ForeignModel(
+    name="cart", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(ForeignInput(name="F"),),
+    contacts=(ForeignContact(name="stop", force_name="lam", gap_name="gap"),), task=ForeignTask(start=(None, None), goal=(None, 2.0), step=0.1, duration=3.0),
+    notes=("a note of the map.",),
+)  # fmt: skip
+
+
+def foreign() -> Foreign:
+    return Foreign(
+        model=MODEL, variables=VARIABLES, scale=np.array([2.0, 3.0, 4.0, 5.0]), offset=np.array([0.1, 0.2, 0.3, 0.4]),
+        input_scale=np.array([10.0]), input_offset=np.array([1.0]), start=START,
+    )  # fmt: skip
+
+
+def test_numbers_of_an_fmu_become_those_of_the_plan():
+    """Values by scale and offset, local errors by scale, impulses by that of their forces; energies stay."""
+    run = Run(outputs=[np.array([1.0, 1.0, 1.0, 1.0])], local=[np.array([1.0, 2.0, 3.0, 4.0])], accumulated=[np.array([7.0, 8.0, 9.0])])
+    given = Simulated(reference=(run,), everyday=(replace(run),), refusal=None, seconds_reference=0.0, seconds_everyday=0.0)
+    found = run_module._in_plan_units(foreign(), given)
+    for one in (*found.reference, *found.everyday):
+        assert one.outputs[0] == pytest.approx([2.1, 3.2, 4.3, 5.4])
+        assert one.local[0].tolist() == [2.0, 6.0, 12.0, 20.0]
+        assert one.accumulated[0].tolist() == [28.0, 8.0, 9.0]
+
+
+def test_what_a_run_recorded_is_taken_apart_by_name():
+    run = Run(t=[0.0, 0.5], outputs=[np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0, 7.0, 8.0])], accumulated=[np.array([0.0, 0.0, 0.0]), np.array([9.0, 10.0, 11.0])])  # fmt: skip
+    out = Outputs(MODEL, VARIABLES, run)
+    assert [array.ravel().tolist() for array in (out.q, out.v, out.lam, out.gap)] == [[1.0, 5.0], [2.0, 6.0], [3.0, 7.0], [4.0, 8.0]]
+    assert (out.friction.shape, out.kinetic.tolist()) == ((2, 0), [0.0, 0.0])
+    assert out.contact_impulse is not None
+    assert (out.contact_impulse.ravel().tolist(), out.work("input_power").tolist(), out.work("dissipated_power").tolist()) == (
+        [0.0, 9.0],
+        [0.0, 10.0],
+        [0.0, 11.0],
+    )  # type: ignore[union-attr]
+    last = Outputs(MODEL, VARIABLES, run, [1])
+    assert (last.q.tolist(), last.work("input_power").tolist()) == ([[5.0]], [10.0])  # type: ignore[union-attr]
+    known = Outputs(MODEL, replace(VARIABLES, zero=frozenset({"input_power"}), powers={"dissipated_power": 7}), Run(t=[0.0], outputs=run.outputs[:1], accumulated=[np.array([1.0, 2.0])]))  # fmt: skip
+    assert (known.work("input_power").tolist(), known.work("dissipated_power").tolist()) == ([0.0], [2.0])  # type: ignore[union-attr]
+    bare = Outputs(MODEL, replace(VARIABLES, lam=(), gap=(), v=()), Run(t=[0.0], outputs=[np.array([1.0])]))
+    assert (bare.v.tolist(), bare.lam.tolist(), bare.gap.tolist(), bare.contact_impulse, bare.work("input_power")) == (
+        [[0.0]],
+        [[0.0]],
+        [[0.0]],
+        None,
+        None,
+    )
+    partly = Outputs(
+        MODEL,
+        replace(VARIABLES, lam=(), powers={"input_power": 6}),
+        Run(t=[0.0], outputs=[np.array([1.0, 2.0, 4.0])], accumulated=[np.array([5.0])]),
+    )
+    assert (partly.gap.tolist(), partly.contact_impulse, partly.work("input_power").tolist(), partly.work("dissipated_power")) == (
+        [[4.0]],
+        None,
+        [5.0],
+        None,
+    )  # type: ignore[union-attr]
+
+
+def simulated(reference: list[float], everyday: list[float], **more: Any) -> Simulated:
+    """Runs of three nodes which end at such positions, but for a row between the first two; a run that is not a number was cut off."""
+
+    def run(end: float) -> Run:
+        rows = [[0.0, 0.0, 0.0, 1.0], [5.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 1.0], [end, 0.0, 0.0, 1.0]]
+        if math.isnan(end):
+            return Run(t=[0.0], outputs=[np.array(rows[0])], knots=[0], outcome=ReplayOutcome.DIVERGED, message="cut off.")
+        return Run(t=[0.0, 0.2, 0.5, 1.0], outputs=[np.array(row) for row in rows], knots=[0, 2, 3], events=[(0.2, 0, True)])
+
+    given = {"refusal": None, "seconds_reference": 1.5, "seconds_everyday": 2.5, "note": ""} | more
+    return Simulated(reference=tuple(map(run, reference)), everyday=tuple(map(run, everyday)), **given)
+
+
+def assembled(found: Simulated, **more: Any) -> Any:
+    return run_module._assemble(MODEL, SimpleNamespace(digest="sha"), replace(VARIABLES, **more), found, 77)  # type: ignore[arg-type]
+
+
+def at(position: float) -> Difference:
+    return Difference(position=pytest.approx(position), state=pytest.approx(position), gap=0.0)
+
+
+def test_a_replay_is_the_tighter_reference_and_is_compared_with_all_others():
+    found = assembled(simulated([1.25, 1.0], [3.0, 2.0, 1.5]))
+    assert (found.scene, found.outcome, found.method, found.event_budget, found.fmu) == ("cart", ReplayOutcome.OK, "reference", 77, "sha")
+    assert (found.t.tolist(), found.q[-1].tolist(), found.knots.tolist()) == ([0.0, 0.2, 0.5, 1.0], [1.0], [0, 2, 3])
+    error = found.error
+    assert (error.tolerance, error.step, error.everyday, error.step_ratio) == (at(0.25), at(0.5), at(0.5), pytest.approx(1.0 / 0.5))
+    assert (found.seconds_reference, found.seconds_everyday, found.message) == (1.5, 2.5, "a note of the map.")
+    assert found.events == (Event(time=0.2, contact="indicator_0", closes=True),)
+
+
+def test_without_a_reference_the_finest_everyday_run_is_judged():
+    found = assembled(simulated([], [3.0, 2.0, 1.5], note="and a note"))
+    assert (found.method, found.q[-1].tolist(), found.error.tolerance, found.error.estimate) == ("everyday", [1.5], None, at(0.5))
+    assert found.message == "No reference replay: the FMU offers no Model Exchange. a note of the map. and a note"
+    same = assembled(simulated([], [1.5, 1.5, 1.5]))
+    assert (same.error.estimate, "how wrong that is cannot be told" in same.message) == (None, True)
+    assert assembled(simulated([], [1.5, 1.5, 1.5]), internal_step=9).error.step == at(0.0), "an FMU with a step to set heeds it"
+
+
+def test_runs_that_were_cut_off_are_compared_with_nothing():
+    nan = math.nan
+    assert assembled(simulated([nan, 1.0], [2.0, 1.5])).error.tolerance is None
+    alone = assembled(simulated([1.0], [3.0, 2.0, 1.5]))
+    assert (alone.error.tolerance, alone.error.everyday) == (None, None), "one reference alone is not compared"
+    lost = assembled(simulated([1.25, 1.0], [nan, nan, nan]))
+    assert (lost.error.step, lost.error.everyday, lost.error.estimate) == (None, None, at(0.25))
+    assert lost.message.startswith("No everyday replay: cut off.")
+    ended_early = assembled(simulated([1.25, nan], []))
+    assert (ended_early.outcome, ended_early.message.split(". ")[0]) == (ReplayOutcome.DIVERGED, "cut off")
+    refused = assembled(simulated([1.25, 1.0], [], refusal="it wants equal steps."))
+    assert refused.message.startswith("No everyday replay: it wants equal steps. a note")
+
+
+def test_a_stated_accuracy_that_counts_for_nothing_is_said():
+    stated = replace(MODEL, accuracy=Difference(position=1.0, state=1.0, gap=1.0))
+    error = ReplayError(estimate=None, tolerance=at(0.25))
+    runs = simulated([1.25, 1.0], [1.5])
+    note = "The stated accuracy counts for nothing"
+    assert any(note in text for text in run_module._notes(stated, runs, error, True))
+    assert not any(note in text for text in run_module._notes(MODEL, runs, error, True))
+    assert not any(note in text for text in run_module._notes(stated, runs, ReplayError(estimate=None), True))
+    own = run_module._notes(stated, simulated([], [1.5, 1.5]), ReplayError(estimate=None, stated=stated.accuracy), False)
+    assert any("how wrong that is its author states" in text for text in own)
+
+
+def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
+    outputs = [np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 1.0])]
+    local = [np.array([0.125, 0.0, 0.0, 0.0]), np.array([-0.25, 0.5, 0.0, 0.0])]
+    run = Run(t=[0.0, 0.5, 1.0], outputs=outputs, local=local, knots=[0, 1, 2])
+    fine = Outputs(MODEL, VARIABLES, run, run.knots)
+    found = run_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
+    assert found == Difference(position=pytest.approx(0.375), state=pytest.approx(math.hypot(0.375, 0.5)), gap=0.0)
+    assert run_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
+    assert run_module._local_errors(MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False) is None
+    still = replace(run, local=[np.zeros(4)] * 2)
+    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, "nobody knows whether it heeds its step"
+    assert run_module._local_errors(MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True) is not None
+    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
+
+
+def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):
+    """F of the FMU is 10 times the plan's, and 1 more; it applies 31 and 41, which are 3 and 4."""
+    law = Feedback(gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=np.array([[1.0], [2.0]]), lower=np.array([-9.0]), upper=np.array([9.0]), scale=np.array([9.0]))  # fmt: skip
+    jobs: list[Any] = []
+
+    def job(package: Any, variables: Any, plan: Any, start: Any, settings: Any, limits: Any, feedback: Any = None) -> Simulated:
+        jobs.append((plan.u.tolist(), start, limits, feedback))
+        found = simulated([1.25, 1.0], [1.5])
+        for run in found.reference:
+            run.applied = [np.array([31.0]), np.array([41.0])]
+        return found
+
+    designed: list[Any] = []
+    monkeypatch.setattr(run_module, "run_job", job)
+    monkeypatch.setattr(run_module, "design_foreign", lambda *given: designed.append(given) or (law, "growth"))
+    fmu: Any = SimpleNamespace(digest="sha")
+    plan = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
+    limits = Limits(seconds=9.0)
+    opened = run_module.replay_foreign(foreign(), fmu, plan, limits=limits)
+    assert (opened.tracked, opened.growth, jobs) == (None, None, [([[11.0], [21.0]], START, limits, None)])
+    assert opened.q[-1].tolist() == [2.0 * 1.0 + 0.1]
+    for track in (True, lambda replay: True):
+        found = run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=track)  # type: ignore[arg-type]
+        assert found.tracked is not None
+        assert found.tracked.applied is not None
+        assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
+        assert found.tracked.effort is not None
+        assert found.tracked.effort.peak == (2.0,)
+    assert jobs[-1][3].lower.tolist() == [-89.0]
+    (model, _, variables, given, units, start, _) = designed[0]
+    assert (model, variables, given, start) == (MODEL, VARIABLES, plan, START)
+    assert [[part.tolist() for part in pair] for pair in units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
+    assert run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=lambda replay: False).tracked is None
+
+    def refuses(*given: Any) -> Any:
+        raise run_module.TrackingError("no inputs")
+
+    monkeypatch.setattr(run_module, "design_foreign", refuses)
+    refused = run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=lambda replay: True)
+    assert refused.message.endswith("No tracked replay: no inputs")
+    with pytest.raises(run_module.TrackingError):
+        run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=True)
+
+
+@pytest.mark.parametrize(("status", "outcome"), [(4, ReplayOutcome.FATAL), (3, ReplayOutcome.FMU_FAILED)])
+def test_a_run_that_was_refused_says_when(status: int, outcome: ReplayOutcome):
+    class RefusedError(Exception):
+        pass
+
+    error: Any = RefusedError("fmi2DoStep returned an error.")
+    error.status = status
+    for times, when in (([], "0.5"), ([0.5, 0.75], "0.75")):
+        run = Run(t=list(times))
+        run.end_refused(error, 0.5)
+        assert (run.outcome, run.message) == (outcome, f"fmi2DoStep returned an error (after t = {when} s).")
+
+
+# How often, how exactly, and whether with feedback
+
+
+@pytest.mark.parametrize("looks", [0, 1, 5, 9])
+@pytest.mark.parametrize("too_many", [False, True])
+def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it(
+    looks: int, too_many: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """Each time with at most what would have seen it, and at most half of what it had; six times, or until that takes too many steps."""
+    asked: list[ReplaySettings] = []
+    seen = iter([0.1] * looks + [None] * 20)
+    monkeypatch.setattr(
+        run_module,
+        "run_job",
+        lambda package, variables, plan, start, settings, *given: asked.append(settings) or simulated([1.25, 1.0], [1.5]),
+    )
+    monkeypatch.setattr(run_module, "overlooked", lambda kernel, found: next(seen))
+    monkeypatch.setattr(run_module, "with_max_step", lambda t, settings, longest: None if too_many else replace(settings, max_step=longest))
+    fmu: Any = SimpleNamespace(digest="sha")
+    found, last = run_module._seeing_all(MODEL, None, fmu, VARIABLES, PLAN, replace(SETTINGS, max_step=0.15), None, None)  # type: ignore[arg-type]
+    runs = 1 if too_many else min(looks + 1, 6)
+    assert [one.max_step for one in asked] == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
+    assert len(last.reference) == 2
+    lost = looks >= 6 or (looks > 0 and too_many)
+    assert (found.error.estimate is None, "steps over a contact that is shorter than any of its steps" in found.message) == (lost, lost)
+
+
+def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypatch: pytest.MonkeyPatch):
+    scene = load_scene("wall_pendulum")
+    states = np.zeros((3, 1))
+    plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
+    law = Feedback(
+        gains=np.zeros((2, 1, 2)),
+        reference=np.zeros((3, 2)),
+        u=plan.u,
+        lower=np.array([-9.0]),
+        upper=np.array([9.0]),
+        scale=np.array([9.0]),
+    )
+    jobs: list[Any] = []
+
+    def seeing(scene: Any, kernel: Any, package: Any, variables: Any, plan: Any, settings: Any, limits: Any, feedback: Any) -> Any:
+        jobs.append((settings, limits, feedback))
+        runs = simulated([1.25, 1.0], [1.5])
+        for run in runs.reference:
+            run.applied = [np.array([3.0]), np.array([4.0])]
+        return assembled(runs), runs
+
+    fmu: Any = SimpleNamespace(digest="sha")
+    monkeypatch.setattr(run_module, "read_package", lambda path: fmu)
+    monkeypatch.setattr(run_module, "unpacked", nullcontext)
+    monkeypatch.setattr(run_module, "find_variables", lambda package, scene: VARIABLES)
+    monkeypatch.setattr(run_module, "_seeing_all", seeing)
+    monkeypatch.setattr(run_module, "measure_growth", lambda kernel, scene, plan: "growth")
+    monkeypatch.setattr(run_module, "design_feedback", lambda kernel, scene, plan: law)
+    opened = run_module.replay(scene, Path("a.fmu"), plan)
+    assert (opened.growth, opened.tracked) == ("growth", None)
+    settings, limits, feedback = jobs[0]
+    assert (settings.tolerances, settings.fineness, settings.event_budget, settings.parts, settings.max_step) == (
+        (1e-11, 1e-13),
+        (50, 100, 200),
+        10_000,
+        3,
+        math.inf,
+    )
+    assert (limits, feedback) == (None, None)
+    for track in (True, lambda replay: replay.growth == "growth"):
+        found = run_module.replay(scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0))  # type: ignore[arg-type]
+        assert found.tracked is not None
+        assert found.tracked.applied is not None
+        assert (found.tracked.applied.tolist(), found.tracked.feedback, jobs[-1][1:]) == ([[3.0], [4.0]], law, (Limits(seconds=3.0), law))
+        assert found.tracked.effort is not None
+        assert found.tracked.effort.peak == (2.0,)
+    blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: False)
+    assert blind.growth is None
+
+    def refuses(*given: Any) -> Any:
+        raise run_module.TrackingError("it overflows")
+
+    monkeypatch.setattr(run_module, "design_feedback", refuses)
+    refused = run_module.replay(scene, Path("a.fmu"), plan, track=lambda replay: True)
+    assert (refused.tracked, refused.message.endswith("No tracked replay: it overflows")) == (None, True)
+    with pytest.raises(run_module.TrackingError):
+        run_module.replay(scene, Path("a.fmu"), plan, track=True)

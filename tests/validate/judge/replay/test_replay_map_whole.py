@@ -1,0 +1,370 @@
+"""A whole map at once, every number different: each stands in its place, and each mistake names its own."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
+from validate.judge.replay.equal_names import Dimensions, Named, by_equal_names, hint, may_be_rate
+
+from models.errors import TouchstoneError
+from models.plan_table import PlanTable
+from models.trajectory import Trajectory
+from validate.fmi.description import read_package
+from validate.judge.replay.map_schema import MapError, read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import Foreign
+
+MORE = "".join(
+    f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}"{initial}><Real {unit}{rest}/></ScalarVariable>\n'
+    for name, reference, causality, initial, unit, rest in (
+        ("arm", 50, "output", ' initial="approx"', 'unit="rad" ', 'start="0" nominal="4"'),
+        ("arm.rate", 51, "output", "", 'unit="rad/s"', ""),
+        ("torque", 52, "input", "", 'unit="N.m" ', 'start="0" max="8"'),
+        ("idle", 53, "input", "", "", 'start="0"'),
+        ("wall.push", 54, "output", "", 'unit="N"', ""),
+        ("wall.gap", 55, "output", "", 'unit="m"', ""),
+        ("internal_step", 56, "parameter", ' variability="fixed"', "", 'start="1"'),
+        ("gain", 57, "parameter", ' variability="fixed"', "", 'start="1" min="-2" max="3"'),
+    )
+)
+WHOLE = """
+[plan]
+time = "time"
+[task]
+duration = 3.0
+[inputs]
+F = { variable = "drive.force", scale = -0.001, offset = 0.5, unit = "N", lower = -100.0 }
+M = { variable = "torque", scale = 2.0, offset = 1.0 }
+[positions]
+x = { variable = "body.pos", scale = 0.001, offset = 7.0, unit = "m" }
+a = { variable = "arm", scale = -3.0, offset = 0.25, unit = "deg" }
+[velocities]
+a = { variable = "arm.rate", scale = 5.0, offset = -1.0, unit = "deg/s", column = "turning" }
+x = { variable = "body.vel", scale = 0.002, offset = 9.0, unit = "m/s" }
+[contacts.stop]
+force = { variable = "stop.push", scale = 11.0, offset = 12.0 }
+gap = { variable = "stop.gap", scale = 13.0, offset = 14.0 }
+depth = 0.5
+depth_reason = "its spring"
+[contacts.wall]
+force = { variable = "wall.push", scale = 15.0, offset = 16.0 }
+gap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }
+column = "pressed"
+[parameters]
+gain = 2.5
+[start]
+"body.pos" = 300
+"body.vel" = "turning"
+[goal]
+x = 1.25
+turning = 2.25
+[limits]
+replay_terminal_position_error = { value = 0.1, reason = "near" }
+replay_terminal_velocity_error = 0.2
+terminal_velocity_error = { value = 0.3, reason = "own" }
+"""
+HEAD = "time,F,M,x,a,turning,v_x,lam_stop,pressed"
+ROWS = f"{HEAD}\n0,1,2,3,4,5,6,7,8\n1,11,12,13,14,15,16,17,18\n3,,,23,24,25,26,,\n"
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Callable[..., tuple[Foreign, Trajectory]]:
+    """The cart with more variables, wired; nothing of it runs."""
+    text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("  </ModelVariables>", MORE + "  </ModelVariables>")
+    with zipfile.ZipFile(tmp_path / "whole.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.writestr("binaries/linux64/cart.so", b"")
+
+    def call(given: str = WHOLE, plan: str = ROWS) -> tuple[Foreign, Trajectory]:
+        (tmp_path / "map.toml").write_text(given, encoding="utf-8")
+        (tmp_path / "plan.csv").write_text(plan, encoding="utf-8")
+        return wire(read_package(tmp_path / "whole.fmu"), PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
+
+    return call
+
+
+def refusal(call: Callable[[], object]) -> str:
+    with pytest.raises(TouchstoneError) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_each_number_of_a_map_stands_in_its_place(whole):
+    foreign, plan = whole()
+    variables = foreign.variables
+    assert (variables.q, variables.v, variables.lam, variables.gap, variables.u) == ((10, 50), (11, 51), (30, 54), (31, 55), (20, 52))
+    assert foreign.scale.tolist() == [0.001, -3.0, 0.002, 5.0, 11.0, 15.0, 13.0, 17.0]
+    assert foreign.offset.tolist() == [7.0, 0.25, 9.0, -1.0, 12.0, 16.0, 14.0, 18.0]
+    assert (foreign.input_scale.tolist(), foreign.input_offset.tolist()) == ([-0.001, 2.0], [0.5, 1.0])
+    assert (variables.parameters, variables.internal_step) == (((57, 2.5),), 56)
+    # Of [start]: a number, and the first row of a column; the arm starts where the plan does, (4 - 0.25)/-3; its rate cannot be set.
+    assert dict(zip(variables.start, foreign.start, strict=True)) == {10: 300.0, 11: 5.0, 50: pytest.approx(-1.25)}
+    model = foreign.model
+    assert [(item.name, item.velocity_name, item.unit, item.velocity_unit, item.nominal) for item in model.coordinates] == [
+        ("x", "v_x", "m", "m/s", 0.001), ("a", "turning", "deg", "deg/s", 12.0),
+    ]  # fmt: skip
+    # drive.force is in -1 .. 1: 500 - 1000 * (-1, 1) in the plan's unit; the torque at most (8 - 1)/2.
+    assert [(item.name, item.unit, item.lower, item.upper) for item in model.inputs] == [
+        ("F", "N", -100.0, 1500.0),
+        ("M", "1", -math.inf, 3.5),
+    ]
+    assert [(item.name, item.force_name, item.gap_name, item.depth, item.depth_reason) for item in model.contacts] == [
+        ("stop", "lam_stop", "gap_stop", 0.5, "its spring"), ("wall", "pressed", "gap_wall", None, ""),
+    ]  # fmt: skip
+    assert (model.name, model.task.goal, model.task.duration, model.task.step) == ("whole", (1.25, None, None, 2.25), 3.0, 3.0 / 500)
+    assert model.task.start == (pytest.approx(0.001 * 300 + 7.0), None, None, None)
+    assert [(item.metric, item.value, item.reason) for item in model.limits] == [
+        ("replay_terminal_position_error", 0.1, "near"), ("replay_terminal_velocity_error", 0.2, "set in the map"), ("terminal_velocity_error", 0.3, "own"),
+        ("terminal_position_error", 0.1, "near"),
+    ]  # fmt: skip
+    assert dict(model.lacks) == {"inputs": "the plan says nothing of inputs of the FMU, which keep their start values: idle"}
+    assert [sentence.partition(":")[0] + sentence.partition(":")[2][:30] for sentence in model.not_asked[:-1]] == [
+        "start_error the map's [start] gives no nu", "bound_violation input M has no lower bound, n", "max_penetration contact wall has no depth in ",
+    ]  # fmt: skip
+    assert (plan.t.tolist(), plan.u.tolist(), plan.missing) == ([0.0, 1.0, 3.0], [[1.0, 2.0], [11.0, 12.0]], set())
+    assert plan.q.tolist() == [[3.0, 4.0], [13.0, 14.0], [23.0, 24.0]]
+    assert plan.v.tolist() == [[6.0, 5.0], [16.0, 15.0], [26.0, 25.0]]
+    assert plan.lam.tolist() == [[7.0, 8.0], [17.0, 18.0]]
+
+
+def test_what_a_map_leaves_out_is_left_out_of_all(whole):
+    """One velocity, one gap and one force missing: the others are not read either; without a duration the task's step is the plan's shortest."""
+    without = WHOLE.replace("[task]\nduration = 3.0\n", "")
+    for line in (
+        'x = { variable = "body.vel"',
+        'force = { variable = "wall.push"',
+        'gap = { variable = "stop.gap"',
+        "replay_terminal_velocity_error",
+        '"body.vel" = "turning"',
+        "internal_step",
+    ):
+        without = "\n".join(row for row in without.splitlines() if not row.startswith(line))
+    plan = ROWS.replace(",v_x,lam_stop,pressed", "").replace(",6,7,8", "").replace(",16,17,18", "").replace(",26,,", "")
+    foreign, trajectory = whole(without.replace("turning = 2.25", ""), plan)
+    variables, model = foreign.variables, foreign.model
+    assert (variables.q, variables.v, variables.lam, variables.gap) == ((10, 50), (), (), ())
+    assert foreign.scale.tolist() == [0.001, -3.0]
+    assert set(model.lacks) == {"inputs", "v", "gap", "lam"}
+    assert (model.task.duration, model.task.step, model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
+        None,
+        1.0,
+        "v_x",
+        "1/s",
+    )
+    assert (trajectory.missing, trajectory.v.tolist(), trajectory.lam.tolist()) == ({"v", "lam"}, [[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2)
+    told = "\n".join(model.not_asked)
+    for part in (
+        "duration_error: the map gives no",
+        "contact stop has no gap in the map",
+        "ghost_impulse, missed_impulse: not every contact",
+    ):
+        assert part in told
+    assert "no [goal]" not in told
+    assert "replay_error: the map names" not in told
+
+
+@pytest.mark.parametrize("line", ['force = { variable = "wall.push"', 'gap = { variable = "wall.gap"'])
+def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: str):
+    given = "\n".join(row for row in WHOLE.splitlines() if not row.startswith(line))
+    plan = "\n".join(",".join(row.split(",")[:-2]) for row in ROWS.splitlines()) + "\n"
+    foreign, _ = whole(given, plan)
+    assert any(sentence.startswith("ghost_impulse, missed_impulse: not every contact") for sentence in foreign.model.not_asked)
+    assert set(foreign.model.lacks) - {"inputs"} == {"lam" if "force" in line else "gap"}
+    assert len(foreign.variables.outputs) == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (WHOLE.replace('"torque"', '"torqe"'), "inputs.M: the FMU has no variable 'torqe' (near it: torque)"),
+        (WHOLE.replace('"torque"', '"label"'), "inputs.M: 'label' is of type String, but must be one number"),
+        (WHOLE.replace('"torque"', '"arm"'), "inputs.M: 'arm' is no input of the FMU"),
+        (WHOLE.replace('"torque"', '"drive.force"'), "inputs.M: 'drive.force' is driven by the column 'F' already"),
+        (WHOLE.replace("[velocities]\na =", "[velocities]\nb ="), "velocities.b: there is no position of that name"),
+        (WHOLE.replace("gain = 2.5", "gain = 3.5"), "parameters.gain: 3.5 is not possible: the FMU allows at most 3"),
+        (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 is not possible: the FMU allows at least -2"),
+        (WHOLE.replace("gain = 2.5", "arm = 2.5"), "parameters.arm: 'arm' is no parameter of the FMU, but output"),
+        (WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'), "start.wall.gap: 'wall.gap' has no start value that can be set"),
+        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: the plan has no column 'turnin' (near it: turning)"),
+        (WHOLE.replace("turning = 2.25", "v_a = 2.25"), "goal.v_a: there is no position or velocity of that name"),
+        (WHOLE.replace("turning = 2.25", "zzzz = 2.25"), "of that name; there are x, a, turning, v_x"),
+        (WHOLE.replace("scale = 2.0, offset = 1.0", "scale = 0.0"), "inputs.M: scale is 0; it must not be"),
+        (WHOLE.replace("lower = -100.0", "lower = -501.0"), "inputs.F.lower: -501 lies beyond the FMU's own bound, which is -500"),
+        (WHOLE.replace("lower = -100.0", "upper = 1501.0"), "inputs.F.upper: 1501 lies beyond the FMU's own bound, which is 1500"),
+        (WHOLE.replace('force = { variable = "wall.push", scale = 15.0, offset = 16.0 }\ngap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }\n', ""), "contacts.wall: it names neither force nor gap"),
+        (WHOLE.replace("gain = 2.5", "gain = 2.5\nbody = 1"), "parameters.body: the FMU has no variable 'body'"),
+        (WHOLE.replace("time = \"time\"", 'time = "time"\nhold = "spline"'), "plan.hold"),
+        (WHOLE.replace("depth = 0.5", "dept = 0.5"), "contacts.stop.dept: there is no such key; did you mean depth?"),
+        (WHOLE.replace("unit = \"N\"", "units = \"N\""), "inputs.F.units: there is no such key; did you mean unit?"),
+        (WHOLE.replace("[parameters]", "[parameter]"), "parameter: there is no such key; did you mean parameters?"),
+        (WHOLE.replace("duration = 3.0", "xyz = 3.0"), "task.xyz: there is no such key; there is duration"),
+        (WHOLE.replace("force = { variable = \"stop.push\",", "force = { variable = \"stop.push\", lower = 1.0,"), "contacts.stop.force.lower: there is no such key; there are variable, scale, offset, unit"),
+        (WHOLE.replace('column = "turning"', 'colum = "turning"'), "velocities.a.colum: there is no such key; did you mean column?"),
+        (WHOLE.replace('value = 0.1, reason = "near"', 'value = 0.1, reasn = "near"'), "limits.replay_terminal_position_error.reasn: there is no such key; did you mean reason?"),
+    ],
+)  # fmt: skip
+def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: str):
+    assert words in refusal(lambda: whole(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (WHOLE.replace("lower = -100.0", "lower = -500.000001"), "inputs.F.lower: -500 lies beyond"),
+        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2, but must be below upper, 2"),
+        (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: its lower bound is -500, its upper bound -500, in the plan's unit"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: input should be greater than or equal to 0"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = true"), "limits.replay_terminal_velocity_error: "),
+        (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: input should be a finite number"),
+        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: string should have at least 1 character"),
+        (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: input should be a valid number"),
+    ],
+)  # fmt: skip
+def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: str):
+    assert words in refusal(lambda: whole(text))
+
+
+def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
+    foreign, _ = whole(
+        WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace(
+            "scale = 2.0, offset = 1.0", "scale = 2"
+        )
+    )
+    limit = foreign.model.limit("replay_terminal_velocity_error")
+    assert limit is not None
+    assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
+
+
+def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
+    foreign, _ = whole(WHOLE.replace("lower = -100.0", "lower = -500.0000004, upper = 1500.000001"))
+    assert (foreign.model.inputs[0].lower, foreign.model.inputs[0].upper) == (-500.0000004, 1500.000001)
+
+
+@pytest.mark.parametrize(
+    ("plan", "words"),
+    [
+        (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"),
+        (ROWS.replace("pressed", "presed"), "the column 'presed' is unknown (near it: pressed)"),
+        (ROWS.replace("time,", "time [ms],"), "time"),
+        (ROWS.replace("F,", "F [kN],"), "inputs.F: the plan's column 'F' is in 'kN', but the map says 'N'"),
+    ],
+)
+def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words: str):
+    assert words in refusal(lambda: whole(WHOLE, plan))
+
+
+def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
+    plain = '[inputs]\nF = "drive.force"\n[positions]\nx = "body.pos"\n'
+    assert "the plan is in 'm', but 'body.pos' is in 'mm'; give a scale" in refusal(lambda: whole(plain, "t,F,x [m]\n0,1,0\n1,1,0\n"))
+    for given in ('{ variable = "body.pos", scale = 0.001 }', '{ variable = "body.pos", offset = 1.0 }'):
+        foreign, _ = whole(plain.replace('"body.pos"', given), "t,F,x [m]\n0,1,0\n1,1,0\n")
+        assert foreign.model.coordinates[0].unit == "m"
+    foreign, _ = whole(plain, "t,F,x\n0,1,0\n1,1,0\n")
+    assert (foreign.model.coordinates[0].unit, foreign.model.inputs[0].unit) == ("mm", "kN"), "without a scale it is the FMU's own"
+
+
+# Without a map
+
+
+def variables(*items: tuple[str, str, str] | tuple[str, str, str, Any]) -> Any:
+    """The FMU's variables: (name, causality, unit), and of what a rate is the derivative."""
+    found = [SimpleNamespace(name=name, causality=causality, unit=unit, type="Real", derivative=SimpleNamespace(name=of[0]) if of else None) for name, causality, unit, *of in items]  # fmt: skip
+    return Named(SimpleNamespace(description=SimpleNamespace(modelVariables=found)))  # type: ignore[arg-type]
+
+
+def equal(named: Any, columns: str) -> Any:
+    return by_equal_names(named, SimpleNamespace(names=columns.split(","), where="plan p"))  # type: ignore[arg-type]
+
+
+FMU = (("u", "input", "N"), ("x", "output", "m"), ("y", "output", "m"), ("vx", "output", "m/s", "x"), ("w", "output", "rad/s"), ("lam_a", "output", "N"),
+       ("lam_b", "output", "N"), ("gap_b", "output", "m"))  # fmt: skip
+
+
+def test_columns_are_what_the_variables_of_their_names_are():
+    found = equal(variables(*FMU), "t,u,y,x,w,vx,lam_a,lam_b")
+    assert ({name: item.variable for name, item in found.inputs.items()}, list(found.positions)) == ({"u": "u"}, ["y", "x"])
+    assert {name: (item.variable, item.column) for name, item in found.velocities.items()} == {"y": ("w", "w"), "x": ("vx", "vx")}
+    assert {name: (item.force.variable, item.gap.variable if item.gap else None) for name, item in found.contacts.items()} == {
+        "a": ("lam_a", None),
+        "b": ("lam_b", "gap_b"),
+    }
+
+
+def test_rates_without_as_many_positions_are_positions():
+    found = equal(variables(*FMU), "t,u,y,x,w")
+    assert (list(found.positions), found.velocities) == (["y", "x", "w"], {})
+    assert list(equal(variables(*FMU), "t,w").positions) == ["w"]
+
+
+@pytest.mark.parametrize("rate", ["v_x", "der(x)"])
+def test_a_rate_belongs_to_the_position_that_its_name_says(rate: str):
+    named = variables(("x", "output", "m"), ("y", "output", "m"), (rate, "output", "m/s"), ("other", "output", "m/s"))
+    assert {name: item.variable for name, item in equal(named, f"t,x,y,other,{rate}").velocities.items()} == {"x": rate, "y": "other"}
+    both = variables(("x", "output", "m"), ("y", "output", "m"), ("v_x", "output", "m/s"), ("der(x)", "output", "m/s"))
+    assert {name: item.variable for name, item in equal(both, "t,x,y,v_x,der(x)").velocities.items()} == {"x": "v_x", "y": "der(x)"}
+
+
+def test_names_that_nothing_shares_are_said():
+    with pytest.raises(MapError, match=r"plan p: the FMU has no variable 'z'; name the right one in a map"):
+        equal(variables(*FMU), "t,z")
+    with pytest.raises(MapError, match=r"no variable 'lam_c' \(near it: lam_b, lam_a\)"):
+        equal(variables(*FMU), "t,lam_c")
+    with pytest.raises(MapError, match="the plan and the FMU share no names"):
+        equal(variables(*FMU), "t,lam_a")
+
+
+def test_a_hint_among_many_names_is_that_among_few():
+    """Above two thousand names the likely ones are chosen by their parts of three letters first."""
+    many = [f"zz{index}" for index in range(2500)]
+    assert (
+        hint("body.poss", [*many, "body.pos", "body.position"])
+        == hint("body.poss", ["body.pos", "body.position"])
+        == " (near it: body.pos, body.position)"
+    )
+    assert hint("qqqqqq", many) == hint("qqqqqq", []) == ""
+    assert hint("BODY.POS", [*many, "body.pos"]) == "", "letters of another size are other letters"
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "may"),
+    [("m", "m/s", True), ("m", "m", False), ("rad", "rad/s", True), ("1", "m/s", True), ("m", "1", True), ("m/s", "m/s2", True), ("m s", "m", True), ("m", "kg m/s", False),
+     ("furlong", "m/s", True), ("m", "furlong", True)],
+)  # fmt: skip
+def test_a_velocity_is_in_its_positions_unit_per_second(position: str, velocity: str, may: bool):
+    assert may_be_rate(position, velocity) is may
+
+
+def unit_of(name: str, **exponents: int) -> Any:
+    return SimpleNamespace(name=name, baseUnit=SimpleNamespace(**(dict.fromkeys(("kg", "m", "s", "A", "K", "mol", "cd"), 0) | exponents)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "what", "contradicts"),
+    [
+        ("inch", "position", False), ("inch", "gap", False), ("inch", "velocity", True), ("inch", "force", True), ("pound", "position", True), ("volt", "position", False),
+        ("turn", "position", False), ("m", "position", False), ("kg", "position", True), ("furlong", "position", False), ("", "position", False), (None, "gap", False),
+        ("knot", "velocity", False), ("hertz", "velocity", False), ("moment", "force", False), ("bare", "position", False), ("warm", "gap", False),
+    ],
+)  # fmt: skip
+def test_a_unit_contradicts_a_quantity_where_no_scale_leads_to_it(unit: str | None, what: str, contradicts: bool):
+    defined = [
+        unit_of("inch", m=1), unit_of("pound", kg=1), unit_of("volt", kg=1, m=2, s=-3, A=-1), unit_of("turn"), unit_of("knot", m=1, s=-1), unit_of("hertz", s=-1),
+        unit_of("moment", kg=1, m=2, s=-2), SimpleNamespace(name="bare", baseUnit=None), unit_of("warm", K=1),
+    ]  # fmt: skip
+    of_fmu = Dimensions(SimpleNamespace(unitDefinitions=defined))
+    assert of_fmu.contradicts(unit, what, True) is contradicts
+    own = {"m": what in ("velocity", "force"), "kg": True}
+    assert [of_fmu.contradicts(name, what) for name in own] == list(own.values())
+
+
+def test_very_many_short_names_do_not_crowd_out_the_long_one_that_is_meant():
+    """Two shared parts in twelve letters say more than one in three: what counts is the length of both names."""
+    assert hint("abcdefghijkl", [*["abc"] * 2500, "abcxefgxijxl"]) == " (near it: abcxefgxijxl)"
