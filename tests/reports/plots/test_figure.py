@@ -139,9 +139,9 @@ def test_a_label_at_a_value_stands_five_pixels_above_it_and_others_move_past_it(
 
 def test_names_of_points_are_joined_where_these_are_close():
     one = plot()
-    one.name_points([(1.0, 0.0, "first"), (1.09, 0.0, "second"), (1.0, 0.1, "third"), (1.0, 0.11, "above"), (2.0, 0.0, "far")])
+    one.name_points([(1.0, 0.0, "first"), (1.09, 0.0, "second"), (1.0, 0.1, "third"), (1.0, 0.11, "above"), (3.5, 0.0, "far")])
     # 8.37 pixels to the right and 8.8 above are close, 9.68 above are not.
-    assert placed(one) == [("154.0", "108.0", "first and 2 more"), ("127.5", "123.3", "above"), ("247.0", "108.0", "far")]
+    assert placed(one) == [("154.0", "108.0", "first and 2 more"), ("127.5", "123.3", "above"), ("386.5", "108.0", "far")]
 
 
 BESIDE = [(165, 106), (165, 112), (145, 100), (145, 130), (130, 112), (165, 125)]  # each in the way of one place

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -33,7 +35,7 @@ def test_points_that_are_kept(xs: list[float], ys: list[float], kept: list[int])
 def distances(xs: np.ndarray, ys: np.ndarray, kept: list[int]) -> float:
     """How far a point lies above or below what is drawn, at most; of a jump the nearest of its points counts."""
     far = 0.0
-    for first, last in zip(kept, kept[1:], strict=False):
+    for first, last in pairwise(kept):
         inside = slice(first, last + 1)
         run = xs[last] - xs[first]
         line = (
