@@ -127,7 +127,7 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
 
 
 def _cost_change(where: str, before: float, after: float) -> Iterable[Change]:
-    if abs(after - before) > COST_TOLERANCE * abs(before) + COST_FLOOR:
+    if abs(after - before) > COST_TOLERANCE * max(abs(before), abs(after)) + COST_FLOOR:
         kind = ChangeKind.REGRESSION if after > before else ChangeKind.IMPROVEMENT
         yield Change(kind=kind, where=where, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")
 
