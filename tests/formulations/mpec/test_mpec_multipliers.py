@@ -13,6 +13,7 @@ import scipy.sparse as sparse
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.active import ActiveSet, Stationarity
 from formulations.mpec.certificate.multipliers import (
+    Decision,
     column_lengths,
     decide,
     excludes,
@@ -385,3 +386,25 @@ def test_a_piece_that_failed_may_hide_a_descent(monkeypatch: pytest.MonkeyPatch)
     assert steepest_piece(at, 1e-6)[0] == -0.5
     at = replace(at, gradient=np.array([-1.0, -2.0]))
     assert steepest_piece(at, 1e-6)[0] == -0.5
+
+
+def test_a_node_that_is_not_known_leaves_the_tree_unknown(monkeypatch: pytest.MonkeyPatch):
+    at, known = active((3.0, 2.0, *[0.0] * 400), pairs=[((1, 0, *[0.0] * 400), (0, 1, *[0.0] * 400), "both")]), []
+    assert steepest_piece(at, 1e-6) == (0.0, None)
+    monkeypatch.setattr(stationarity, "decide", lambda *_: Decision(exists=None, residual=math.inf, y=np.zeros(2)))
+    monkeypatch.setattr(stationarity, "steepest_direction", lambda *given: known.append(given) or (math.nan, None))
+    slope, direction = steepest_piece(at, 1e-6)
+    assert (math.isnan(slope), direction, len(known)) == (True, None, 1)
+    monkeypatch.setattr(stationarity, "steepest_direction", lambda *_: (-1e-7, np.ones(402)))
+    assert steepest_piece(at, 1e-6) == (0.0, None), "less than the tolerance is no descent"
+    monkeypatch.setattr(stationarity, "steepest_direction", lambda *_: (-2e-6, np.eye(402)[0]))
+    assert steepest_piece(at, 1e-6)[0] == -2e-6
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_a_column_has_across_is_told_by_its_size(seed: int):
+    random = np.random.default_rng(seed)
+    matrix, gradient = sparse.csc_matrix(random.normal(size=(9, 4)) * 1e6), random.normal(size=9)
+    found = signed_least_squares(matrix, gradient, np.full(4, -INF), np.full(4, INF), 1e-9)
+    assert found is not None
+    assert found.across == np.max(np.abs(matrix.T @ found.least)) > 0
