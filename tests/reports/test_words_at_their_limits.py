@@ -331,3 +331,31 @@ def test_costs_and_seconds_of_findings():
     assert (alone.ratio, alone.cpu, alone.holds, alone.able) == (None, 1.0, 1, 1)
     (bad,) = findings.standings([ran("a", verdict="violates")])
     assert (bad.ratio, bad.cpu, bad.holds, bad.able) == (None, None, 0, 1)
+
+
+def test_a_run_is_judged_by_its_last_stage():
+    """A first stage of which everything else is true."""
+    bad, good = (
+        stage_of("a", verdict="violates", why="first.", **{"paper": {"cost": 1.0}}),
+        stage_of("b", None, 1, why="last.", advice="Do that.", questions=factory.questions(q4="no")),
+    )
+    run = path("two", bad, good, verdict="violates")
+    assert rule.failures([run])[0] == "three_cart x two: violates - last."
+    order = good.model_copy(update={"metrics": (metric("grid_order", 1.0),)})
+    assert rule.findings([path("two", bad, order, verdict="violates")]) == ("three_cart x two: last.",)
+    assert rule.findings([path("two", order, good, verdict="violates")]) == ()
+    none = path("two", bad, good, verdict="no plan", message="")
+    assert rule.failures([none])[0] == "three_cart x two: no plan (solved) - Do that."
+    stopped = path("two", bad, good, verdict="violates", outcome="stalled")
+    assert rule.failures([stopped]) == ("three_cart: no run holds (two stalled, violates)",)
+    assert findings.last_cost(path("two", stage_of("a", cost=1.0), stage_of("b", None, 1, cost=2.0))) == 2.0
+    worse = cause_of(
+        path(
+            "two",
+            stage_of("a", verdict="violates", advice="No."),
+            stage_of("b", None, 1, verdict="violates", why="Last. Of all.", advice="Yes."),
+            verdict="violates",
+        )
+    )
+    assert worse is not None
+    assert (worse.sentence, worse.advice) == ("Violates: Last", "Yes.")

@@ -150,6 +150,10 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
     assert cost.sentence.endswith("Not compared, because the replay ends farther from the goal than the scene allows: 2 plans.")
     assert drawn(error.plot).lines["front"][1][1] == (1e-3, 3e-9), "of all"
     assert (error.plot.y.quantity, error.plot.y.unit, error.plot.y.log, error.plot.x.unit) == ("replay error", "m", True, "s")
+    assert [(view.plot.width, view.plot.height) for view in (error, cost)] == [(720, 400)] * 2
+    assert [(key.style, key.words, key.marker) for key in cost.plot.keys] == [
+        ("direct", "holds", "square"), ("indirect", "does not hold", "circle"), ("front", "front: no stage is both faster and better", ""),
+    ]  # fmt: skip
     assert (cost.plot.y.quantity, cost.plot.y.log, cost.plot.x.quantity) == ("cost", False, "CPU time, with the stages before")
     level = next(words for words in drawn(cost.plot).lines if words != "front")
     assert level == "best known cost of an exact plan: 490.55"
@@ -266,6 +270,7 @@ def test_the_first_screen_has_speed_against_error_of_all_scenes():
         "m or rad",
     )
     assert [(key.style, key.words) for key in values["keys"]][:2] == [("c1", "relaxed contact"), ("c3", "gradient descent")]
+    assert (plot.width, plot.height) == (560, 400)
     about = values["about"]
     assert (about["what"], about["where"], about["when"]) == (
         "3 scenes by 4 pipelines, 12 runs",

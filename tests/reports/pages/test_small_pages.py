@@ -481,3 +481,15 @@ def test_scenes_stand_in_the_order_of_the_campaign_however_their_runs_are_mixed(
     hill, bank = factory.scene("hill", "first"), factory.scene("bank")
     told = report(ran("a", of=hill), ran("b", of=bank), ran("c", of=factory.scene("hill", "later")))
     assert [(one.name, one.title) for one in told.scenes] == [("hill", "first"), ("bank", bank.title)]
+
+
+def test_every_phase_has_its_words_and_its_group():
+    """A second copy of the table."""
+    groups = {
+        "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene", "opening": "opening methods"},
+        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating them"},
+        "evaluating": {"evaluate": "functions and derivatives"}, "linear algebra": {"linear_algebra": "linear algebra of solvers"},
+        "judging": {"certificate": "certificates", "replay": "replaying"},
+        "other": {"shared": "taking over and handing on stages", "solve_rest": "the rest of solving", "writing": "writing files", "record": "the record"},
+    }  # fmt: skip
+    assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES
