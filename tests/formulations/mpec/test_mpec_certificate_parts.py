@@ -37,6 +37,7 @@ from formulations.mpec.certificate.certificate import (
     _violation,
 )
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
+from formulations.mpec.certificate.plan import PLAN_TOLERANCES
 from formulations.mpec.certificate.stationarity import affordable
 
 S, M, C, A, W = list(Stationarity)[:5]
@@ -277,6 +278,17 @@ def test_a_pair_that_no_small_step_makes_exact_forces_everything():
     assert _forced_violation(local([row(-0.25, lower=0.0), row(5.0)], pairs=[(pair(5.0, 0.0), (1, 0), (0, 1))]), 1e-6) == 0.25
 
 
+@pytest.mark.parametrize(("others", "violation"), [(597, 0.0), (598, 0.1 / 20.1)])
+def test_of_more_than_six_hundred_variables_the_shortest_step_alone_is_taken(others: int, violation: float):
+    """As above with z = 20, which may mend what the row loses."""
+    rest = [0.0] * others
+    x = [row(1e-3, lower=0.0), row(5.0, lower=0.0), row(20.0), *(row(0.0) for _ in rest)]
+    model = local(x, [(row(20.1, lower=20.1), (100.0, 0.0, 1.0, *rest))], [(pair(1e-3, 5.0), (1, 0, 0, *rest), (0, 1, 0, *rest))])
+    assert _forced_violation(model, 1e-6) == pytest.approx(violation, abs=1e-9)
+    off = local([row(0.5), *x[1:]], pairs=[(pair(0.5, 5.0), (1, 0, 0, *rest), (0, 1, 0, *rest))])
+    assert _forced_violation(off, 1e-6) == INF
+
+
 @pytest.mark.parametrize(("side", "violation"), [(1.7e-9, 0.0), (1.9e-9, 1.9e-3)])
 def test_a_side_that_is_rounding_of_its_terms_needs_no_step(side: float, violation: float):
     """x is a million, and so is the constant of its side: four units in the last place of both are 1.78e-9."""
@@ -357,6 +369,11 @@ def test_a_certificate_in_words(changes: dict[str, Any], parts: list[str], missi
     words = certificate(**changes).sentence
     assert [part for part in parts if part not in words] == [], words
     assert [part for part in missing if part in words] == [], words
+
+
+def test_limits_of_a_plan_are_tighter_than_those_of_any_point():
+    assert Tolerances(feasibility=1e-8, complementarity=1e-7) == PLAN_TOLERANCES
+    assert Tolerances() == Tolerances(feasibility=1e-6, complementarity=1e-6)
 
 
 def test_no_signs_are_asked_of_any():

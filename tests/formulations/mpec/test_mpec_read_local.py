@@ -181,3 +181,12 @@ def test_a_plan_is_certified_with_those_of_its_front(monkeypatch: pytest.MonkeyP
     assert (lost.certificate, len(lost.front)) == (None, 2)
     assert plans.certify_plan(scene, "plan") == "hill: plan within 0.0"  # type: ignore[arg-type, comparison-overlap]
     assert plans.certify_plan(scene, "plan", goal_tolerance=2.0) == "hill: plan within 2.0"  # type: ignore[arg-type, comparison-overlap]
+
+
+@pytest.mark.parametrize(("x", "biactive"), [(0.9e-6, 1), (1.1e-6, 0), (-0.9e-6, 1)])
+def test_a_side_within_a_millionth_is_active(x: float, biactive: int):
+    m = model(x, 0.0)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.cost = pyo.Objective(expr=2 * m.x + 3 * m.y)
+    found = certify(m)
+    assert (found.biactive, found.pairs) == (biactive, 1)

@@ -9,7 +9,7 @@ from reports.pages.run import decision_of, view_of
 from reports.pages.section import Report
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import Stored, Unreadable
-from reports.records.record import RunRecord, SizeRecord, StartRecord, TimeStepRecord, TrackedRecord, ViolationPoint
+from reports.records.record import EquationRecord, RunRecord, SizeRecord, StartRecord, TimeStepRecord, TrackedRecord, ViolationPoint
 from tests.reports import record_factory as factory
 from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import judged, ran
@@ -493,3 +493,48 @@ def test_every_phase_has_its_words_and_its_group():
         "other": {"shared": "taking over and handing on stages", "solve_rest": "the rest of solving", "writing": "writing files", "record": "the record"},
     }  # fmt: skip
     assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES
+
+
+def test_a_scene_and_its_model():
+    equations = (EquationRecord(caption="one", mathml="<math><mi>k</mi></math>"), EquationRecord(caption="bad", mathml="<p>no</p>"))
+    paper, hill = factory.scene().model_copy(update={"equations": equations}), factory.scene("hill")
+    size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
+    told = report(ran("a", of=paper, size=size), ran("b", of=hill))
+    first, second = scene.build(told, paper), scene.build(told, hill)
+    assert (first.anchor, first.title, first.values["table1"], first.values["strip"]) == (
+        "scene-1",
+        "The scene three_cart",
+        "#table1",
+        None,
+    )
+    assert (second.anchor, second.title, second.values["table1"]) == ("scene-2", "The scene hill", "")
+    found = scene.model(told, paper)
+    assert (found.anchor, found.title) == ("model-1", "Equations and quantities of three_cart")
+    assert found.values["equations"] == [("one", "<math><mi>k</mi></math>", "<math><mi>k</mi></math>"), ("bad", None, "<p>no</p>")]
+    assert ([item.method for item in found.values["sizes"]], found.values["time_step"]) == (["a"], "")
+    assert scene.model(told, hill).values["sizes"] == ()
+    known = TimeStepRecord(scene="hill", digest="", step=0.01, radius=0.75, contacts=(), growth=0.0, largest_step=None)
+    told = report(ran("b", of=hill), time_steps=(known,))
+    assert scene.model(told, hill).values["time_step"].startswith("The time step of 0.01 s is stable")
+
+
+def test_the_command_line_writes_the_pages_or_one_file(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    from reports import __main__ as command
+    from reports.records.load import ReportError
+
+    monkeypatch.setattr(command, "write_report", lambda folder: f"pages of {folder}")
+    monkeypatch.setattr(command, "write_single", lambda folder: f"one file of {folder}")
+    for words, code, said in (
+        (["a"], 0, "pages of a\n"), (["a", "--single-file"], 0, "one file of a\n"), (["--single-file", "a"], 0, "one file of a\n"), ([], 2, ""), (["a", "b"], 2, ""),
+        (["--other"], 2, ""), (["--single-file"], 2, ""),
+    ):  # fmt: skip
+        assert command.main(words) == code, words
+        out, err = capsys.readouterr()
+        assert (out, "usage: python -m reports [--single-file] DIR" in err) == (said, code == 2)
+
+    def fail(folder: object) -> None:
+        raise ReportError(f"{folder}: there is no such folder")
+
+    monkeypatch.setattr(command, "write_report", fail)
+    assert command.main(["a"]) == 2
+    assert capsys.readouterr() == ("", "a: there is no such folder\n")
