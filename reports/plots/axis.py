@@ -143,4 +143,4 @@ class Axis:
         step = next(nice * magnitude for nice in _NICE if nice * magnitude >= raw * 0.999)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         scale = 10.0**self.exponent
-        return [(place * step, number(place * step / scale if place else 0.0, 4)) for place in range(first, last + 1)]
+        return [(place * step, number(place * step / scale, 4)) for place in range(first, last + 1)]

@@ -39,6 +39,13 @@ def test_grid_ticks_and_titles_stand_where_they_belong():
     assert (small.count(' y="57">'), small.count('<text x="48"')) == (3, 3), "three labels at least are asked for"
 
 
+def test_labels_are_as_many_as_have_room_inside_the_frame():
+    """Of 400 by 240 pixels 332 and 176 are inside: room for five labels each, which a range of three tells from six."""
+    one = Plot("a plot", Axis("time", "s", 0.0, 3.0), Axis("force", "N", 0.0, 3.0), width=400)
+    below, left = re.findall(r'<g class="tick[^"]*">(.*?)</g>', str(one.markup()))
+    assert [re.findall(r">([\d.]+)<", ticks) for ticks in (below, left)] == [["0", "1", "2", "3"]] * 2
+
+
 def test_the_script_is_told_the_axes_and_their_pixels():
     mixed = Plot("a plot", Axis("it's <q>", "m^2", 0.5, 1234567.89), Axis("error", "", 1e-3, 10.0, log=True))
     found = re.search(r"data-axes='([^']*)'", str(mixed.markup()))
