@@ -359,3 +359,20 @@ def test_a_run_is_judged_by_its_last_stage():
     )
     assert worse is not None
     assert (worse.sentence, worse.advice) == ("Violates: Last", "Yes.")
+
+
+def test_signs_by_a_second_copy_of_their_table():
+    def told(signs: dict[str, wording.Sign]) -> list[str]:
+        assert list(signs) == [sign.word for sign in signs.values()]
+        assert len({sign.meaning for sign in signs.values()}) == len(signs)
+        assert all(" " in sign.meaning for sign in signs.values())
+        return [f"{sign.word} {sign.symbol} {sign.style}" for sign in signs.values()]
+
+    assert told(wording.VERDICTS) == [
+        "holds ✓ holds", "holds with feedback ↻ feedback", "violates ✗ violates", "undecided ? undecided", "no plan ○ noplan", "not applicable ⊘ noplan",
+        "consistent ≈ consistent",
+    ]  # fmt: skip
+    assert told(wording.ANSWERS) == ["yes ✓ holds", "no ✗ violates", "undecided ? undecided", "not asked – noplan"]
+    assert (wording.VERDICTS["no plan"].meaning, wording.ANSWERS["no"].meaning) == (
+        "the method found none; its outcome says why", "a metric of the question is surely beyond its limit",
+    )  # fmt: skip
