@@ -21,7 +21,8 @@ from reports.records.record import HOLD, RunRecord, StageRecord
 # Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it. "not applicable" and "consistent" are
 # no steps of the ladder: a change to or from them is neither better nor worse.
 _VERDICTS = ("no plan", "undecided", "violates", "holds with feedback", "holds")
-# A cost that differs by less (relative to the larger one, and in its own unit) is the same; so is a time that differs by less than this factor or these seconds.
+# A cost that differs by less (relative to the larger one, and in its own unit) is the same; so is a time that differs by less than this factor or
+# these seconds.
 COST_TOLERANCE, COST_FLOOR = 1e-6, 1e-9
 TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
 
