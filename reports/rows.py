@@ -85,7 +85,10 @@ def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
 
 def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
     """Each scene once, in order of appearance."""
-    return list({run.scene.name: run.scene for run in reversed(runs)}.values())[::-1]
+    found: dict[str, SceneRecord] = {}
+    for run in runs:
+        found.setdefault(run.scene.name, run.scene)
+    return list(found.values())
 
 
 def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> list[Row]:

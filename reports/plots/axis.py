@@ -145,4 +145,4 @@ class Axis:
         scale = 10.0**self.exponent
         # So many digits that two neighbours differ, and four where fewer do.
         digits = max(4, math.ceil(math.log10(max(abs(first), abs(last), 1))) + 1)
-        return [(place * step, number(place * step / scale if place else 0.0, digits)) for place in range(first, last + 1)]
+        return [(place * step, number(place * step / scale, digits)) for place in range(first, last + 1)]

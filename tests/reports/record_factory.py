@@ -317,6 +317,25 @@ def run(pipeline: str, before: str | None, last: str, **changes: object) -> RunR
     return RunRecord.model_validate(values | changes)
 
 
+def judged(name: str, value: float | None, unit: str = "m", **changes: object) -> MetricRecord:
+    """One metric, without a limit unless given."""
+    return MetricRecord.model_validate({"name": name, "value": value, "unit": unit, "meaning": name} | changes)
+
+
+def ran(name: str, *metrics: MetricRecord, cpu: float = 1.0, of: SceneRecord | None = None, **changes: object) -> RunRecord:
+    """A run of one stage by a method of the pipeline's name, with these metrics alone and no row of the paper beside it."""
+    first = stage(0, "strict_lcp", None, None, 0.0)
+    said = {
+        "method": name,
+        "method_title": name.capitalize(),
+        "paper": {},
+        "metrics": metrics,
+        "seconds": first.seconds.model_copy(update={"stage_cpu": cpu}),
+    }
+    one = first.model_copy(update=said | changes)
+    return run(name, None, "strict_lcp", stages=(one,), key=f"{name}-key", verdict=one.verdict, scene=of or scene())
+
+
 def runs() -> list[RunRecord]:
     return [run(*pipeline) for pipeline in PIPELINES]
 

@@ -11,8 +11,10 @@ import pytest
 from models.catalog import load_scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import write_netcdf
-from reports.pages.player import film
-from reports.traces import read_motion
+from reports.pages.player import film, script_json, steps
+from reports.records.record import ContactRecord, ShapeRecord, TrackedRecord
+from reports.traces import Motion, Trace, read_motion
+from tests.reports import record_factory
 from validate.tasks.scene_record import scene_record
 
 _UP, _DOWN = round(math.pi / 2, 6), -round(math.pi / 2, 6)
@@ -70,3 +72,126 @@ def test_the_goal_is_drawn_where_the_record_has_it_and_only_a_disc_may_lack_its_
     assert [shape["goal"] for shape in _drawn(factory, tmp_path, "three_cart")["shapes"]] == [list(shape.goal) for shape in shapes]
     drawn = _drawn(factory, tmp_path, "three_cart", shapes=changed)
     assert [shape["goal"] for shape in drawn["shapes"]] == [None, [1.0, 2.0, None], [1.0, 2.0, None]]
+
+
+def filmed(plan: Trace | None, moved: Trace | None, shapes=("box", "disc"), **changes):
+    """A cart and a ball, and what is shown of them; forces by contact."""
+    run = record_factory.run("strict", None, "strict_lcp")
+    drawn = tuple(ShapeRecord(name=kind, kind=kind, size=(1.0, 0.5), goal=None) for kind in shapes)
+    contact = ContactRecord(name="left", unit="N", bodies=("box", "disc"))
+    scene = run.scene.model_copy(update={"shapes": drawn, "contacts": (contact,)})
+    stage = run.stages[0].model_copy(update=changes)
+    return film(run.model_copy(update={"scene": scene, "stages": (stage,)}), [Motion(plan=plan, replay=moved, tracked=moved)])
+
+
+def moved(t, box, disc=None, force=()) -> Trace:
+    poses = {name: np.array(values, float) for name, values in (("box", box), ("disc", disc)) if values is not None}
+    return Trace(np.array(t, float), {"lam_left": np.array(force, float)} if len(force) else {}, poses)
+
+
+def test_frames_are_the_motion_in_grains_of_its_extent():
+    """From 1 to 3 s; x covers 0 to 3.6 m of both traces, so that a grain is a millimetre; the largest force, 5 N, has a thousand levels."""
+    plan = moved([1.0, 2.0, 3.0], [(0.0, 0.5, 0.0), (1.0, 0.5, 1.0), (2.0, 0.5, -1.0)], [(0.5, 0.1, 0.2)] * 3, (0.0, 5.0, 1.0))
+    replay = moved([1.0, 3.0], [(0.2, 1.5, 0.0), (3.6, 0.5, 0.0)], None, (4.0, 0.0))
+    shown = filmed(plan, replay)
+    data = json.loads(shown.data)
+    assert (data["t"], data["push"], data["contacts"]) == ([1.0, 3.0, 151], pytest.approx(5e-3), ["left"])
+    assert data["grain"] == pytest.approx([1e-3, 1e-3, 5e-4])
+    times = 1.0 + 2.0 * np.arange(151) / 150
+    box, disc = data["plan"]
+    for values, knots, grain in zip(box, ([0.0, 1.0, 2.0], [0.5] * 3, [0.0, 1.0, -1.0]), data["grain"], strict=True):
+        told = np.cumsum([*values, *[0] * (151 - len(values))]) * grain
+        assert told == pytest.approx(np.interp(times, [1.0, 2.0, 3.0], knots), abs=0.51 * grain)
+    assert disc == [[500], [100], [400]]
+    assert data["replay"][1] is None
+    assert np.cumsum(data["replay"][0][0])[[0, 75, 150]].tolist() == [200, 1900, 3600]
+    assert np.cumsum(data["replay"][0][1])[[0, 150]].tolist() == [1500, 500]
+    assert np.cumsum(data["plan_force"][0])[[0, 75, 150]].tolist() == pytest.approx([0, 1000, 200], abs=7)
+    assert np.cumsum(data["replay_force"][0])[[0, 75, 150]].tolist() == pytest.approx([800, 400, 0], abs=7)
+    assert data["shapes"] == [{"name": kind, "kind": kind, "size": [1.0, 0.5], "goal": None} for kind in ("box", "disc")]
+    assert data["touches"] == [None], "no gap is stored"
+
+
+def test_a_film_says_what_it_shows():
+    plan = moved([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], force=(1.0, 2.0))
+    shown = filmed(plan, None)
+    assert shown.words == (
+        "The bodies of three_cart moving as planned (dashed outline) and as replayed (filled), with the contact forces as bars (above: planned, below: replayed)."
+    )
+    data = json.loads(shown.data)
+    assert (data["replay"], data["replay_force"]) == (None, None)
+    stage = record_factory.run("strict", None, "strict_lcp").stages[0]
+    tracked = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,))
+    replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": tracked})
+    assert "as replayed with feedback (filled)," in filmed(plan, plan, replay=replay).words
+
+
+@pytest.mark.parametrize(
+    ("plan", "shapes"),
+    [
+        (None, ("box",)),
+        (moved([0.0, 1.0], None), ("box",)),
+        (moved([2.0, 2.0], [(0.0, 0.0, 0.0)] * 2), ("box",)),
+        (moved([0.0, 1.0], [(0.0, 0.0, 0.0)] * 2), ()),
+    ],
+)
+def test_without_poses_shapes_or_time_there_is_no_film(plan: Trace | None, shapes: tuple[str, ...]):
+    assert filmed(plan, None, shapes) is None
+
+
+def test_a_blow_shorter_than_a_frame_is_seen():
+    """Frames are 1/75 s apart; the blow is one of 2001 samples, 4 ms after the frame at 1 s, which is nearest."""
+    t, force = np.linspace(0.0, 2.0, 2001), np.zeros(2001)
+    force[1004] = 7.0
+    data = json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=force), None).data)
+    told = np.cumsum(data["plan_force"][0])
+    assert (int(told.argmax()), int(told.max()), int(np.count_nonzero(told))) == (75, 1000, 1)
+    between = np.zeros(2001)
+    between[1009] = 7.0
+    told = np.cumsum(json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=between), None).data)["plan_force"][0])
+    assert int(told.argmax()) == 76
+
+
+def test_few_samples_of_a_force_are_joined_by_lines():
+    data = json.loads(filmed(moved([0.0, 1.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)], force=(0.0, 4.0)), None).data)
+    told = np.cumsum(data["plan_force"][0])
+    assert told[[0, 30, 75, 150]].tolist() == [0, 400, 1000, 1000]
+
+
+@pytest.mark.parametrize(
+    ("values", "grain", "told"),
+    [([3.0, 3.0, 3.0], 0.5, [6]), ([0.1, 0.26, 0.2], 0.1, [1, 2, -1]), ([-1.0, 1.0], 0.5, [-2, 4]), ([0.14] * 2, 0.1, [1])],
+)
+def test_values_are_told_by_their_changes(values: list[float], grain: float, told: list[int]):
+    assert steps(values, grain) == told
+
+
+def test_nothing_in_the_data_ends_its_script():
+    assert script_json({"name": "</script>\u2028", "x": [1.5, None]}) == '{"name":"\\u003c/script>\\u2028","x":[1.5,null]}'
+    with pytest.raises(ValueError, match="JSON"):
+        script_json(math.nan)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+@pytest.mark.parametrize(("kind", "end"), [("box", 0.0), ("line", 0.5), ("line", -0.5)])
+@pytest.mark.parametrize(("quarter", "turn"), [(1, math.pi / 2), (-1, -math.pi / 2), (0, 0.0), (2, math.pi)])
+def test_an_arrow_points_along_the_way_in_which_the_gap_opens(kind: str, end: float, turned: float, quarter: int, turn: float):
+    """The gap is 0.3 m less than the way of the body's point along the normal of a wall that is turned."""
+    random, n = np.random.default_rng(quarter + 5), 40
+    body = np.column_stack([random.normal(size=(n, 2)), random.normal(size=n)])
+    wall = np.tile([0.4, -0.2, turned], (n, 1))
+    point = body[:, :2] + end * 2.0 * np.column_stack([np.cos(body[:, 2]), np.sin(body[:, 2])]) - wall[:, :2]
+    gap = point @ [math.cos(turned + turn), math.sin(turned + turn)] - 0.3
+    run = record_factory.run("strict", None, "strict_lcp")
+    shapes = (
+        ShapeRecord(name="wall", kind="wall", size=(9.0,)),
+        ShapeRecord(name="body", kind=kind if kind == "line" else "disc", size=(2.0,)),
+    )
+    scene = run.scene.model_copy(update={"shapes": shapes, "contacts": (ContactRecord(name="left", unit="N", bodies=("wall", "body")),)})
+    trace = Trace(np.arange(float(n)), {"gap_left": gap}, {"wall": wall, "body": body})
+    shown = film(run.model_copy(update={"scene": scene}), [Motion(plan=trace)])
+    (touch,) = json.loads(shown.data)["touches"]
+    assert touch == {"shapes": [1, 0], "ends": [end, 0.0], "turn": round(turn, 6)}
+    assert "with the contact forces as arrows, and as bars" in shown.words
+    off = Trace(trace.t, {"gap_left": gap + 0.004 * float(np.ptp(gap)) * np.sin(np.arange(n))}, trace.poses)
+    assert json.loads(film(run.model_copy(update={"scene": scene}), [Motion(plan=off)]).data)["touches"] == [None]

@@ -216,6 +216,21 @@ def test_what_is_not_mathml_is_not(text):
     assert safe_mathml(text) is None
 
 
+@pytest.mark.parametrize(
+    ("inside", "shown"),
+    [
+        ("<mo>-</mo>", "<mo>−</mo>"), ("<mi>ⅆ</mi>", "<mi>d</mi>"), ("<mo>+</mo>", "<mo>+</mo>"), ("<mrow><mi>a</mi>b<mi/>&lt;</mrow>", "<mrow><mi>a</mi>b<mi></mi>&lt;</mrow>"),
+        ('<mi mathvariant="a&quot;b">x</mi>', '<mi mathvariant="a&#34;b">x</mi>'), ("<mi>a\x0cb</mi>", "<mi>ab</mi>"), ("<?php x?>", None), ("<mi>" + "x" * 200_000 + "</mi>", None),
+        ("<mrow>" * 60 + "</mrow>" * 60, "<mrow>" * 60 + "</mrow>" * 60), ("<mrow>" * 61 + "</mrow>" * 61, None),
+        ("<mi>" + "x" * (200_000 - 22) + "</mi>", "<mi>" + "x" * (200_000 - 22) + "</mi>"), ("<mi>" + "x" * (200_001 - 22) + "</mi>", None),
+    ],
+    ids=range(12),
+)  # fmt: skip
+def test_signs_and_texts_of_mathml(inside: str, shown: str | None):
+    """Elements may be sixty deep, and the text 200 000 long, of which 22 are tags."""
+    assert safe_mathml(f"<math>{inside}</math>") == (None if shown is None else f"<math>{shown}</math>")
+
+
 def test_attributes_of_mathml_that_could_act_are_dropped():
     markup = safe_mathml('<math onclick="alert(1)" href="javascript:1" style="x" display="block"><mi class="c">k</mi></math>')
     assert markup == '<math display="block"><mi>k</mi></math>'

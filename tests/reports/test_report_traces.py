@@ -6,14 +6,15 @@ import base64
 import json
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from reports.records.check_record import StoredRecord
-from reports.records.record import LONGEST
-from reports.traces import Motion, contact_phases
+from reports.records.record import LONGEST, TrackedRecord
+from reports.traces import Motion, at_all, contact_phases, read_plan
 
 _FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -94,3 +95,121 @@ def test_a_record_whose_columns_are_lists_is_read_as_before(factory):
     for stage, own in zip(data["stages"], record.stages, strict=True):
         stage["history"] = {name: list(values) for name, values in own.history.items()}
     assert StoredRecord.model_validate_json(json.dumps(data)).root == record
+
+
+def of(factory, **trace):
+    """Phases of contact of one trace at whole seconds."""
+    length = max(len(values) for values in trace.values())
+    return contact_phases(factory.trace(range(length), **trace), "left")
+
+
+def test_phases_of_contact_begin_and_end_at_their_times(factory):
+    assert of(factory, gap_left=(1, 0, 1, -1, -1)) == [(1, 2), (3, 4)]
+    assert of(factory, gap_left=(-1, 1, 1)) == [(0, 1)]
+    assert of(factory, gap_left=(1e-12, 1)) == []
+    assert of(factory, lam_left=(0.001, 0.0011, 0.0, -0.0011)) == [(1, 2), (3, 3)]
+    assert of(factory, left=(0.0, 2.0, 0.0)) == [(1, 2)], "a friction by its own name"
+    assert of(factory, lam_left=(0.0, 1.0, 0.0), left=(5.0, 5.0, 5.0)) == [(1, 2)]
+    assert contact_phases(None, "left") == []
+
+
+def test_values_between_stored_times_are_linear_and_constant_beyond():
+    assert at_all([0.0, 1.0, 3.0], [2.0, 4.0, 8.0], np.array([-1.0, 0.5, 2.0, 9.0])).tolist() == [2.0, 3.0, 6.0, 8.0]
+    assert at_all([0.0, 1.0, 3.0], [2.0, 4.0], np.array([0.5, 9.0])).tolist() == [3.0, 4.0]
+    assert at_all([0.0, 1.0], [2.0, 4.0, 8.0], np.array([9.0])).tolist() == [4.0]
+
+
+def written(factory, folder, run, **files):
+    """What is read of a stage of which these files are written; the others lie there as the factory writes them."""
+    factory.store(folder, [run])
+    for what, columns in files.items():
+        factory.write_motion(folder / "runs" / run.key / f"{what}.nc", columns)
+    return factory.motion(folder, run, run.stages[-1])
+
+
+def tracked_run(factory):
+    run = factory.run("strict", None, "strict_lcp")
+    (stage,) = run.stages
+    replay = stage.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9)})
+    return run.model_copy(update={"stages": (stage.model_copy(update={"replay": replay}),)})
+
+
+def test_each_motion_is_read_from_its_own_file(factory, tmp_path):
+    run = tracked_run(factory)
+    t = [0.0, 1.0, 2.0]
+    found = written(
+        factory, tmp_path, run, trajectory={"t": t, "q1": [1.0, 2.0, 3.0]}, replay={"t": t, "q1": [4.0, 5.0, 6.0]},
+        tracked={"t": t, "q1": [7.0, 8.0, 9.0], "u1": [1.0, 1.0, 1.0], "knots": [0, 1, 2], "applied_u1": [5.0, 6.0]},
+    )  # fmt: skip
+    assert [trace.columns["q1"].tolist() for trace in (found.plan, found.replay, found.tracked)] == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+    assert found.tracked.columns["u1"].tolist() == [5.0, 6.0, 6.0]
+    assert found.tracked.columns["position_error"].tolist() == [6.0, 6.0, 6.0]
+    assert "position_error" not in found.replay.columns, "its nodes are not known"
+    assert found.problems == ()
+    stage = run.stages[0]
+    assert found.judged(stage) is found.replay
+    assert found.judged(stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback"})})) is found.tracked
+    assert read_plan(tmp_path / "runs" / run.key, run, stage).columns["q1"].tolist() == [1, 2, 3]
+    assert read_plan(tmp_path / "runs" / run.key, run, stage.model_copy(update={"has_plan": False})) is None
+
+
+def test_files_that_cannot_be_read_are_told_and_the_others_shown(factory, tmp_path):
+    run = tracked_run(factory)
+    written(factory, tmp_path, run)
+    place = tmp_path / "runs" / run.key
+    (place / "replay.nc").unlink()
+    (place / "tracked.nc").write_text("no file of numbers")
+    found = factory.motion(tmp_path, run, run.stages[0])
+    assert (found.replay, found.tracked, len(found.problems)) == (None, None, 2)
+    assert found.problems[0] == "replay.nc cannot be read (there is no such file)."
+    assert found.problems[1].startswith("tracked.nc cannot be read (")
+    assert len(found.problems[1]) < 200
+    assert found.plan is not None
+    (place / "trajectory.nc").unlink()
+    assert read_plan(place, run, run.stages[0]) is None
+
+
+@pytest.mark.parametrize(
+    ("knots", "error"),
+    [([0, 1], [1.0, 2.0, 2.0]), ([0, 2], [1.0, 2.0, 3.0]), ([0, 3], None), ([-1, 2], None), ([], None), ([0, 1, 2, 2], None)],
+)  # fmt: skip
+def test_the_error_is_that_of_the_plans_nodes(factory, tmp_path, knots, error):
+    """The replay is 1, 2, 4 and the plan 0, 0, 1 of q1; of q2 it is nearer."""
+    run = factory.run("strict", None, "strict_lcp")
+    t = [0.0, 1.0, 2.0]
+    replay = {"t": t, "q1": [1.0, 2.0, 4.0], "q2": [0.5, 0.5, 0.5]} | ({"knots": knots} if knots else {})
+    found = written(factory, tmp_path, run, trajectory={"t": t, "q1": [0.0, 0.0, 1.0], "q2": [0.0, 0.0, 0.0]}, replay=replay).replay
+    if error is None:
+        assert "position_error" not in found.columns
+    else:
+        planned = {0: 0.0, 1: 0.0, 2: 1.0}
+        largest = [max(abs(replay["q1"][knot] - planned[node]), 0.5) for node, knot in enumerate(knots)]
+        assert found.columns["position_error"].tolist() == pytest.approx(np.interp(t, [t[knot] for knot in knots], largest).tolist())
+
+
+def test_what_is_no_column_of_finite_numbers_is_missing(factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp")
+    t = [0.0, 1.0, 2.0]
+    one = {
+        "pose_x_1": [5.0],
+        "pose_y_1": [1.0, 2.0, 3.0],
+        "pose_angle_1": [0.5],
+        "pose_x_2": [1.0, 2.0],
+        "pose_y_2": t,
+        "pose_angle_2": t,
+        "pose_x_3": t,
+        "pose_y_3": t,
+    }
+    columns = {
+        "t": t,
+        "q1": [1.0, float("nan"), 2.0],
+        "q2": [[1.0], [2.0], [3.0]],
+        "q3": [1.0, 2.0, 3.0, 4.0],
+        "u1": [1, 2],
+        "other": t,
+        **one,
+    }
+    found = written(factory, tmp_path, run, trajectory=columns).plan
+    assert sorted(found.columns) == ["u1"]
+    assert {name: poses.tolist() for name, poses in found.poses.items()} == {"left": [[5.0, 1.0, 0.5], [5.0, 2.0, 0.5], [5.0, 3.0, 0.5]]}
+    assert written(factory, tmp_path / "none", run, trajectory={"q1": t}).plan is None

@@ -38,7 +38,8 @@ Exit codes: 0 no regression; 1 at least one; 2 a folder that is no campaign.
 # Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it. "not applicable" and "consistent" are
 # no steps of the ladder: a change to or from them is neither better nor worse.
 _VERDICTS = ("no plan", "undecided", "violates", "holds with feedback", "holds")
-# A cost that differs by less (relative, and in its own unit) is the same; so is a time that differs by less than this factor or these seconds.
+# A cost that differs by less (relative to the larger one, and in its own unit) is the same; so is a time that differs by less than this factor or
+# these seconds.
 COST_TOLERANCE, COST_FLOOR = 1e-6, 1e-9
 TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
 
@@ -191,7 +192,7 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
 
 
 def _cost_change(where: str, before: float, after: float) -> Iterable[Change]:
-    if abs(after - before) > COST_TOLERANCE * abs(before) + COST_FLOOR:
+    if abs(after - before) > COST_TOLERANCE * max(abs(before), abs(after)) + COST_FLOOR:
         kind = ChangeKind.REGRESSION if after > before else ChangeKind.IMPROVEMENT
         yield Change(kind=kind, where=where, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")
 

@@ -124,10 +124,10 @@ def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: n
     a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
     answer = linprog(
         active.gradient / active.scale,
-        A_ub=a_ub if a_ub.shape[0] else None,
-        b_ub=np.zeros(a_ub.shape[0]) if a_ub.shape[0] else None,
-        A_eq=a_eq if a_eq.shape[0] else None,
-        b_eq=np.zeros(a_eq.shape[0]) if a_eq.shape[0] else None,
+        A_ub=a_ub,
+        b_ub=np.zeros(a_ub.shape[0]),
+        A_eq=a_eq,
+        b_eq=np.zeros(a_eq.shape[0]),
         bounds=(-1.0, 1.0),
         method="highs",
     )

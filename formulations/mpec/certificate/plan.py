@@ -29,7 +29,7 @@ class PlanJudge:
         self._scene = scene
         self._models: dict[bool, Any] = {}
 
-    def certify(self, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
+    def certify(self, plan: Trajectory, *, goal_tolerance: float) -> Certificate:
         """Judge one plan, as `certify_plan`."""
         is_ball = goal_tolerance > 0.0
         if is_ball not in self._models:

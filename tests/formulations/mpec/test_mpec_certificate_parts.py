@@ -37,6 +37,7 @@ from formulations.mpec.certificate.certificate import (
     _violation,
 )
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
+from formulations.mpec.certificate.plan import PLAN_TOLERANCES
 from formulations.mpec.certificate.stationarity import affordable
 
 S, M, C, A, W = list(Stationarity)[:5]
@@ -229,6 +230,17 @@ def test_what_multipliers_leave_by_hand(rows: dict, bounds: dict, pairs: dict, l
     assert found == pytest.approx(left / 8.0)
 
 
+@pytest.mark.parametrize(("given", "left"), [((3.0, 0.0), 30.0), ((-3.0, 0.0), 30.0), ((0.0, 3.0), 60.0), ((0.0, -3.0), 60.0)])
+def test_a_multiplier_of_a_side_that_is_not_zero_counts_by_its_distance(given: tuple[float, float], left: float):
+    """It leaves nothing of the gradient, but its sides are 10 and 20."""
+    one = pair(10.0, 20.0)
+    model = local([row(1.0)], pairs=[(one, (1.0,), (1.0,))], gradient=(sum(given),))
+    assert _given_residual(model, active_set(model, 1e-6), Multipliers(pairs={one.source: given})) == pytest.approx(left / 3.0)
+    near = pair(-10.0, -20.0)
+    model = local([row(1.0)], pairs=[(near, (1.0,), (1.0,))], gradient=(sum(given),))
+    assert _given_residual(model, active_set(model, 1e-6), Multipliers(pairs={near.source: given})) == 0.0
+
+
 def test_given_multipliers_are_those_of_the_pairs_that_are_biactive():
     sources = [Source(str(number)) for number in range(2)]
     model = local(
@@ -264,6 +276,42 @@ def test_a_pair_that_no_small_step_makes_exact_forces_everything():
     assert _forced_violation(local(x, pairs=[(pair(5.0, 1e-3), (1, 0), (0, 0.0))]), 1e-6) == INF
     assert _forced_violation(local(x, pairs=[(pair(0.0, 5.0), (1, 0), (0, 1))]), 1e-6) == 0.0
     assert _forced_violation(local([row(-0.25, lower=0.0), row(5.0)], pairs=[(pair(5.0, 0.0), (1, 0), (0, 1))]), 1e-6) == 0.25
+
+
+@pytest.mark.parametrize(("others", "violation"), [(597, 0.0), (598, 0.1 / 20.1)])
+def test_of_more_than_six_hundred_variables_the_shortest_step_alone_is_taken(others: int, violation: float):
+    """As above with z = 20, which may mend what the row loses."""
+    rest = [0.0] * others
+    x = [row(1e-3, lower=0.0), row(5.0, lower=0.0), row(20.0), *(row(0.0) for _ in rest)]
+    model = local(x, [(row(20.1, lower=20.1), (100.0, 0.0, 1.0, *rest))], [(pair(1e-3, 5.0), (1, 0, 0, *rest), (0, 1, 0, *rest))])
+    assert _forced_violation(model, 1e-6) == pytest.approx(violation, abs=1e-9)
+    off = local([row(0.5), *x[1:]], pairs=[(pair(0.5, 5.0), (1, 0, 0, *rest), (0, 1, 0, *rest))])
+    assert _forced_violation(off, 1e-6) == INF
+
+
+@pytest.mark.parametrize(("side", "violation"), [(1.7e-9, 0.0), (1.9e-9, 1.9e-3)])
+def test_a_side_that_is_rounding_of_its_terms_needs_no_step(side: float, violation: float):
+    """x is a million, and so is the constant of its side: four units in the last place of both are 1.78e-9."""
+    model = local([row(1e6), row(5.0)], [(row(0.0, lower=0.0), (1e6, 0))], [(pair(side, 5.0), (1, 0), (0, 1))])
+    assert _forced_violation(model, 1e-6) == pytest.approx(violation, rel=1e-3)
+
+
+def test_sides_of_very_different_sizes_are_made_exact_together():
+    pairs = [(pair(1e-3, 5.0), (1, 0, 0), (0, 0, 1)), (pair(1e-18, 5.0), (0, 1e-15, 0), (0, 0, 1))]
+    assert _forced_violation(local([row(1e-3), row(1e-3), row(5.0)], pairs=pairs), 1e-6) == 0.0
+
+
+@pytest.mark.parametrize(("apart", "violation"), [(1.9e-6, 0.0), (2.1e-6, INF)])
+def test_sides_that_contradict_each_other_by_a_thousandth_are_as_good_as_exact(apart: float, violation: float):
+    pairs = [(pair(1e-3, 5.0), (1, 0), (0, 1)), (pair(1e-3 + apart, 5.0), (1, 0), (0, 1))]
+    assert _forced_violation(local([row(1e-3), row(5.0)], pairs=pairs), 1e-6) == violation
+
+
+@pytest.mark.parametrize(("side", "violation"), [(0.0099, 0.0), (0.0101, INF), (-0.0099, 0.0), (-0.0101, INF)])
+def test_a_step_is_a_hundredth_at_most(side: float, violation: float):
+    assert _forced_violation(local([row(side), row(5.0)], pairs=[(pair(side, 5.0), (1, 0), (0, 1))]), 1e-6) == violation
+    far = local([row(200.0 + side), row(5.0)], pairs=[(pair(200.0 * side, 5.0), (1, 0), (0, 1))])
+    assert _forced_violation(far, 1e-6) == violation
 
 
 def certificate(**changes: Any) -> Certificate:
@@ -321,6 +369,11 @@ def test_a_certificate_in_words(changes: dict[str, Any], parts: list[str], missi
     words = certificate(**changes).sentence
     assert [part for part in parts if part not in words] == [], words
     assert [part for part in missing if part in words] == [], words
+
+
+def test_limits_of_a_plan_are_tighter_than_those_of_any_point():
+    assert Tolerances(feasibility=1e-8, complementarity=1e-7) == PLAN_TOLERANCES
+    assert Tolerances() == Tolerances(feasibility=1e-6, complementarity=1e-6)
 
 
 def test_no_signs_are_asked_of_any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pyomo.environ as pyo
 import pytest
@@ -10,7 +12,7 @@ from pyomo.mpec import Complementarity, complements
 from formulations.ipopt import MissingValueError
 from formulations.ipopt.shapes import TermGroup
 from formulations.mpec import certify
-from formulations.mpec.certificate.derivatives import gradients_of, number_of, pyomo_gradient
+from formulations.mpec.certificate.derivatives import gradients_of, number_of, pyomo_gradient, values_set
 
 
 def _model() -> pyo.ConcreteModel:
@@ -63,10 +65,11 @@ def test_what_has_no_derivative_here_is_said_not_raised(function):
     assert certificate.notes == ("a function or derivative is not a finite number at this point",)
 
 
+@pytest.mark.parametrize("by", [1e-6, -1e-6])
 @pytest.mark.parametrize("wrong", ["slopes", "values"])
-def test_where_they_disagree_pyomos_are_taken(wrong, monkeypatch):
+def test_where_they_disagree_pyomos_are_taken(wrong, by, monkeypatch):
     right = getattr(TermGroup, wrong)
-    monkeypatch.setattr(TermGroup, wrong, lambda self, x: right(self, x) * (1.0 + 1e-6))
+    monkeypatch.setattr(TermGroup, wrong, lambda self, x: right(self, x) * (1.0 + by))
     model = _model()
     expressions = _bodies(model)
     found = gradients_of(expressions, [number_of(expression) for expression in expressions])
@@ -74,6 +77,70 @@ def test_where_they_disagree_pyomos_are_taken(wrong, monkeypatch):
     np.testing.assert_array_equal(together, own)
     assert "disagree with Pyomo's own" in found.notes[0]
     assert found.notes[0] in certify(model).notes
+
+
+def _off_in(target: int, what: str, right):
+    """One expression's share of what is evaluated together, a millionth off."""
+
+    def found(self, x):
+        numbers = np.array(right(self, x), dtype=float)
+        rows = self.slope_entries[0] if what == "slopes" else self.rows
+        numbers[np.asarray(rows) == target] *= 1.0 + 1e-6
+        return numbers
+
+    return found
+
+
+@pytest.mark.parametrize(
+    ("what", "target", "seen"),
+    [("slopes", 0, True), ("slopes", 5, True), ("slopes", 10, True), ("slopes", 1, False), ("values", 1, True), ("values", 10, True)],
+)
+def test_first_middle_and_last_of_a_shape_are_differentiated_by_pyomo_too(what, target, seen, monkeypatch):
+    """Of eleven rows; values are compared in each."""
+    monkeypatch.setattr(TermGroup, what, _off_in(target, what, getattr(TermGroup, what)))
+    model = _model()
+    expressions = [model.row[k].body for k in range(11)]
+    found = gradients_of(expressions, [number_of(expression) for expression in expressions])
+    assert bool(found.notes) == seen
+
+
+@pytest.mark.parametrize(
+    ("expression", "value", "slope"),
+    [
+        (lambda x: 3 * x + 2 - x, 1.4, 2.0), (lambda x: x**2, 0.09, -0.6), (lambda x: x**1.5, np.nan, np.nan), (lambda x: pyo.log(x), np.nan, np.nan),
+        (lambda x: 1 / (x + 0.3), np.nan, np.nan), (lambda x: pyo.exp(1e4 * (x + 1.0)), np.nan, np.nan), (lambda x: pyo.sinh(x), np.sinh(-0.3), np.cosh(-0.3)),
+    ],
+    ids=["affine", "square", "complex", "logarithm", "pole", "overflow", "hyperbolic"],
+)  # fmt: skip
+def test_values_and_slopes_of_one_expression(expression, value, slope):
+    """At x = -0.3."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-0.3)
+    assert number_of(expression(m.x)) == pytest.approx(value, nan_ok=True)
+    [(variable, found)] = pyomo_gradient(expression(m.x))
+    assert variable is m.x
+    assert found == pytest.approx(slope, nan_ok=True)
+
+
+def test_what_holds_no_variable_has_a_value_and_no_slope():
+    m = pyo.ConcreteModel()
+    m.x, m.p, m.y = pyo.Var(initialize=2.0), pyo.Param(initialize=3.0, mutable=True), pyo.Var()
+    m.x.fix()
+    assert [number_of(item) for item in (5, m.p, m.x * m.p)] == [5.0, 3.0, 6.0]
+    assert np.isnan(number_of(m.y))
+    assert np.isnan(number_of(m.y + 1))
+    assert [pyomo_gradient(item) for item in (5.0, m.p, m.p + 1)] == [[], [], []]
+    assert pyomo_gradient(m.x * m.p + m.y) == [(m.y, 1.0)]
+
+
+def test_variables_are_set_for_the_time_being():
+    m = pyo.ConcreteModel()
+    m.x, m.y, m.z = pyo.Var(initialize=1.0, bounds=(0, 2)), pyo.Var(initialize=2.0), pyo.Var()
+    m.x.stale, m.y.stale = False, True
+    with suppress(ZeroDivisionError), values_set((m.x, m.y, m.z), (9.0, 8.0, 7.0)):
+        assert (m.x.value, m.y.value, m.z.value) == (9.0, 8.0, 7.0)
+        raise ZeroDivisionError
+    assert (m.x.value, m.y.value, m.z.value, m.x.stale, m.y.stale) == (1.0, 2.0, None, False, True)
 
 
 def _curve(function, at: float) -> pyo.ConcreteModel:

@@ -7,8 +7,10 @@ import re
 
 from reports.pages import failures
 from reports.pages.section import Report
-from reports.records.load import Stored, load
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import Stored, Unreadable, load
 from reports.render import render
+from reports.rule_text import RESULTS, RULE
 
 
 def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solved", **changes):
@@ -80,3 +82,40 @@ def test_many_files_of_one_reason_are_folded_and_few_are_named(factory, tmp_path
     text = render(folder)
     assert re.search(r"<details><summary>13 files: ", text)
     assert f"<code>runs/{runs[13].key}/record.json</code>: it is not complete JSON" in text
+
+
+def test_what_was_asked_and_whether_all_of_it_is_there(factory):
+    run = ended(factory, "bank", "a", "holds")
+
+    def values(*runs, unreadable=(), missing=(), examinations=()):
+        return failures.build(Report(Stored("x", None, runs, unreadable, missing, 0, examinations))).values
+
+    check = ExaminationRecord(
+        key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False, found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,
+        provenance=factory.provenance(),
+    )  # fmt: skip
+    assert [values()["asked"], values(run)["asked"], values(examinations=(check,))["asked"]] == [False, True, True]
+    cut = (Unreadable("a", "it is cut."),)
+    assert [values(run)["whole"], values(run, unreadable=cut)["whole"], values(run, missing=("gone",))["whole"]] == [True, False, False]
+    assert values(run, missing=("gone",))["missing"] == ("gone",)
+    assert values(run, unreadable=cut)["unreadable"] == [("it is cut.", ["a"])]
+    assert (values(run, examinations=(check,))["broken"], values(run)["few"], values(run)["campaign"]) == (
+        ("FMU: n: failed - it is wrong.",),
+        12,
+        None,
+    )
+    assert (values()["rule"], values()["results"]) == (RULE, RESULTS)
+
+
+def test_a_limit_is_told_where_runs_share_it_and_a_link_to_each_scene(factory):
+    runs = [ended(factory, "bank", name, "violates") for name in ("a", "b")]
+    (stage,) = runs[1].stages
+    other = tuple(item.model_copy(update={"limit": 0.07}) if item.limit == 0.05 else item for item in stage.metrics)
+    runs[1] = runs[1].model_copy(update={"stages": (stage.model_copy(update={"metrics": other}),)})
+    (group,) = section(*runs).values["groups"]
+    ((name, link, limit, mine),) = group.scenes
+    assert (name, link, limit, [(item.by, item.limit, item.link) for item in mine]) == (
+        "bank", "pages/scene-bank.html", "", [("0.43 m", "0.050 m", "pages/bank-a.html"), ("0.43 m", "0.070 m", "pages/bank-b.html")],
+    )  # fmt: skip
+    assert section().anchor == "failures"
+    assert section().title == "What failed, by cause"

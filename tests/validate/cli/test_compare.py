@@ -121,6 +121,11 @@ def test_an_outcome_is_better_if_it_solves(before: str, after: str, kind: Change
         (10.0, 10.0 * (1 + 0.99e-6), None),
         (-10.0, -10.0 * (1 + 1.01e-6), ChangeKind.IMPROVEMENT),
         (10.0, 5.0, ChangeKind.IMPROVEMENT),
+        # A millionth of the larger one, whichever was there first.
+        (1e12, 1e12 * (1 + 1.0000005e-6), None),
+        (1e12 * (1 + 1.0000005e-6), 1e12, None),
+        (1e12, 1e12 * (1 + 1.0000015e-6), ChangeKind.REGRESSION),
+        (1e12 * (1 + 1.0000015e-6), 1e12, ChangeKind.IMPROVEMENT),
         (0.0, 1.01e-9, ChangeKind.REGRESSION),
         (0.0, 0.99e-9, None),
         (None, 5.0, None),

@@ -71,6 +71,15 @@ def test_what_friction_is_limited_by_is_named_as_the_forces_are(monkeypatch: pyt
     assert not any("lam_" in text for text in limits)
 
 
+def test_a_force_is_greek_by_the_beginning_of_its_name_alone(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "presentation", str)
+    scene = load_scene("transport")
+    first, *others = scene.contacts
+    found = " ".join(item.mathml for item in equations(derive(replace(scene, contacts=(replace(first, name="slam_wall"), *others)))))
+    assert "lambda_slam_wall" in found
+    assert "slambda" not in found
+
+
 def test_equations_are_mathml_the_report_accepts():
     for equation in scene_record(load_scene("three_cart")).equations:
         assert safe_mathml(equation.mathml) is not None

@@ -1,0 +1,428 @@
+"""Pages of one table or one sentence: errata, FMUs, provenance, starts, sizes, seconds, the index, a scene's time step."""
+
+from __future__ import annotations
+
+import pytest
+
+from reports.pages import errata, fmus, index, provenance, scene, section, sizes, starts, time_spent, violation
+from reports.pages.section import Report
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import Stored, Unreadable
+from reports.records.record import EquationRecord, RunRecord, SizeRecord, StartRecord, TimeStepRecord, ViolationPoint
+from tests.reports import record_factory as factory
+from tests.reports.drawn import Mark, drawn
+from tests.reports.record_factory import judged, ran
+
+
+def report(
+    *records: RunRecord, examinations: tuple[ExaminationRecord, ...] = (), single: bool = False, at: str = "pages/", **campaign: object
+) -> Report:
+    told = factory.campaign(list(records), **campaign) if campaign else None
+    return Report(Stored("x", told, records, (), (), 0, examinations), at=at, single=single)
+
+
+def start(number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]) -> StartRecord:
+    return StartRecord(number=number, start=kind, outcome="solved" if cost is not None else "stalled", cost=cost, windows=windows)
+
+
+def stage_of(*found: StartRecord):
+    return factory.stage(0, "strict_lcp", None, None, 0.0, starts=found)
+
+
+def test_the_spread_of_several_starts():
+    found = starts.spread(stage_of(
+        start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)), start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
+        start(4, "chain", 200.0),
+    ))  # fmt: skip
+    assert found is not None
+    assert found.words == (
+        "4 of 5 starts were solved (80\u202f%); cost 100.00 at least, 150.00 in the median, 300.00 at most; 3 distinct optima, the cheapest reached 2 times."
+    )
+    assert [(item.cost, item.windows, item.reached_from) for item in found.optima] == [
+        (100.0, "left 1–2", "random (1, 5)"), (200.0, "", "chain (4)"), (300.0, "right 3–4", "chain (2)"),
+    ]  # fmt: skip
+    assert [item.number for item in found.failed] == [3]
+    plot = found.plot
+    assert plot is not None
+    assert sorted((mark.tip, mark.at) for mark in drawn(plot).marks) == [
+        ("Start 1, random: cost 100.00; left 1–2", (100.0, 2.0)), ("Start 2, chain: cost 300.00; right 3–4", (300.0, 1.0)), ("Start 4, chain: cost 200.00; ", (200.0, 1.0)),
+        ("Start 5, random: cost 100.00; left 1–2", (100.0, 1.0)),
+    ]  # fmt: skip
+    assert (plot.width, plot.height, plot.y.low, plot.y.high) == (560, 158, 0.0, pytest.approx(2.2))
+    assert (plot.x.low, plot.x.high) == (pytest.approx(90), pytest.approx(310))
+    assert starts.Optimum(1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], "").reached_from == "a (3); b (4, 7)"
+
+
+def test_starts_of_one_bin_of_forty_are_stacked():
+    plot = starts.spread(stage_of(*(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1)))).plot
+    assert [mark.at for mark in drawn(plot).marks] == [(0.0, 1.0), (0.9, 2.0), (1.1, 1.0), (39.0, 1.0), (40.0, 1.0)]
+    same = starts.spread(stage_of(start(1, "a", 7.0), start(2, "a", 7.0))).plot
+    assert [mark.at for mark in drawn(same).marks] == [(7.0, 1.0), (7.0, 2.0)]
+
+
+def test_no_start_or_none_that_was_solved():
+    assert starts.spread(stage_of()) is None
+    found = starts.spread(stage_of(start(1, "a", None), start(2, "b", None)))
+    assert found is not None
+    assert (found.words, found.plot, found.optima, len(found.failed)) == ("None of 2 starts was solved.", None, [], 2)
+
+
+def points() -> tuple[ViolationPoint, ...]:
+    told = [
+        ("softplus", 1.0, 9.0, 0.0),
+        ("softplus", 0.1, 4.0, 2.0),
+        ("softplus", 0.01, 1.0, 1.25),
+        ("relaxed_lcp", 0.01, 0.011, 0.01),
+        ("other", 0.5, 0.25, 0.5),
+        ("softplus", 0.0, 1.0, 1.0),
+    ]
+    return tuple(ViolationPoint(law=law, eps=eps, measured=measured, closed_form=form) for law, eps, measured, form in told)
+
+
+def test_the_worst_violation_is_drawn_against_eps():
+    found = violation.build(report(violation=points()))
+    assert found is not None
+    plot = found.values["plot"]
+    assert drawn(plot).lines == {
+        "softplus, closed form": ("c0 soft", [(0.01, 1.25), (0.1, 2.0), (1.0, 1e-200)]), "relaxed LCP, closed form": ("c1 soft", [(0.01, 0.01)]),
+        "other, closed form": ("c2 soft", [(0.5, 0.5)]),
+    }  # fmt: skip
+    assert drawn(plot).marks == [
+        Mark("c0", "circle", "softplus, ε = 10⁻²: D = 1 N²", "", (0.01, 1.0)), Mark("c0", "circle", "softplus, ε = 10⁻¹: D = 4 N²", "", (0.1, 4.0)),
+        Mark("c0", "circle", "softplus, ε = 1: D = 9 N²", "", (1.0, 9.0)), Mark("c1", "square", "relaxed LCP, ε = 10⁻²: D = 0.011 N²", "", (0.01, 0.011)),
+        Mark("c2", "diamond", "other, ε = 0.5: D = 0.25 N²", "", (0.5, 0.25)),
+    ]  # fmt: skip
+    assert found.values["worst"] == [("softplus", 3, 9.0), ("relaxed LCP", 1, pytest.approx(0.1)), ("other", 1, pytest.approx(0.5))]
+    assert [(name, formula, len(mine)) for name, formula, mine in found.values["laws"]] == [
+        ("softplus", "D = (k L ln 2 / ln ε)²", 3), ("relaxed LCP", "D = ε", 1), ("other", "closed form", 1),
+    ]  # fmt: skip
+    assert plot.words.startswith(
+        "softplus: D falls from 9.0 N² at ε = 1 to 1.0 N² at ε = 10⁻². relaxed LCP: D falls from 0.011 N² at ε = 10⁻² to 0.011"
+    )
+    assert found.values["force"] == pytest.approx(2.0**0.5 * 2.302585093 / 0.6931471806), "at eps = 0.1, the first that is not 1"
+    assert [(key.style, key.marker) for key in plot.keys][:2] == [("c0 soft", ""), ("c0", "circle")]
+    assert (plot.x.log, plot.y.log, plot.width, plot.height, plot.x.quantity, plot.y.quantity, plot.y.unit) == (
+        True,
+        True,
+        720,
+        360,
+        "ε",
+        "worst violation D",
+        "N²",
+    )
+    assert ("c0", "softplus: D = (k L ln 2 / ln ε)²") in drawn(plot).tags
+    assert violation.build(report()) is None
+    assert violation.build(report(violation=points()[-1:])) is None
+    assert violation.build(report(violation=points()[3:4])).values["force"] is None
+
+
+def profiled(name: str, wall: float, **phases: float) -> RunRecord:
+    return ran(name).model_copy(update={"wall_seconds": wall, "profile": phases})
+
+
+def test_seconds_are_told_by_group_and_the_slowest_first():
+    found = time_spent.build(
+        report(
+            profiled("quick", 2.0, replay=1.5, odd_phase=0.5),
+            profiled("slow", 10.0, imports=2.0, scene=1.0, solve_rest=4.0, replay=3.0),
+            ran("none"),
+        )
+    )
+    assert found is not None
+    slow, quick = found.values["slowest"]
+    assert (slow.run.pipeline, slow.link) == ("slow", "pages/slow-key.html")
+    assert dict(zip(found.values["groups"], slow.groups, strict=True)) == {
+        "starting": 3.0, "compiling": 0.0, "modelling": 0.0, "evaluating": 0.0, "linear algebra": 0.0, "judging": 3.0, "other": 4.0,
+    }  # fmt: skip
+    assert slow.phases == (("the rest of solving", 4.0), ("replaying", 3.0), ("imports", 2.0), ("reading the scene", 1.0))
+    assert [(part.x, part.width, part.style, part.words) for part in slow.bar if part.width] == [
+        (0.0, 60.0, "c0", "starting: 3.00 s"), (60.0, 60.0, "c5", "judging: 3.00 s"), (120.0, 80.0, "rest", "other: 4.00 s"),
+    ]  # fmt: skip
+    assert [(part.x, part.width, part.style) for part in quick.bar if part.width] == [(0.0, 30.0, "c5"), (30.0, 10.0, "rest")], (
+        "of the slowest run"
+    )
+    assert quick.phases == (("replaying", 1.5), ("odd phase", 0.5))
+    assert (
+        found.values["sentence"]
+        == "Of the 12.00 s of 2 runs, most went to replaying (38 %), the rest of solving (33 %) and imports (17 %)."
+    )
+    assert (found.values["without"], found.values["width"], found.said) == (1, 200.0, found.values["sentence"])
+    assert found.values["styles"] == {
+        "starting": "c0", "compiling": "c1", "modelling": "c2", "evaluating": "c3", "linear algebra": "c4", "judging": "c5", "other": "rest",
+    }  # fmt: skip
+    nothing = time_spent.build(report(profiled("zero", 0.0, replay=0.0)))
+    assert nothing is not None
+    assert (nothing.values["sentence"], nothing.said) == ("", "The slowest runs, each by what its seconds were spent on.")
+    assert time_spent.build(report(ran("none"))) is None
+    many = time_spent.build(report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12))))
+    assert many is not None
+    assert [item.run.pipeline for item in many.values["slowest"]] == [f"run {place}" for place in (6, 5, 11, 4, 10, 3, 2, 9, 1, 8)]
+
+
+@pytest.mark.parametrize("share", [0.0999, 0.1001])
+def test_a_tenth_of_the_seconds_is_told(share: float):
+    found = time_spent.build(report(profiled("one", 1.0, replay=1.0 - share, imports=share)))
+    assert found is not None
+    assert ("imports" in found.values["sentence"]) == (share > 0.1)
+
+
+def examined(name: str, passed: bool = True, outcome: str = "answered", **changes: object) -> ExaminationRecord:
+    said = {
+        "key": name,
+        "kind": "FMU",
+        "name": name,
+        "expected": "",
+        "outcome": outcome,
+        "passed": passed,
+        "found": "",
+        "wall_seconds": 2.0,
+        "cpu_seconds": 1.5,
+    }
+    return ExaminationRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
+
+
+def test_fmus_by_scene_and_version():
+    found = fmus.build(report(examinations=(
+        examined("bank, FMI 2.0"), examined("hill, FMI 3.0", False), examined("bank, FMI 3.0", False, "time_limit", scene="bank"), examined("other", kind="hard case"),
+    )))  # fmt: skip
+    assert found is not None
+    assert [(view.name, view.version, view.anchor, view.ended) for view in found.values["views"]] == [
+        ("bank", "2.0", "fmu-1", ""), ("hill", "3.0", "fmu-2", "failed"), ("bank", "3.0", "fmu-3", "time limit"),
+    ]  # fmt: skip
+    assert (
+        found.said
+        == "3 FMUs of 2 scenes in FMI 2.0 and 3.0: 2 of them do not pass. Checks: 0 passed, 0 failed, 0 not offered; 4 CPU seconds."
+    )
+    one = fmus.build(report(examinations=(examined("bank, FMI 2.0", False),)))
+    assert one is not None
+    assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in one.said
+    good = fmus.build(report(examinations=(examined("bank, FMI 2.0"),)))
+    assert good is not None
+    assert "every one passes" in good.said
+    assert fmus.build(report(examinations=(examined("other", kind="hard case"),))) is None
+
+
+def test_what_a_runs_origin_has_other_than_the_campaigns():
+    first = factory.provenance()
+    assert provenance.differences(first, first) == []
+    other = factory.provenance(
+        touchstone="9", commit="b", python="4", platform="P", cpu="C", compiler="cc", packages={"numpy": "1", "scipy": "2"}
+    )
+    assert provenance.differences(first, other) == [
+        "touchstone 9", "commit b", "python 4", "platform P", "cpu C", "compiler cc", "numpy 1", "pyomo absent", "scipy 2",
+    ]  # fmt: skip
+    same, far = ran("same"), ran("far").model_copy(update={"provenance": other})
+    found = provenance.build(report(same, far, title="x"))
+    assert found is not None
+    assert found.said == "Commit, machine, versions and key of each run; 1 of 2 runs come from elsewhere than the campaign."
+    assert [(run.pipeline, link, len(differs)) for run, link, differs in found.values["runs"]] == [
+        ("same", "pages/same-key.html", 0),
+        ("far", "pages/far-key.html", 9),
+    ]
+    assert "none of 1 run come" in provenance.build(report(same)).said
+    assert provenance.build(report(far, same)).values["first"] is other, "without a campaign the first run's"
+    assert provenance.build(report()) is None
+    assert provenance.build(report(title="x")).values["first"] == first
+
+
+def test_sizes_once_a_method_and_those_that_differ():
+    size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
+    assert sizes.MethodSize("a", "A", size).agrees
+    for name in ("unknowns", "equations", "paper_unknowns", "paper_equations"):
+        assert not sizes.MethodSize("a", "A", size.model_copy(update={name: 9})).agrees
+    assert not sizes.MethodSize("a", "A", SizeRecord(unknowns=5, equations=4, paper_unknowns=4, paper_equations=5)).agrees
+    other = size.model_copy(update={"unknowns": 9})
+    told = report(
+        ran("a", size=size),
+        ran("b"),
+        ran("a", size=size),
+        ran("c", size=size),
+        ran("a", size=other),
+        ran("d", size=size, of=factory.scene("hill")),
+    )
+    assert [(item.method, item.title, item.size.unknowns) for item in sizes.method_sizes(told, "three_cart")] == [
+        ("a", "A", 5),
+        ("c", "C", 5),
+        ("a", "A", 9),
+    ]
+
+
+def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
+    told = report(
+        ran("dear", cost=200.0), ran("cheap", cost=100.0), ran("wrong", cost=1.0, verdict="violates"), ran("idle", verdict="not applicable"),
+        ran("unpriced", cost=None), ran("none", verdict="no plan", of=factory.scene("hill")), ran("free", verdict="consistent", of=factory.scene("hill")),
+    )  # fmt: skip
+    page = section.Section("sweeps", "Sweeps", "sweeps.html", said="Two sweeps.")
+    found = index.build(told, [("sweep", page)])
+    assert found is not None
+    assert [(item.scene.name, item.link, item.holds, item.asked, item.best) for item in found.values["scenes"]] == [
+        ("three_cart", "pages/scene-three_cart.html", 3, 4, "cheap, cost 100.00"), ("hill", "pages/scene-hill.html", 0, 1, ""),
+    ]  # fmt: skip
+    assert found.values["pages"] == [("pages/sweep.html", "Sweeps", "Two sweeps.")]
+    assert index.build(report(single=True), [("sweep", page)]).values["pages"] == [("#sweeps", "Sweeps", "Two sweeps.")]
+    assert index.build(report(), []) is None
+    assert index.build(report(ran("one")), []) is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "The time step of 0.01 s is stable in contact: the largest spectral radius of its Jacobian is 0.75, with left and right closed; it is stable below 0.19 s."),
+        ({"contacts": (), "largest_step": None}, "is 0.75, with no contact closed; it is stable at any step."),
+        ({"growth": 3.5}, "with left and right closed, the motion itself grows at 3.5/s there; it is"),
+        ({"warning": "it is stiff."}, "Past its stability limit: it is stiff."), ({"scene": "hill"}, ""),
+    ],
+)  # fmt: skip
+def test_what_was_known_of_a_time_step(changes: dict, said: str):
+    known = {
+        "scene": "bank",
+        "digest": "",
+        "step": 0.01,
+        "radius": 0.75,
+        "contacts": ("left", "right"),
+        "growth": 0.0,
+        "largest_step": 0.19,
+    }
+    found = scene.time_step(report(time_steps=(TimeStepRecord.model_validate(known | changes),)), "bank")
+    assert said in found
+    assert bool(said) == bool(found)
+    assert scene.time_step(report(), "bank") == ""
+
+
+def warm(name: str, own: float, before: float | None, total: float) -> RunRecord:
+    run = factory.run(name, "softplus_dc", "strict_lcp")
+    *first, last = run.stages
+    first = [stage.model_copy(update={"paper": {"time": before} if before is not None else {}}) for stage in first]
+    last = last.model_copy(
+        update={"paper": {"time": own}, "options": {"of": name}, "seconds": last.seconds.model_copy(update={"stage": 0.25, "total": total})}
+    )
+    return run.model_copy(
+        update={"pipeline": name, "key": name, "stages": (*(stage.model_copy(update={"options": {"of": name}}) for stage in first), last)}
+    )
+
+
+def test_the_most_flattered_row_is_the_one_whose_clock_leaves_most_out():
+    found = errata.build(report(warm("a", 10.0, 5.0, 4.0), warm("b", 1.0, 2.0, 5.0), warm("c", 2.0, None, 6.0), warm("d", 3.0, 2.0, 7.0)))
+    assert found is not None
+    assert found.values["clock"] == (
+        "The most flattered row of the paper is strict_lcp after softplus_dc: 1.00 s as printed, 7.00 s with the stages before it; here 0.25 s and 5.00 s."
+    )
+    assert errata.build(report(warm("c", 2.0, None, 6.0))).values["clock"] == ""
+    assert errata.build(report(ran("one", of=factory.scene("hill")))) is None
+
+
+def test_what_the_records_show_of_the_errata():
+    told = report(ran("relu_gd", judged("physics", 0.0)), violation=points())
+    values = errata.build(told).values
+    assert values["closed_form"] == "Measured here at 3 values of ε: the largest relative difference to the closed form is 1.0."
+    assert values["physics"] == "Here it is exactly 0 of relu_gd."
+    odd = report(ran("relu_gd", judged("physics", 0.5)), ran("other", judged("physics", 0.25)))
+    assert errata.build(odd).values["physics"] == "Here: 0.5 of relu_gd."
+    assert errata.build(odd).values["closed_form"] == ""
+    assert errata.build(report(ran("other"))).values["physics"] == ""
+
+
+DIGEST = "0123456789abcdef" * 4
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "run_link", "scene_link"),
+    [
+        ("plain", "bank", "plain.html", "scene-bank.html"), (DIGEST, "three_cart-2", "0123456789abcdef.html", "scene-three_cart-2.html"),
+        (DIGEST[1:], "a" * 80, f"{DIGEST[1:]}.html", f"scene-{'a' * 80}.html"), ("a b", "a/b", "a%20b.html", "scene-c14cddc033f64b9d.html"),
+        (DIGEST + "0", "", f"{DIGEST}0.html", "scene-e3b0c44298fc1c14.html"),
+    ],
+)  # fmt: skip
+def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, scene_link: str):
+    where = factory.scene(name)
+    other, run = ran("other"), ran("one", of=where).model_copy(update={"key": key})
+    told, single, beside = report(other, run), report(other, run, single=True), report(other, run, at="")
+    assert (told.link(run), single.link(run), beside.link(run)) == (f"pages/{run_link}", "#run-2", run_link)
+    assert (told.scene_link(where), single.scene_link(where)) == (f"pages/{scene_link}", "#scene-2")
+    assert told.scene_anchor(where) == "scene-2"
+    assert (told.page_link("sweeps"), told.page_link("sweeps", "one"), single.page_link("sweeps"), single.page_link("sweeps", "one")) == (
+        "pages/sweeps.html", "pages/sweeps.html#one", "#sweeps", "#one",
+    )  # fmt: skip
+    assert (told.report_link("a"), single.report_link("a"), beside.report_link("a")) == ("#a", "#a", "../report.html#a")
+    assert [row.run.pipeline for row in told.rows_of_scene(where)] == ["one"]
+
+
+def test_what_is_said_before_anything_else():
+    from reports.pages.failures import notices
+
+    lost = tuple(Unreadable(f"file {place}", why) for place, why in enumerate(("it is cut; see there.", "it is old.", "it is old.")))
+    none = Stored("x", None, (), (), (), 0)
+    assert [part in " ".join(notices(Report(none))) for part in ("own record is missing", "No run is stored here yet")] == [True, True]
+    told = Stored("x", factory.campaign([], quick=True), (ran("a"),), lost, ("gone",), 2)
+    assert notices(Report(told)) == [
+        "1 run of the campaign has no stored record yet; the same command runs them.", "3 files could not be read: of 2 of them it is old.",
+        "2 stored runs in this folder belong to another campaign and are left out.", "This was a quick campaign; what it left out stands below.",
+    ]  # fmt: skip
+    one = Stored("x", factory.campaign([]), (ran("a"),), lost[:1], ("gone", "lost"), 1)
+    assert notices(Report(one)) == [
+        "2 runs of the campaign have no stored record yet; the same command runs them.", "1 file could not be read: it is cut, see there.",
+        "1 stored run in this folder belongs to another campaign and is left out.",
+    ]  # fmt: skip
+
+
+def test_scenes_stand_in_the_order_of_the_campaign_however_their_runs_are_mixed():
+    hill, bank = factory.scene("hill", "first"), factory.scene("bank")
+    told = report(ran("a", of=hill), ran("b", of=bank), ran("c", of=factory.scene("hill", "later")))
+    assert [(one.name, one.title) for one in told.scenes] == [("hill", "first"), ("bank", bank.title)]
+
+
+def test_every_phase_has_its_words_and_its_group():
+    """A second copy of the table."""
+    groups = {
+        "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene", "opening": "opening methods"},
+        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating them"},
+        "evaluating": {"evaluate": "functions and derivatives"}, "linear algebra": {"linear_algebra": "linear algebra of solvers"},
+        "judging": {"certificate": "certificates", "replay": "replaying"},
+        "other": {"shared": "taking over and handing on stages", "solve_rest": "the rest of solving", "writing": "writing files", "record": "the record"},
+    }  # fmt: skip
+    assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES
+
+
+def test_a_scene_and_its_model():
+    equations = (EquationRecord(caption="one", mathml="<math><mi>k</mi></math>"), EquationRecord(caption="bad", mathml="<p>no</p>"))
+    paper, hill = factory.scene().model_copy(update={"equations": equations}), factory.scene("hill")
+    size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
+    told = report(ran("a", of=paper, size=size), ran("b", of=hill))
+    first, second = scene.build(told, paper), scene.build(told, hill)
+    assert (first.anchor, first.title, first.values["table1"], first.values["strip"]) == (
+        "scene-1",
+        "The scene three_cart",
+        "#table1",
+        None,
+    )
+    assert (second.anchor, second.title, second.values["table1"]) == ("scene-2", "The scene hill", "")
+    found = scene.model(told, paper)
+    assert (found.anchor, found.title) == ("model-1", "Equations and quantities of three_cart")
+    assert found.values["equations"] == [("one", "<math><mi>k</mi></math>", "<math><mi>k</mi></math>"), ("bad", None, "<p>no</p>")]
+    assert ([item.method for item in found.values["sizes"]], found.values["time_step"]) == (["a"], "")
+    assert scene.model(told, hill).values["sizes"] == ()
+    known = TimeStepRecord(scene="hill", digest="", step=0.01, radius=0.75, contacts=(), growth=0.0, largest_step=None)
+    told = report(ran("b", of=hill), time_steps=(known,))
+    assert scene.model(told, hill).values["time_step"].startswith("The time step of 0.01 s is stable")
+
+
+def test_the_command_line_writes_the_pages_or_one_file(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    from reports import __main__ as command
+    from reports.records.load import ReportError
+
+    monkeypatch.setattr(command, "write_report", lambda folder: f"pages of {folder}")
+    monkeypatch.setattr(command, "write_single", lambda folder: f"one file of {folder}")
+    for words, code, said in (
+        (["a"], 0, "pages of a\n"), (["a", "--single-file"], 0, "one file of a\n"), (["--single-file", "a"], 0, "one file of a\n"), ([], 2, ""), (["a", "b"], 2, ""),
+        (["--other"], 2, ""), (["--single-file"], 2, ""),
+    ):  # fmt: skip
+        assert command.main(words) == code, words
+        out, err = capsys.readouterr()
+        assert (out, "usage: python -m reports [--single-file] DIR" in err) == (said, code == 2)
+
+    def fail(folder: object) -> None:
+        raise ReportError(f"{folder}: there is no such folder")
+
+    monkeypatch.setattr(command, "write_report", fail)
+    assert command.main(["a"]) == 2
+    assert capsys.readouterr() == ("", "a: there is no such folder\n")

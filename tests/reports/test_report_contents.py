@@ -1,0 +1,93 @@
+"""What each page of a report is called, which sections it has in which order, and where it leads back to."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from reports.render import is_current, render_run, write_report, write_single
+from tests.reports import record_factory as factory
+
+LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
+CAMPAIGN, CARTS = "touchstone: all of Table I", "Three carts: the outer two push the middle one"
+WHOLE = ("../report.html", "The whole report")
+ACROSS, SCENE, HILL = (
+    ["overview", "table1", "failures", "index"],
+    ["scene-1", "pareto-1", "front-1", "model-1"],
+    ["scene-2", "stages-2", "pareto-2", "model-2"],
+)
+OTHERS = ["runs", "errata", "violation", "provenance"]
+OF_SCENE = [WHOLE, ("../report.html#index", "All pages")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes with a run each."""
+    runs = [factory.run("strict", None, "strict_lcp"), factory.ran("x", of=factory.scene("hill", "A hill"))]
+    made = factory.store(tmp_path_factory.mktemp("contents") / "all", runs)
+    for path in (made, *made.rglob("*")):
+        os.utime(path, (1e9, 1e9))
+    write_report(made, jobs=1)
+    write_single(made)
+    return made
+
+
+def told(text: str) -> tuple[str, str, list[str], list[tuple[str, str]], str]:
+    """Title, lead, sections, links to other pages, and the command that writes it anew."""
+    contents = re.search(r"<nav.*?</nav>", text, re.DOTALL)
+    assert contents is not None
+    links = [link for link in re.findall(r'<li><a href="([^"]*)">(.*?)</a>', contents[0]) if not link[0].startswith("#")]
+    title, lead = re.findall(r"<h1>(.*?)</h1>\n<p>(.*?)</p>", text)[0]
+    again = re.search(r"python -m reports [^<]*", text)
+    return title, lead, re.findall(r'<section id="([^"]*)"', text), links, again[0].strip() if again else ""
+
+
+@pytest.mark.parametrize(
+    ("page", "title", "lead", "sections", "links"),
+    [
+        ("report", CAMPAIGN, LEAD, ACROSS, []), ("single", CAMPAIGN, LEAD, [*ACROSS, *SCENE, *HILL, *OTHERS], []), ("pages/scene-three_cart", "three_cart", CARTS, SCENE, OF_SCENE),
+        ("pages/scene-hill", "hill", "A hill", HILL, OF_SCENE), ("pages/errata", "Errata of the paper, and what it leaves open", CAMPAIGN, ["errata", "violation"], [WHOLE]),
+        ("pages/provenance", "Provenance", CAMPAIGN, ["provenance"], [WHOLE]), ("pages/runs", "All runs", CAMPAIGN, ["runs"], [WHOLE]),
+        ("pages/x-key", "x on hill", "A hill", ["one"], [WHOLE, ("scene-hill.html", "The scene hill"), ("runs.html", "All runs")]),
+    ],
+)  # fmt: skip
+def test_what_a_page_has(folder: Path, page: str, title: str, lead: str, sections: list[str], links: list[tuple[str, str]]):
+    found = told((folder / f"{page}.html").read_text(encoding="utf-8"))
+    assert found[:4] == (title, lead, sections, links)
+    assert found[4].startswith("python -m reports DIR --single-file" if page == "single" else "python -m reports DIR")
+    assert ("--single-file" in found[4]) == (page == "single")
+
+
+def test_there_are_no_other_pages(folder: Path):
+    names = {path.stem for path in (folder / "pages").iterdir()}
+    assert names == {"scene-three_cart", "scene-hill", "errata", "provenance", "runs", "x-key", "strict-0123456789abcdef"}
+
+
+def test_a_page_of_a_run_alone_leads_nowhere(folder: Path):
+    run = factory.run("strict", None, "strict_lcp")
+    title, lead, sections, links, again = told(render_run(run, folder))
+    assert (title, lead, sections, links, again) == ("strict on three_cart", CARTS, ["one"], [], "")
+
+
+def test_a_report_is_current_where_it_is_younger_than_all_it_is_made_of(folder: Path):
+    """Each file in turn is as young as the report, and then older again."""
+    young = (folder / "report.html").stat().st_mtime_ns
+    assert is_current(folder)
+    for path in (
+        folder / "campaign.json",
+        folder / "pages",
+        folder / "runs" / "x-key",
+        folder / "runs" / "x-key" / "record.json",
+        folder / "runs" / "x-key" / "replay.nc",
+    ):
+        before = path.stat().st_mtime_ns
+        os.utime(path, ns=(young, young))
+        assert not is_current(folder), path
+        os.utime(path, ns=(before, before))
+        assert is_current(folder), path
+    (folder / "pages").rename(folder / "away")
+    assert not is_current(folder)
+    (folder / "away").rename(folder / "pages")
