@@ -19,6 +19,7 @@ Importing this package also registers `SolverFactory("touchstone_ipopt")`, which
 
 from __future__ import annotations
 
+from formulations.ipopt import contrib_solver as contrib_solver  # registers with Pyomo's second factory
 from formulations.ipopt.compile import compile_model
 from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
 from formulations.ipopt.options import known_options

@@ -17,6 +17,7 @@ from typing import Any
 
 from pyomo.opt import SolverFactory, SolverResults
 
+from formulations.ipopt.contrib_solver import register
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.result import is_feasible
 from formulations.mpec.settings import read_settings
@@ -50,3 +51,6 @@ class MpecIpopt(PyomoPlugin):
             wall=result.seconds,
         )
         return answer.results(self.title, model), answer
+
+
+register(MpecIpopt)
