@@ -520,9 +520,9 @@ class _Reader:
                 f"{self.file}: row {number} complements the {lacking[0]} bound of variable {bounds.complements}, which has none. "
                 "Give the variable that bound, or complement its other side."
             )
-        if bounds.sides == 1:
+        if sides == 1:
             return complements(body >= 0, variable >= of.lower)
-        if bounds.sides == 2:
+        if sides == 2:
             return complements(body <= 0, variable <= of.upper)
         return complements(body, pyo.inequality(of.lower, variable, of.upper))
 
