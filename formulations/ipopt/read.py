@@ -23,8 +23,8 @@ from pyomo.core.base.var import ScalarVar, VarData
 from pyomo.core.expr import numeric_expr as pe
 from pyomo.core.expr.visitor import identify_variables
 
-from formulations.ipopt.errors import ModelRefusedError
-from formulations.ipopt.graph import UNARY, EvaluatedExpression, as_data
+from formulations.ipopt.graph import UNARY
+from formulations.ipopt.model import EvaluatedExpression, ModelRefusedError, as_data
 
 _NUMBER, _LEAF, _MONOMIAL, _SUM, _PRODUCT, _DIVISION, _NEGATION, _POWER, _FUNCTION, _NAMED, _OTHER = range(11)
 

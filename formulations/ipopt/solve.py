@@ -14,9 +14,8 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
-from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, checked_options
+from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, UnknownOptionError, checked_options
 from formulations.ipopt.problem import Evaluations, IpoptProblem
 from formulations.ipopt.result import (
     FEASIBILITY,

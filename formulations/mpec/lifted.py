@@ -28,7 +28,7 @@ from pyomo.core.expr import value
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt.errors import MissingValueError, ModelRefusedError
+from formulations.ipopt import MissingValueError, ModelRefusedError
 from formulations.ipopt.model import active_constraints, active_objective, refuse_unknown_components
 
 

@@ -14,11 +14,9 @@ from pyomo.common.collections import ComponentMap
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
-from formulations.mpec.homotopy import PathPoint, Step, WorkBudget
+from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
 from formulations.mpec.lifted import BoxCondition, Lifted, SimpleCondition
-from formulations.mpec.settings import MpecSettings
-from formulations.mpec.strategies import Strategy
-from formulations.mpec.workspace import Columns, Workspace
+from formulations.mpec.strategies import MpecSettings, Strategy
 from formulations.solution import Outcome
 
 

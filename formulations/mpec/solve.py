@@ -2,6 +2,18 @@
 
 result = solve_mpec(model)                        # MpecResult; the model is untouched
 load(result)                                      # writes the variables
+
+The same behind Pyomo's own solver interface:
+
+    import formulations.mpec
+    solver = pyo.SolverFactory("mpec_ipopt")
+    solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
+    results = solver.solve(model)
+    pyo.assert_optimal_termination(results)           # B-stationary, certified by residuals recomputed from the model
+    solver.last_result.certificate.sentence
+
+The model keeps its components as they were (nothing is transformed in place); values, and the suffixes `dual`, `ipopt_zL_out`,
+`ipopt_zU_out` where the model imports them, are loaded.
 """
 
 from __future__ import annotations
@@ -12,11 +24,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pyomo.opt import SolverFactory, SolverResults
 
+from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
-from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget
+from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,
@@ -28,9 +42,7 @@ from formulations.mpec.result import (
     verdict,
     without_multipliers,
 )
-from formulations.mpec.settings import MpecSettings
-from formulations.mpec.strategies import STRATEGIES, Strategy
-from formulations.mpec.workspace import Workspace, natural_residual
+from formulations.mpec.strategies import STRATEGIES, MpecSettings, Strategy, read_settings
 from formulations.solution import Outcome
 
 logger = logging.getLogger(__name__)
@@ -175,3 +187,32 @@ def _rank(result: MpecResult) -> tuple[int, float]:
         return 0 if result.solved else 2, result.sense * result.objective
     order = {Outcome.DIVERGED: 1, Outcome.INFEASIBLE: 3}.get(result.outcome, 4)
     return order, result.residual if result.residual == result.residual else float("inf")
+
+
+@SolverFactory.register("mpec_ipopt", doc="MPECs (pyomo.mpec) by relaxation, active-set polish and certificate, on Ipopt")
+class MpecIpopt(PyomoPlugin):
+    """A Pyomo solver object; `last_result` is the MpecResult of the last solve. A start is always taken from the model's values.
+
+    "optimal" is a B-stationary point here, not a proved global optimum.
+    """
+
+    title = "mpec_ipopt"
+
+    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+        """Solve with `solve_mpec`."""
+        result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
+        answer = PyomoAnswer(
+            outcome=result.outcome,
+            message=result.message,
+            is_feasible=result.solved or is_feasible(result),
+            sense=result.sense,
+            objective=result.objective,
+            has_objective=result.has_objective,
+            equations=result.rows,
+            variables=result.variables,
+            x=result.x if result.has_point else None,
+            multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
+            iterations=result.iterations,
+            wall=result.seconds,
+        )
+        return answer.results(self.title, model), answer

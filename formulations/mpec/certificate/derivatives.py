@@ -25,7 +25,7 @@ from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_vari
 from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
-from formulations.ipopt.errors import MissingValueError
+from formulations.ipopt import MissingValueError
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 

@@ -15,10 +15,9 @@ from pyomo.opt import SolverStatus, TerminationCondition
 
 from formulations.mpec import MpecSettings, Multipliers, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
-from formulations.mpec.homotopy import WorkBudget
+from formulations.mpec.homotopy import WorkBudget, Workspace
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
-from formulations.mpec.workspace import Workspace
 from formulations.solution import Outcome
 from tests.formulations.mpec.nearest import solver
 
