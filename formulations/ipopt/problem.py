@@ -70,60 +70,49 @@ class Evaluations:
     def __init__(self, problem: IpoptProblem, after: Callable[..., bool]) -> None:
         self._problem = problem
         self._after = after
-        self._x_rows = self._x_entries = np.full(problem.n, np.nan)
-        self._rows = self._entries = np.empty(0)
+        self._last: dict[str, tuple[np.ndarray, Any]] = dict.fromkeys(("values", "derivatives"), (np.full(problem.n, np.nan), None))
         self.error: BaseException | None = None
         self.seconds = 0.0
         self.calls = {"values": 0, "derivatives": 0, "hessians": 0}
         self.jacobianstructure = problem.jacobianstructure
         self.hessianstructure = problem.hessianstructure
 
-    def _values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        if not np.array_equal(x, self._x_rows):
-            begin = time.perf_counter()
-            self._rows = self._problem.rows_at(x)
-            self._x_rows = x.copy()
-            self.calls["values"] += 1
-            self.seconds += time.perf_counter() - begin
-        return self._problem.split_rows(self._rows)
+    def _counted(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        begin = time.perf_counter()
+        found = function(*arguments)
+        self.calls[what] += 1
+        self.seconds += time.perf_counter() - begin
+        return found
 
-    def _derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if not np.array_equal(x, self._x_entries):
-            begin = time.perf_counter()
-            self._entries = self._problem.entries_at(x)
-            self._x_entries = x.copy()
-            self.calls["derivatives"] += 1
-            self.seconds += time.perf_counter() - begin
-        return self._problem.split_entries(self._entries)
+    def _at(self, x: np.ndarray, what: str) -> tuple[Any, np.ndarray]:
+        if not np.array_equal(x, self._last[what][0]):
+            self._last[what] = x.copy(), self._counted(what, getattr(self._problem, what), x)
+        return self._last[what][1]
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
         """The minimised objective at x (n,) [units of the objective]."""
-        return _finite(self._values(x)[0], "the objective")
+        return _finite(self._at(x, "values")[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
         """Values (m,) of the constraints at x (n,) [units of the constraints]."""
-        return _finite(self._values(x)[1], "a constraint")
+        return _finite(self._at(x, "values")[1], "a constraint")
 
     @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
-        return _finite(self._derivatives(x)[0], "the gradient")
+        return _finite(self._at(x, "derivatives")[0], "the gradient")
 
     @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable]."""
-        return _finite(self._derivatives(x)[1], "the Jacobian")
+        return _finite(self._at(x, "derivatives")[1], "the Jacobian")
 
     @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
         """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2]."""
-        begin = time.perf_counter()
-        values = self._problem.hessian(x, lagrange, factor)
-        self.calls["hessians"] += 1
-        self.seconds += time.perf_counter() - begin
-        return _finite(values, "the Hessian")
+        return _finite(self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian")
 
     def intermediate(self, *numbers: Any) -> bool:
         """Ipopt's question after each iteration, whether to go on."""
@@ -181,8 +170,7 @@ class IpoptProblem:
         self._value_rows = np.concatenate([g.rows for g in self._curved]) if self._curved else np.empty(0, dtype=np.intp)
 
     def _settle_hessian(self) -> None:
-        entries = [g.curvature_entries for g in self._curved]
-        keys = [r * self.n + c for r, c in entries] or [np.empty(0, dtype=np.intp)]
+        keys = [r * self.n + c for r, c in (g.curvature_entries for g in self._curved)] or [np.empty(0, dtype=np.intp)]
         unique, self._curvature_place = np.unique(np.concatenate(keys), return_inverse=True)
         rows, columns = np.divmod(unique, max(self.n, 1))
         self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
@@ -238,6 +226,12 @@ class IpoptProblem:
             values[k] = min(max(0.0, self.lower[k]), self.upper[k])
         return np.array(values, dtype=float), len(missing)
 
+    def violation(self, x: np.ndarray) -> float:
+        """Largest violation of a constraint or bound at x (n,) [units of the constraints]; what is not a number counts for nothing."""
+        g = self.constraints(x)
+        sides = (self.lower - x, x - self.upper, self.constraint_lower - g, g - self.constraint_upper)
+        return max((float(np.max(side)) for side in sides if side.size), default=0.0)
+
     def trivial_violation(self) -> tuple[float, str]:
         """Largest violation of a constraint without variables, and its name; (0.0, "") where all hold."""
         if not self.trivial:
@@ -249,8 +243,8 @@ class IpoptProblem:
 
     # -- functions, under the names cyipopt asks for -----------------------------------------------------------------------------------
 
-    def rows_at(self, x: np.ndarray) -> np.ndarray:
-        """Values of all constraints of the layout and, last, of the minimised objective.
+    def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """The functions at a point.
 
         Parameters
         ----------
@@ -258,16 +252,16 @@ class IpoptProblem:
 
         Returns
         -------
-        (constraints + 1,) values [units of the rows]
+        the minimised objective, and the constraints (m,) [units of the constraints]
         """
         with np.errstate(all="ignore"):
             total = self._constants + np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
             if self._curved:
                 total += np.bincount(self._value_rows, np.concatenate([g.values(x) for g in self._curved]), self._rows)
-        return total
+        return float(total[-1]), total[self._sent]
 
-    def entries_at(self, x: np.ndarray) -> np.ndarray:
-        """All first derivatives, constraints first, then those of the objective.
+    def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The first derivatives at a point.
 
         Parameters
         ----------
@@ -275,36 +269,31 @@ class IpoptProblem:
 
         Returns
         -------
-        (entries,) derivatives [row per variable]
+        gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the places of `jacobianstructure` [row per variable]
         """
-        if not self._curved:
-            return self._affine
-        with np.errstate(all="ignore"):
-            return self._affine + np.bincount(
-                self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), minlength=len(self._affine)
-            )
+        entries = self._affine
+        if self._curved:
+            with np.errstate(all="ignore"):
+                entries = entries + np.bincount(self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), len(entries))
+        gradient = np.zeros(self.n)
+        gradient[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
+        return gradient, entries[: self._objective_start]
 
     def objective(self, x: np.ndarray) -> float:
         """The minimised objective at x (n,) [units of the objective]."""
-        return float(self.rows_at(x)[-1])
+        return self.values(x)[0]
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
         """Values (m,) of the constraints at x (n,) [units of the constraints]."""
-        return self.rows_at(x)[self._sent]
+        return self.values(x)[1]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
-        return self.dense_gradient(self.entries_at(x))
-
-    def dense_gradient(self, entries: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective out of what `entries_at` gave (entries,) [objective per variable]."""
-        dense = np.zeros(self.n)
-        dense[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
-        return dense
+        return self.derivatives(x)[0]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable]."""
-        return self.entries_at(x)[: self._objective_start]
+        return self.derivatives(x)[1]
 
     def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
         """Gradient of f + lagrange' g: at a solution it is zl - zu.
@@ -318,7 +307,7 @@ class IpoptProblem:
         -------
         (n,) gradient [objective per variable]
         """
-        gradient, jacobian = self.split_entries(self.entries_at(x))
+        gradient, jacobian = self.derivatives(x)
         return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
@@ -355,14 +344,6 @@ class IpoptProblem:
     def nonzeros(self) -> int:
         """Entries of the Jacobian and of the lower triangle of the Hessian, at least 1."""
         return max(1, len(self._jacobian_rows) + len(self._hessian_rows))
-
-    def split_rows(self, rows: np.ndarray) -> tuple[float, np.ndarray]:
-        """The minimised objective, and the constraints (m,), out of what `rows_at` gave (constraints + 1,) [units of the rows]."""
-        return float(rows[-1]), rows[self._sent]
-
-    def split_entries(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The gradient (n,), and the Jacobian's entries (nonzeros,), out of what `entries_at` gave (entries,) [row per variable]."""
-        return self.dense_gradient(entries), entries[: self._objective_start]
 
 
 def compile_model(model: Any) -> IpoptProblem:

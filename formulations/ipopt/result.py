@@ -103,10 +103,31 @@ def _largest(values: np.ndarray) -> float:
     return float(np.max(values)) if values.size else 0.0
 
 
-def _side(distance: np.ndarray, multiplier: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """|distance to the bound * multiplier| where the bound is finite."""
-    finite = np.isfinite(bound)
-    return np.abs(distance[finite] * multiplier[finite])
+def bound_products(
+    problem: IpoptProblem, x: np.ndarray, g: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray, rows: np.ndarray
+) -> np.ndarray:
+    """|distance to a bound * its multiplier| where the bound is finite, of the variables and of some constraints.
+
+    Parameters
+    ----------
+    problem : the compiled model
+    x, g : (n,) point, (m,) values of the constraints [units of the variables, of the constraints]
+    lagrange : (m,) multipliers of the constraints [objective per constraint]
+    zl, zu : (n,) multipliers of the bounds [objective per variable]
+    rows : (m,) mask of the constraints that count [-]
+
+    Returns
+    -------
+    (bounds,) products [units of the objective]
+    """
+    low, high = problem.constraint_lower, problem.constraint_upper
+    sides = (
+        (x - problem.lower, zl, np.isfinite(problem.lower)),
+        (problem.upper - x, zu, np.isfinite(problem.upper)),
+        (g - low, np.maximum(-lagrange, 0.0), rows & np.isfinite(low)),
+        (high - g, np.maximum(lagrange, 0.0), rows & np.isfinite(high)),
+    )
+    return np.concatenate([np.abs(distance[where] * multiplier[where]) for distance, multiplier, where in sides])
 
 
 def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
@@ -119,8 +140,8 @@ def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np
     lagrange : (m,) multipliers of the constraints [objective per constraint]
     zl, zu : (n,) multipliers of the bounds [objective per variable]
     """
-    objective, g = problem.split_rows(problem.rows_at(x))
-    gradient, jacobian = problem.split_entries(problem.entries_at(x))
+    objective, g = problem.values(x)
+    gradient, jacobian = problem.derivatives(x)
     rows, columns = problem.jacobianstructure()
     with np.errstate(all="ignore"):
         values = np.concatenate([g, x])
@@ -140,12 +161,7 @@ def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np
         dual = np.concatenate([np.abs(stationarity), wrong_side, np.maximum(-zl, 0.0), np.maximum(-zu, 0.0)])
         terms = [1.0, _largest(np.abs(gradient)), _largest(np.abs(products)), _largest(np.abs(zl)), _largest(np.abs(zu))]
 
-        complementarity = np.concatenate([
-            _side(x - problem.lower, zl, problem.lower),
-            _side(problem.upper - x, zu, problem.upper),
-            _side(g - problem.constraint_lower, np.maximum(-lagrange, 0.0), problem.constraint_lower),
-            _side(problem.constraint_upper - g, np.maximum(lagrange, 0.0), problem.constraint_upper),
-        ])  # fmt: skip
+        complementarity = bound_products(problem, x, g, lagrange, zl, zu, np.full(problem.m, True))
     worst_dual, worst_product = _largest(dual), _largest(complementarity)
     if not np.isfinite(objective):
         worst_dual = float("nan")

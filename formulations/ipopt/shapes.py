@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,11 +26,6 @@ from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Gra
 from formulations.ipopt.read import Bucket
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_NUMPY = {
-    "exp": "exp", "log": "log", "log10": "log10", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan",
-    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh",
-    "asinh": "arcsinh", "acosh": "arccosh", "atanh": "arctanh",
-}  # fmt: skip
 
 
 def _softplus(z):
@@ -57,8 +53,8 @@ def _falling_power(base, exponent, order):
 
 
 _NAMESPACE = {
-    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "power": np.power, "divide": np.divide,
-    "negative": np.negative, "inf": np.inf, "nan": np.nan, **{f"{name}_": getattr(np, target) for name, target in _NUMPY.items()},
+    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "pow": np.power, "div": np.divide,
+    "neg": np.negative, "inf": np.inf, "nan": np.nan, **{name: getattr(np, name) for name in UNARY},
 }  # fmt: skip
 
 
@@ -76,16 +72,10 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
     if op == SEED:
         return f"t{node} = seed[{row[args[0]]}]"
     names = [_name(graph, a, hoisted) for a in args]
-    if op == "div" and all(graph.op[a] == CONSTANT for a in args):  # Python would raise where numpy gives inf or NaN
-        return f"t{node} = divide({names[0]}, {names[1]})"
-    if op in _INFIX:
+    if op in _INFIX and not (
+        op == "div" and all(graph.op[a] == CONSTANT for a in args)
+    ):  # there Python would raise, numpy gives inf or NaN
         return f"t{node} = {names[0]} {_INFIX[op]} {names[1]}"
-    if op == "neg":
-        return f"t{node} = -{names[0]}"
-    if op == "pow":
-        return f"t{node} = power({names[0]}, {names[1]})"
-    if op in _NUMPY:
-        return f"t{node} = {op}_({names[0]})"
     return f"t{node} = {op}({', '.join(names)})"
 
 
@@ -196,8 +186,6 @@ def _generate_by_products(
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
 # through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
 _SYMBOLIC_HESSIAN_LIMIT = 20_000
-# A process that builds new models for ever must not keep every shape it met; a scene needs about fifteen.
-_CACHE_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
 
@@ -219,23 +207,11 @@ class ExpressionShape:
     hessian_pairs: np.ndarray  # (2, entries) positions in `curved` of each Hessian entry
     hessian: Callable[..., None] | None
 
-    @property
-    def prepared(self) -> int:
-        """Rows that `prepare` fills."""
-        return 1 + len(self.linear) + self.hoisted
 
-
-_cache: dict[Signature, ExpressionShape] = {}
-
-
+@lru_cache(maxsize=20_000)  # a process that builds new models for ever must not keep every shape it met; a scene needs about fifteen
 def shape_of(signature: Signature) -> ExpressionShape:
-    """The compiled shape of a signature, from the process-wide cache when it was met before."""
-    shape = _cache.get(signature)
-    if shape is None:
-        if len(_cache) >= _CACHE_LIMIT:
-            del _cache[next(iter(_cache))]
-        shape = _cache[signature] = _compile_shape(*parse(signature))
-    return shape
+    """The compiled shape of a signature, the same in the whole process."""
+    return _compile_shape(*parse(signature))
 
 
 def parse(signature: Signature) -> tuple[Graph, int]:
@@ -374,7 +350,7 @@ class TermGroup:
         self._numbers = np.array(bucket.numbers, dtype=float).reshape(count, -1).T
         self._params = np.array(bucket.params, dtype=np.intp).reshape(count, -1).T
         self._curved = self.columns[list(shape.curved)]
-        self._prepared = np.empty((shape.prepared, count))
+        self._prepared = np.empty((1 + len(shape.linear) + shape.hoisted, count))
         self._hoisted: list[np.ndarray] = []
 
     # -- structure --------------------------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from formulations.ipopt.result import (
     IpoptSeconds,
     Iteration,
     Residuals,
+    bound_products,
     name_of,
     outcome_of,
     residuals,
@@ -81,21 +82,11 @@ def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | 
     """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
-    g = problem.constraints(start.x)
     inequality = problem.constraint_lower < problem.constraint_upper
-    products = np.concatenate([
-        _products(start.x - problem.lower, start.zl, np.isfinite(problem.lower)),
-        _products(problem.upper - start.x, start.zu, np.isfinite(problem.upper)),
-        _products(g - problem.constraint_lower, np.maximum(-start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_lower)),
-        _products(problem.constraint_upper - g, np.maximum(start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_upper)),
-    ])  # fmt: skip
+    products = bound_products(problem, start.x, problem.constraints(start.x), start.lagrange, start.zl, start.zu, inequality)
     products = products[np.isfinite(products)]
     mean = float(np.mean(products)) if products.size else _MU_SMALLEST
     return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
-
-
-def _products(distance: np.ndarray, multiplier: np.ndarray, where: np.ndarray) -> np.ndarray:
-    return np.abs(distance[where] * multiplier[where])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -368,10 +359,7 @@ def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) ->
 
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
     """Whether iterates that left for infinity took the objective down with them, along points that are feasible at their own scale."""
-    g = problem.constraints(x)
-    sides = (problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper)
-    violation = max((float(np.max(side)) for side in sides if side.size), default=0.0)
-    return problem.objective(x) < -_UNBOUNDED and violation <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
+    return problem.objective(x) < -_UNBOUNDED and problem.violation(x) <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
 
 
 def _empty(problem: IpoptProblem, certificate: Residuals) -> tuple[Outcome, str, Residuals]:

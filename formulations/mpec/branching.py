@@ -69,20 +69,6 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     return best
 
 
-def violation(problem: IpoptProblem, x: np.ndarray) -> float:
-    """Largest violation of a row or bound; inf where a row is not a number.
-
-    Parameters
-    ----------
-    problem : the compiled problem
-    x : (n,) point [units of the variables]
-    """
-    g = problem.constraints(x)
-    sides = [problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper]
-    worst = max((float(np.max(side)) for side in sides if side.size), default=0.0)
-    return max(worst, 0.0) if np.isfinite(g).all() else float("inf")
-
-
 def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
     low, high = problem.lower, problem.upper
@@ -99,8 +85,8 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> fl
     loose = np.abs(lagrange[off_low | off_high])
     scale = max(1.0, float(np.max(np.abs(problem.gradient(x)), initial=0.0)))
     worst = max(float(np.max(wrong, initial=0.0)), float(np.max(loose, initial=0.0))) / scale
-    error = max(violation(problem, x), worst)
-    return error if np.isfinite(error) else float("inf")
+    error = max(problem.violation(x), worst)
+    return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
 
 
 def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool) -> Refined | None:
@@ -168,7 +154,6 @@ class Branch:
     """
 
     closed: np.ndarray
-    result: IpoptResult
     x: np.ndarray
     lagrange: np.ndarray
     objective: float
@@ -349,7 +334,6 @@ class Branching:
         slope = _bound_multipliers(columns, x, better.lagrange)
         return Branch(
             closed=closed.copy(),
-            result=result,
             x=x,
             lagrange=better.lagrange,
             objective=problem.sense * problem.objective(x),

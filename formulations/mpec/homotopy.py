@@ -64,7 +64,7 @@ class Workspace:
         self.branches = _compile_branches(lifted)
         problem = self.branches.problem
         self.branch_bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
-        self._strategy = strategy
+        self.strategy = strategy
         strategy.attach(lifted)
         self.relaxed = Columns(compile_model(lifted.shadow), lifted)
         known = self.relaxed.place
@@ -72,7 +72,7 @@ class Workspace:
 
     def set(self, eps: float) -> None:
         """Move the relaxation to eps."""
-        self._strategy.set(self.lifted, eps)
+        self.strategy.set(self.lifted, eps)
         self.relaxed.problem.refresh(check=False)
 
     def start(self) -> np.ndarray:
@@ -200,14 +200,13 @@ class WorkBudget:
 
 
 class Path:
-    """The steps of one strategy, taken one at a time by `points`.
+    """The steps of one strategy, taken one at a time by `points` and added to `steps`.
 
     gave_up: it ended before its last eps, and `last_outcome` and `last_message` say why
     """
 
-    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> None:
-        self._work, self._strategy, self._settings, self._budget = work, strategy, settings, budget
-        self.steps: list[Step] = []
+    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> None:
+        self._work, self._strategy, self._settings, self._budget, self._steps = work, strategy, settings, budget, steps
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
@@ -262,7 +261,7 @@ class Path:
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
         result = self._budget.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
-        self.steps.append(
+        self._steps.append(
             Step(
                 strategy=self._strategy.name,
                 eps=eps,

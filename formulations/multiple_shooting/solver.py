@@ -133,21 +133,19 @@ class Costs:
 
 
 class _Derivatives:
+    """slope: a function of points (n, symbols) [SI] to (n, symbols) [-]."""
+
     def __init__(self, expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> None:
         n = len(symbols)
         slope = [sp.diff(expression, symbol) for symbol in symbols]
         hessian = [sp.diff(entry, symbol) for entry in slope for symbol in symbols]
         self._n = n
-        self._value, self._slope, self._hessian = (_rows(entries, symbols) for entries in ([expression], slope, hessian))
+        self._value, self.slope, self._hessian = (_rows(entries, symbols) for entries in ([expression], slope, hessian))
         self._quadratic = not any(entry.free_symbols for entry in hessian)
 
     def value(self, point: np.ndarray) -> np.ndarray:
         """Evaluate at points (n, symbols) [SI]: (n,) [-]."""
         return self._value(point)[:, 0]
-
-    def slope(self, point: np.ndarray) -> np.ndarray:
-        """Differentiate at points (n, symbols) [SI]: (n, symbols) [-]."""
-        return self._slope(point)
 
     def hessian(self, point: np.ndarray) -> np.ndarray:
         """Differentiate twice at points (n, symbols) [SI], made positive semidefinite: (n, symbols, symbols) [-]."""
