@@ -263,6 +263,8 @@ def _read_one(source: Any) -> float:
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Current bounds of the variables, infinite where there is none.
 
+    Raises Pyomo's ValueError where a bound is an expression without a value.
+
     Returns
     -------
     lower (n,), upper (n,) [units of the variables]

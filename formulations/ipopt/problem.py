@@ -91,27 +91,36 @@ class Evaluations:
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]."""
+        """The minimised objective at x (n,) [units of the objective]. Raises CyIpoptEvaluationError where one is not finite."""
         return _finite(self._at(x, "values")[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
+        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises CyIpoptEvaluationError where one is not finite."""
         return _finite(self._at(x, "values")[1], "a constraint")
 
     @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
         return _finite(self._at(x, "derivatives")[0], "the gradient")
 
     @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable]."""
+        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
         return _finite(self._at(x, "derivatives")[1], "the Jacobian")
 
     @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
-        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2]."""
+        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
         return _finite(self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian")
 
     def intermediate(self, *numbers: Any) -> bool:
@@ -216,6 +225,8 @@ class IpoptProblem:
     def start(self) -> tuple[np.ndarray, int]:
         """Current values of the variables; one without a value starts at the point of its bounds nearest 0.
 
+        Raises nothing: bounds that cross are for `solve` to tell.
+
         Returns
         -------
         x (n,) [units of the variables], and how many variables had no value
@@ -227,7 +238,10 @@ class IpoptProblem:
         return np.array(values, dtype=float), len(missing)
 
     def violation(self, x: np.ndarray) -> float:
-        """Largest violation of a constraint or bound at x (n,) [units of the constraints]; what is not a number counts for nothing."""
+        """Largest violation of a constraint or bound at x (n,) [units of the constraints]; what is not a number counts for nothing.
+
+        Raises nothing.
+        """
         g = self.constraints(x)
         sides = (self.lower - x, x - self.upper, self.constraint_lower - g, g - self.constraint_upper)
         return max((float(np.max(side)) for side in sides if side.size), default=0.0)
@@ -246,6 +260,8 @@ class IpoptProblem:
     def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """The functions at a point.
 
+        Raises nothing: NaN or inf where the model has no number.
+
         Parameters
         ----------
         x : (n,) point [units of the variables]
@@ -262,6 +278,8 @@ class IpoptProblem:
 
     def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The first derivatives at a point.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -280,23 +298,31 @@ class IpoptProblem:
         return gradient, entries[: self._objective_start]
 
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]."""
+        """The minimised objective at x (n,) [units of the objective]. Raises nothing: NaN or inf where the model has no number."""
         return self.values(x)[0]
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
+        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises nothing: NaN or inf where the model has no number."""
         return self.values(x)[1]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         return self.derivatives(x)[0]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable]."""
+        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         return self.derivatives(x)[1]
 
     def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
         """Gradient of f + lagrange' g: at a solution it is zl - zu.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -311,11 +337,13 @@ class IpoptProblem:
         return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Jacobian's entries [-]."""
+        """Rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""
         return self._jacobian_rows, self._jacobian_columns
 
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
         """Lower triangle of factor * f'' + sum lagrange_i * g_i''.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -337,7 +365,7 @@ class IpoptProblem:
             return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]."""
+        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]. Raises nothing."""
         return self._hessian_rows, self._hessian_columns
 
     @property

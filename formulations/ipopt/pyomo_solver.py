@@ -189,6 +189,8 @@ class PyomoAnswer:
 def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Multipliers in Pyomo's signs, from Ipopt's.
 
+    Raises nothing.
+
     Parameters
     ----------
     sense : +1 to minimise, -1 to maximise

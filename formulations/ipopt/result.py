@@ -108,6 +108,8 @@ def bound_products(
 ) -> np.ndarray:
     """|distance to a bound * its multiplier| where the bound is finite, of the variables and of some constraints.
 
+    Raises nothing: NaN stays NaN.
+
     Parameters
     ----------
     problem : the compiled model
@@ -132,6 +134,8 @@ def bound_products(
 
 def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
     """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
+
+    Raises nothing: NaN where a function has no number.
 
     Parameters
     ----------
@@ -249,7 +253,10 @@ def load(problem: IpoptProblem, result: IpoptResult) -> None:
 
 
 def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
-    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do."""
+    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do.
+
+    Raises ValueError where x has another size.
+    """
     StaleFlagManager.mark_all_as_stale()
     for variable, number in zip(variables, x.tolist(), strict=True):
         variable.set_value(number, skip_validation=True)

@@ -121,6 +121,8 @@ def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
 def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     """Groups of the Hessian's columns, such that two columns of a group have no common row.
 
+    Raises nothing.
+
     Parameters
     ----------
     pairs : (2, entries) rows and columns of one triangle [-]
@@ -168,7 +170,10 @@ def _generate_by_products(
     starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
 
     def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
-        """Write the entries into out (entries, instances) [row per variable^2]."""
+        """Write the entries into out (entries, instances) [row per variable^2].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         instances = out.shape[1]
         block = max(1, min(count, _BLOCK // max(1, operations * instances)))
         for start in range(0, count, block):
@@ -318,7 +323,10 @@ def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     indices = [graph.args[n][0] for n in data]
 
     def prepare(rows: np.ndarray, out: np.ndarray) -> None:
-        """Fill out (prepared, instances) from rows (data, instances) [units of the data]."""
+        """Fill out (prepared, instances) from rows (data, instances) [units of the data].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         inner(None, [rows[i] for i in indices], out)
 
     return prepare
@@ -359,6 +367,8 @@ class TermGroup:
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the affine part, slot after slot; values in `affine_values` after a refresh.
 
+        Raises nothing.
+
         Returns
         -------
         rows, columns (linear slots * N,) [-]
@@ -369,6 +379,8 @@ class TermGroup:
     @property
     def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the nonlinear part's gradient entries.
+
+        Raises nothing.
 
         Returns
         -------
@@ -381,6 +393,8 @@ class TermGroup:
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the Hessian entries.
 
+        Raises nothing.
+
         Returns
         -------
         larger column, smaller column (pairs * N,) [-]
@@ -391,19 +405,22 @@ class TermGroup:
     # -- values -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
-        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data]."""
+        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         rows = [*self._numbers, *data[self._params]]
         self.shape.prepare(rows, self._prepared)
         self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
 
     @property
     def constants(self) -> np.ndarray:
-        """Weighted constant parts (N,) [units of the rows]."""
+        """Weighted constant parts (N,) [units of the rows]. Raises nothing."""
         return self.weights * self._prepared[0]
 
     @property
     def affine_values(self) -> np.ndarray:
-        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]."""
+        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]. Raises nothing."""
         return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
 
     @property
@@ -412,13 +429,19 @@ class TermGroup:
         return self.shape.value is not None
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows]."""
+        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         out = np.empty((1, len(self.rows)))
         self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
         return self.weights * out[0]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable]."""
+        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         out = np.empty((len(self.shape.slope_slots), len(self.rows)))
         if self.shape.slope is not None:
             self.shape.slope(x[self._curved], self._hoisted, out)
@@ -426,6 +449,8 @@ class TermGroup:
 
     def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Weighted Hessian entries times the multiplier of each term's row.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------

@@ -95,7 +95,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
     low, high = problem.lower, problem.upper
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
-        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]."""
+        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]. Raises nothing."""
         return (gap <= near) & ((multiplier > gap) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)
@@ -168,7 +168,7 @@ class Branch:
 
     @property
     def wanting(self) -> np.ndarray:
-        """Mask (pairs,) of biactive pairs that want their other branch [-]."""
+        """Mask (pairs,) of biactive pairs that want their other branch [-]. Raises nothing."""
         return self.biactive & (self.multipliers < -_WANTING)
 
 
@@ -185,6 +185,8 @@ class Branching:
     def polish(self, x: np.ndarray) -> Branch | None:
         """The best branch reached from a point of the relaxation; None if the branch read off has no solution.
 
+        Raises what `formulations.ipopt.solve` does.
+
         Parameters
         ----------
         x : (n,) point of the relaxation [units of the variables]
@@ -198,6 +200,8 @@ class Branching:
 
     def search(self, branch: Branch, start: np.ndarray) -> Branch:
         """Local search beyond the nearest solution: decide one pair after the other otherwise, go where it is better, until no neighbour is.
+
+        Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------
@@ -219,6 +223,8 @@ class Branching:
 
     def every_branch(self, starts: Sequence[np.ndarray]) -> tuple[Branch | None, Outcome]:
         """The best of all branches, improved, and how it ended: for a few pairs of which no branch is known.
+
+        Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------

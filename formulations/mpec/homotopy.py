@@ -42,12 +42,14 @@ class Columns:
         self.twin_row = np.array([row[id(pair.ve)] for pair in lifted.pairs], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]."""
+        """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]. Raises nothing."""
         return x[self.first], x[self.second]
 
 
 def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
     """Largest |min(v, w)| of a pair, 0 without pairs.
+
+    Raises nothing: NaN stays NaN.
 
     Parameters
     ----------
@@ -95,7 +97,10 @@ class Workspace:
         return x
 
     def branch_point(self, x: np.ndarray) -> np.ndarray:
-        """A point of the relaxation (n,) in the columns of the problem without products (columns,) [units of the variables]."""
+        """A point of the relaxation (n,) in the columns of the problem without products (columns,) [units of the variables].
+
+        Raises nothing.
+        """
         point = np.zeros(self.branches.problem.n)
         known = self._to_branch >= 0
         point[known] = x[self._to_branch[known]]
@@ -108,7 +113,7 @@ class Workspace:
 def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
     """Give each slack the value that makes its defining row hold, within its bounds.
 
-    The row is an equality that no slack of a later pair enters.
+    The row is an equality that no slack of a later pair enters. Raises nothing.
 
     Parameters
     ----------
@@ -213,6 +218,8 @@ class Path:
 
     def points(self, start: np.ndarray) -> Iterator[PathPoint]:
         """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either.
+
+        Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------

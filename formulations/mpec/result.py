@@ -71,7 +71,7 @@ class Candidate:
 
     @property
     def x(self) -> np.ndarray | None:
-        """Where the point is (columns,) [units of the variables]; None if there is none."""
+        """Where the point is (columns,) [units of the variables]; None if there is none. Raises nothing."""
         found = self.branch or self.point
         return None if found is None else found.x
 

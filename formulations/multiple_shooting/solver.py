@@ -84,24 +84,24 @@ class GoalTerm:
         return bool(self._given.any())
 
     def miss(self, end: np.ndarray) -> np.ndarray:
-        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]."""
+        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
         return miss(end, self._goal)
 
     def value(self, end: np.ndarray) -> float:
-        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]."""
+        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
         m = self.miss(end)
         return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
 
     def slope(self, end: np.ndarray) -> np.ndarray:
-        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]."""
+        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises nothing."""
         return np.where(self._given, self.multipliers + self.weight * self.miss(end), 0.0)
 
     def hessian(self) -> np.ndarray:
-        """Give its second derivatives: (2*nq, 2*nq) [-]."""
+        """Give its second derivatives: (2*nq, 2*nq) [-]. Raises nothing."""
         return np.diag(np.where(self._given, self.weight, 0.0))
 
     def update(self, end: np.ndarray) -> None:
-        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]."""
+        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
         self.multipliers += np.where(self._given, self.weight * self.miss(end), 0.0)
 
 
@@ -118,16 +118,25 @@ class Costs:
         self._final = _Derivatives(final, state)
 
     def value(self, x: np.ndarray, u: np.ndarray) -> float:
-        """Evaluate the cost of nodes x (steps+1, nx) [m, rad, m/s, rad/s] and inputs u (steps, nu) [N, N m]."""
+        """Evaluate the cost of nodes x (steps+1, nx) [m, rad, m/s, rad/s] and inputs u (steps, nu) [N, N m].
+
+        Raises ValueError where their lengths do not fit.
+        """
         return float(self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0])
 
     def running(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the slope (steps, nx+nu) [-] and Hessian (steps, nx+nu, nx+nu) [-] of the running cost at x (steps, nx), u (steps, nu) [SI]."""
+        """Give the slope (steps, nx+nu) [-] and Hessian (steps, nx+nu, nx+nu) [-] of the running cost at x (steps, nx), u (steps, nu) [SI].
+
+        Raises ValueError where their lengths differ.
+        """
         point = np.hstack([x, u])
         return self._running.slope(point), self._running.hessian(point)
 
     def final(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the slope (nx,) [-] and Hessian (nx, nx) [-] of the final cost at x (nx,) [m, rad, m/s, rad/s]."""
+        """Give the slope (nx,) [-] and Hessian (nx, nx) [-] of the final cost at x (nx,) [m, rad, m/s, rad/s].
+
+        Raises nothing: NaN or inf where the cost has no number.
+        """
         point = x[None, :]
         return self._final.slope(point)[0], self._final.hessian(point)[0]
 
@@ -144,11 +153,14 @@ class _Derivatives:
         self._quadratic = not any(entry.free_symbols for entry in hessian)
 
     def value(self, point: np.ndarray) -> np.ndarray:
-        """Evaluate at points (n, symbols) [SI]: (n,) [-]."""
+        """Evaluate at points (n, symbols) [SI]: (n,) [-]. Raises nothing: NaN or inf where it has no number."""
         return self._value(point)[:, 0]
 
     def hessian(self, point: np.ndarray) -> np.ndarray:
-        """Differentiate twice at points (n, symbols) [SI], made positive semidefinite: (n, symbols, symbols) [-]."""
+        """Differentiate twice at points (n, symbols) [SI], made positive semidefinite: (n, symbols, symbols) [-].
+
+        Raises LinAlgError where no eigenvalues are found, as with NaN.
+        """
         rows = self._hessian(point[:1] if self._quadratic else point).reshape(-1, self._n, self._n)
         value, vectors = np.linalg.eigh(rows)
         convex = (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) if (value < 0.0).any() else rows
@@ -160,7 +172,7 @@ def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[
     compiled = sp.lambdify([list(symbols)], list(entries), modules="numpy", cse=True)
 
     def function(point: np.ndarray) -> np.ndarray:
-        """Evaluate the entries at points (n, symbols) [SI]: (n, entries) [-]."""
+        """Evaluate the entries at points (n, symbols) [SI]: (n, entries) [-]. Raises nothing: NaN or inf where one has no number."""
         found = np.empty((len(point), len(entries)))
         for index, column in enumerate(compiled(list(point.T))):
             found[:, index] = column
@@ -205,6 +217,7 @@ class Stages:
         """Fill k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
 
         shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a larger shift).
+        Raises nothing: sizes are not checked.
         """
         self.Vx[-1] = self.px
         hessian = self.pxx.copy()
@@ -217,7 +230,10 @@ class Stages:
         return failed == 0
 
     def forward(self, gap: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone."""
+        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone.
+
+        Raises nothing: sizes are not checked.
+        """
         dx, du = np.zeros((self.steps + 1, self.nx)), np.zeros((self.steps, self.nu))
         arrays = (self.A, self.B, self.gap, self.k, self.K, dx, du)
         if gap is not None:
@@ -278,6 +294,8 @@ class Solver:
 
     def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> SolverResult:
         """Iterate until nodes and inputs settle, or a limit is reached.
+
+        Raises MachineError without a C compiler.
 
         Parameters
         ----------

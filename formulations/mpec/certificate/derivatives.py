@@ -207,6 +207,8 @@ class _Together:
     def agrees_with(self, values: np.ndarray, triplets: _Triplets, expressions: Sequence[Any], own: np.ndarray) -> bool:
         """Whether all values are Pyomo's, and the derivatives of some expressions of each shape, of some linear ones and of the last.
 
+        Raises nothing: what Pyomo cannot differentiate is told by `compared`.
+
         Parameters
         ----------
         values : (expressions,) by Pyomo [units of the expressions]
