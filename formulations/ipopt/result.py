@@ -189,9 +189,12 @@ UNKNOWN = Residuals(
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Iteration:
-    """One line of Ipopt's log. objective and mu in the model's sign and scale, inf_pr and inf_du as Ipopt scales them."""
+    """One line of Ipopt's log, in the order in which Ipopt tells it but for the first two.
+
+    objective and mu in the model's sign and scale, inf_pr and inf_du as Ipopt scales them
+    """
 
     iteration: int
     restoration: bool

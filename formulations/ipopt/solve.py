@@ -253,20 +253,9 @@ class _Recorder:
         self._sense = sense
         self._callback = callback
 
-    def __call__(self, alg_mod, iteration, objective, inf_pr, inf_du, mu, d_norm, regularization, alpha_du, alpha_pr, trials) -> bool:
-        line = Iteration(
-            iteration=int(iteration),
-            restoration=bool(alg_mod),
-            objective=self._sense * float(objective),
-            inf_pr=float(inf_pr),
-            inf_du=float(inf_du),
-            mu=float(mu),
-            step=float(d_norm),
-            regularization=float(regularization),
-            alpha_du=float(alpha_du),
-            alpha_pr=float(alpha_pr),
-            trials=int(trials),
-        )
+    def __call__(self, mode: int, iteration: int, objective: float, *others: float) -> bool:
+        *measures, trials = others
+        line = Iteration(int(iteration), bool(mode), self._sense * float(objective), *map(float, measures), trials=int(trials))
         self.lines.append(line)
         self.last = line.iteration
         if self._callback is None:
@@ -303,7 +292,11 @@ def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any])
     finite = all(bool(np.all(np.isfinite(v))) for v in vectors)
     certificate = residuals(problem, *vectors) if finite else UNKNOWN
     if answer.status == NOT_SENT:
-        return (Outcome.INFEASIBLE, answer.message, certificate) if answer.message else _empty(problem, certificate)
+        if answer.message:
+            return Outcome.INFEASIBLE, answer.message, certificate
+        if not np.isfinite(problem.objective(answer.x)):
+            return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
+        return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate
     outcome = outcome_of(answer.status)
     message = f"{name_of(answer.status)}: {certificate.sentence}"
     if outcome is Outcome.EVALUATION_ERROR:
@@ -360,9 +353,3 @@ def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) ->
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
     """Whether iterates that left for infinity took the objective down with them, along points that are feasible at their own scale."""
     return problem.objective(x) < -_UNBOUNDED and problem.violation(x) <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
-
-
-def _empty(problem: IpoptProblem, certificate: Residuals) -> tuple[Outcome, str, Residuals]:
-    if not np.isfinite(problem.objective(np.zeros(0))):
-        return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
-    return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate
