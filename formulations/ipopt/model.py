@@ -263,13 +263,21 @@ def _read_one(source: Any) -> float:
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Current bounds of the variables, infinite where there is none.
 
-    Raises Pyomo's ValueError where a bound is an expression without a value.
-
     Returns
     -------
     lower (n,), upper (n,) [units of the variables]
+
+    Raises
+    ------
+    MissingValueError
+        where a bound has no value
     """
-    pairs = [v.bounds for v in variables]
+    pairs = []
+    for variable in variables:
+        try:
+            pairs.append(variable.bounds)
+        except ValueError as error:
+            raise MissingValueError(f"a bound of variable '{variable.name}' has no value") from error
     lower = np.array([-np.inf if low is None else low for low, _ in pairs], dtype=float)
     upper = np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
     return lower, upper

@@ -140,17 +140,17 @@ class IpoptProblem:
     lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
     """
 
-    def __init__(self, layout: Layout, groups: list[TermGroup], *, constants: np.ndarray, triplets: tuple[np.ndarray, ...]) -> None:
+    def __init__(self, layout: Layout, read: TermReader) -> None:
         self.layout = layout
         self.variables = layout.variables
         self.sense = layout.sense
         self.n = len(layout.variables)
         self._rows = len(layout.constraints) + 1  # the last row is the objective
-        self._groups = groups
-        self._curved = [g for g in groups if g.is_curved]
-        self._fixed_constants = constants
-        self._numeric_slopes = triplets[2]
-        self._settle_pattern(triplets[0], triplets[1])
+        self._groups = [TermGroup(shape_of(signature), bucket) for signature, bucket in read.buckets.items()]
+        self._curved = [g for g in self._groups if g.is_curved]
+        self._fixed_constants = np.array(read.constants, dtype=float)
+        self._numeric_slopes = np.array(read.slopes, dtype=float)
+        self._settle_pattern(np.array(read.rows, dtype=np.intp), np.array(read.columns, dtype=np.intp))
         self._settle_hessian()
         self.refresh(check=False)
 
@@ -395,7 +395,6 @@ def compile_model(model: Any) -> IpoptProblem:
         reader.constants = [0.0] * (len(constraints) + 1)
         lower: list[Any] = []
         upper: list[Any] = []
-        expressions: list[Any] = []
         for row, constraint in enumerate(constraints):
             body, subtracted, low, high = sides_of(constraint)
             reader.read(row, body, 1.0, constraint)
@@ -403,15 +402,13 @@ def compile_model(model: Any) -> IpoptProblem:
                 reader.read(row, subtracted, -1.0, constraint)
             lower.append(low)
             upper.append(high)
-            expressions.append(constraint.expr)
         sense = sense_of(objective)
         if objective is not None:
             reader.read(len(constraints), objective, float(sense), objective)
-        groups = [TermGroup(shape_of(signature), bucket) for signature, bucket in reader.buckets.items()]
         layout = Layout(
             model=model,
             constraints=tuple(constraints),
-            expressions=tuple(expressions),
+            expressions=tuple(constraint.expr for constraint in constraints),
             objective=objective,
             sense=sense,
             lower=_bounds(lower, -np.inf),
@@ -420,12 +417,7 @@ def compile_model(model: Any) -> IpoptProblem:
             data=tuple(reader.data),
             named=tuple(reader.named.values()),
         )
-        return IpoptProblem(
-            layout,
-            groups,
-            constants=np.array(reader.constants, dtype=float),
-            triplets=(np.array(reader.rows, dtype=np.intp), np.array(reader.columns, dtype=np.intp), np.array(reader.slopes, dtype=float)),
-        )
+        return IpoptProblem(layout, reader)
 
 
 def _bounds(given: list[Any], unbounded: float) -> tuple[np.ndarray, tuple[tuple[int, Any], ...]]:
