@@ -16,7 +16,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.checkout import find_modules_in, module_at
+from benchmarks.checkout import find_modules_in
 from benchmarks.measure import run_child
 from benchmarks.options import COUNT, SEED, json_option
 from validate.store.disk import write_durably
@@ -40,13 +40,14 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
     Prints the agreement classes by kind of problem, and every problem that is not `same`. Exit code 1 where an `optimal`, an `infeasible` or an
     `unbounded` was wrong. `worse` is another local solution: nonlinear programs are solved locally, here and in the enumeration.
     """
+    from benchmarks.mpec import enumeration, generator
+
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
-    judge, generator = (module_at(f"tests/formulations/mpec/fuzz/{name}.py") for name in ("enumeration", "generator"))
     classes: Counter[tuple[str, str]] = Counter()
     lines = []
     for seed in range(first, first + seeds):
-        verdict = judge.judge(generator.random_mpec(seed))
+        verdict = enumeration.judge(generator.random_mpec(seed))
         classes[verdict.agreement, verdict.kind] += 1
         lines.append(json.dumps(asdict(verdict)))
         if verdict.agreement != "same":
@@ -61,7 +62,7 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
     click.echo(f"{seeds} problems, {time.process_time():.0f} CPU s")
     if file is not None:
         write_durably(file, "\n".join(lines) + "\n")
-    return 1 if any(agreement in judge.WRONG for agreement, _ in classes) else 0
+    return 1 if any(agreement in enumeration.WRONG for agreement, _ in classes) else 0
 
 
 def _chunk(name: str, results: str, *seeds: str) -> None:

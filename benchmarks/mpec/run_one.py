@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import ROOT
-from benchmarks.checkout import module_at
-
-PROBLEMS = "tests/formulations/mpec/macmpec"
+from benchmarks.mpec.macmpec import PROBLEMS
 
 # Peers that are given a CasADi program.
 PEERS = ("casadi_scholtes", "pympcc", "mpecss", "nosnoc")
@@ -117,12 +114,8 @@ def certified(model: Any) -> dict[str, Any]:
 
 
 def macmpec() -> dict[str, tuple[Any, float]]:
-    """name -> (builder, published optimum) of every problem written for the tests."""
-    found = {}
-    for path in sorted((ROOT / PROBLEMS).glob("*.py")):
-        module = module_at(f"{PROBLEMS}/{path.name}")
-        found.update({builder.__name__: (builder, optimum) for builder, optimum, _ in module.PROBLEMS})
-    return found
+    """name -> (builder, published optimum) of every problem."""
+    return {builder.__name__: (builder, optimum) for builder, optimum, _ in PROBLEMS}
 
 
 def main(peer: str, problem: str, seed: str, result: str) -> None:

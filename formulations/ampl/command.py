@@ -79,8 +79,8 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
 
     from formulations.ampl.nl import NlError, read_problem
     from formulations.ampl.sol import write_sol
-    from formulations.ipopt.errors import MissingValueError, ModelRefusedError, UnknownOptionError
-    from formulations.mpec.settings import read_settings
+    from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
+    from formulations.mpec import read_settings
     from formulations.mpec.solve import solve_mpec
 
     own, others = _split(words)
@@ -137,7 +137,7 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _options_in_words() -> str:
-    from formulations.mpec.settings import MpecSettings
+    from formulations.mpec import MpecSettings
 
     rows = [f"{name:28}{text}" for name, text in _OWN.items()]
     rows += [f"{item.name:28}of mpec_ipopt ({item.default})" for item in fields(MpecSettings) if item.name != "ipopt"]

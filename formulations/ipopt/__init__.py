@@ -20,10 +20,9 @@ Importing this package also registers `SolverFactory("touchstone_ipopt")`, which
 from __future__ import annotations
 
 from formulations.ipopt import contrib_solver as contrib_solver  # registers with Pyomo's second factory
-from formulations.ipopt.compile import compile_model
-from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
-from formulations.ipopt.options import known_options
-from formulations.ipopt.problem import IpoptProblem
+from formulations.ipopt.model import MissingValueError, ModelRefusedError, StructureChangedError
+from formulations.ipopt.options import UnknownOptionError, known_options
+from formulations.ipopt.problem import IpoptProblem, compile_model
 from formulations.ipopt.pyomo_solver import TouchstoneIpopt
 from formulations.ipopt.result import STATUS_MAP, STATUS_NAMES, IpoptResult, IpoptSeconds, Iteration, Residuals, load, outcome_of, residuals
 from formulations.ipopt.solve import Start, solve

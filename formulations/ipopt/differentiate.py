@@ -143,7 +143,7 @@ _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})
 def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
     """Pairs of variables between which the root can be curved; a superset of the true pattern.
 
-    Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its operands.
+    Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its operands. Raises nothing.
 
     Returns
     -------

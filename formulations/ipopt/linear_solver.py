@@ -74,16 +74,6 @@ def _compiled() -> Path:
     return path
 
 
-def available() -> bool:
-    """Whether the library can be had here; if not, the log says why, once."""
-    try:
-        ldlt_library()
-    except MachineError as error:
-        _tell(str(error))
-        return False
-    return True
-
-
 @cache
 def _tell(why: str) -> None:
     logger.info("Ipopt's linear systems are factorised by MUMPS: %s", why)
@@ -104,9 +94,14 @@ def linear_solver(asked: str = "") -> str:
         )
     if insisted == MUMPS:
         return MUMPS
-    if insisted == LDLT:
+    try:
         ldlt_library()
-    if available() and loads_solvers():
+    except MachineError as error:
+        if insisted:
+            raise
+        _tell(str(error))
+        return MUMPS
+    if loads_solvers():
         return LDLT
     if insisted:
         raise MachineError("the installed Ipopt was built without loading linear solvers at run time; use linear_solver 'mumps'.")

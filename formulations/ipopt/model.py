@@ -15,8 +15,58 @@ from pyomo.core.base.component import ActiveComponent
 from pyomo.core.expr import value
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 
-from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError
-from formulations.ipopt.graph import EvaluatedExpression
+from formulations.ipopt.graph import UNARY
+
+
+class ModelRefusedError(ValueError):
+    """The model holds something that a smooth solver cannot treat, or that would be silently dropped."""
+
+
+class MissingValueError(ValueError):
+    """A Param or a fixed variable that the model needs has no value, or not a finite one."""
+
+
+class StructureChangedError(RuntimeError):
+    """The model's structure is no longer the one that was compiled: compile it again."""
+
+
+_ADVICE = {
+    "abs": "write sqrt(x**2 + eps**2), or split x = xp - xn with xp, xn >= 0",
+    "max": "write an epigraph variable t >= each argument, or a smooth maximum",
+    "min": "write a hypograph variable t <= each argument, or a smooth minimum",
+    "Expr_if": "write the two cases as a complementarity or blend them smoothly",
+}
+
+
+class EvaluatedExpression:
+    """Data that is an expression rather than a Param: `value` evaluates it (Expr_if, max, abs, .. of data)."""
+
+    __slots__ = ("expression",)
+
+    def __init__(self, expression: Any) -> None:
+        self.expression = expression
+
+    @property
+    def value(self) -> float:
+        """The number that the expression has now."""
+        return value(self.expression)
+
+    @property
+    def name(self) -> str:
+        """The expression as text."""
+        return str(self.expression)
+
+
+def as_data(node: Any, where: Any) -> EvaluatedExpression:
+    """The node as data; raises ModelRefusedError naming the component `where` if it depends on a free variable."""
+    if not node.is_fixed():
+        name = node.getname() if hasattr(node, "getname") else type(node).__name__
+        known = "known are + - * / ** and " + " ".join(sorted(UNARY))
+        raise ModelRefusedError(
+            f"'{where.name}' applies {name} to a variable: only smooth functions can be handed to Ipopt ({_ADVICE.get(name, known)})"
+        )
+    return EvaluatedExpression(node)
+
 
 # A side of all constraints: the numbers by row, and (row, expression) of the bounds that are expressions of data.
 _Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
@@ -216,8 +266,18 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     lower (n,), upper (n,) [units of the variables]
+
+    Raises
+    ------
+    MissingValueError
+        where a bound has no value
     """
-    pairs = [v.bounds for v in variables]
+    pairs = []
+    for variable in variables:
+        try:
+            pairs.append(variable.bounds)
+        except ValueError as error:
+            raise MissingValueError(f"a bound of variable '{variable.name}' has no value") from error
     lower = np.array([-np.inf if low is None else low for low, _ in pairs], dtype=float)
     upper = np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
     return lower, upper

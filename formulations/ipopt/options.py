@@ -11,8 +11,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.linear_solver import LINEAR_SOLVERS
+
+
+class UnknownOptionError(ValueError):
+    """An option that is not on the list, or a value that cannot be used for it."""
+
 
 _YES_NO = ("yes", "no")
 

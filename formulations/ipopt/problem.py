@@ -1,8 +1,8 @@
-"""IpoptProblem: a compiled model. Its structure is settled once; Params, fixed values, bounds and starts are read as often as one likes.
+"""Pyomo model -> IpoptProblem: every active equation is read once, terms of one shape are gathered, sparsity is settled.
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
-A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers with a shorter step.
+Params, fixed values, bounds and starts are read as often as one likes. A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers with a shorter step.
 
 `Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt forgets what the Hessian raises: Ctrl-C there is
 swallowed and the solve runs on. So the first unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run` raises
@@ -18,10 +18,24 @@ from typing import Any
 
 import numpy as np
 from cyipopt import CyIpoptEvaluationError
+from pyomo.common.gc_manager import PauseGC
+from pyomo.common.numeric_types import native_numeric_types
 
-from formulations.ipopt.errors import MissingValueError
-from formulations.ipopt.model import Layout, check_structure, read_bounds, read_constraint_bounds, read_data
-from formulations.ipopt.shapes import TermGroup
+from formulations.ipopt.model import (
+    Layout,
+    MissingValueError,
+    active_constraints,
+    active_objective,
+    check_structure,
+    read_bounds,
+    read_constraint_bounds,
+    read_data,
+    refuse_unknown_components,
+    sense_of,
+    sides_of,
+)
+from formulations.ipopt.read import TermReader
+from formulations.ipopt.shapes import TermGroup, shape_of
 
 
 def _keeping(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -56,60 +70,58 @@ class Evaluations:
     def __init__(self, problem: IpoptProblem, after: Callable[..., bool]) -> None:
         self._problem = problem
         self._after = after
-        self._x_rows = self._x_entries = np.full(problem.n, np.nan)
-        self._rows = self._entries = np.empty(0)
+        self._last: dict[str, tuple[np.ndarray, Any]] = dict.fromkeys(("values", "derivatives"), (np.full(problem.n, np.nan), None))
         self.error: BaseException | None = None
         self.seconds = 0.0
         self.calls = {"values": 0, "derivatives": 0, "hessians": 0}
         self.jacobianstructure = problem.jacobianstructure
         self.hessianstructure = problem.hessianstructure
 
-    def _values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        if not np.array_equal(x, self._x_rows):
-            begin = time.perf_counter()
-            self._rows = self._problem.rows_at(x)
-            self._x_rows = x.copy()
-            self.calls["values"] += 1
-            self.seconds += time.perf_counter() - begin
-        return self._problem.split_rows(self._rows)
+    def _counted(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        begin = time.perf_counter()
+        found = function(*arguments)
+        self.calls[what] += 1
+        self.seconds += time.perf_counter() - begin
+        return found
 
-    def _derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if not np.array_equal(x, self._x_entries):
-            begin = time.perf_counter()
-            self._entries = self._problem.entries_at(x)
-            self._x_entries = x.copy()
-            self.calls["derivatives"] += 1
-            self.seconds += time.perf_counter() - begin
-        return self._problem.split_entries(self._entries)
+    def _at(self, x: np.ndarray, what: str) -> tuple[Any, np.ndarray]:
+        if not np.array_equal(x, self._last[what][0]):
+            self._last[what] = x.copy(), self._counted(what, getattr(self._problem, what), x)
+        return self._last[what][1]
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]."""
-        return _finite(self._values(x)[0], "the objective")
+        """The minimised objective at x (n,) [units of the objective]. Raises CyIpoptEvaluationError where one is not finite."""
+        return _finite(self._at(x, "values")[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
-        return _finite(self._values(x)[1], "a constraint")
+        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises CyIpoptEvaluationError where one is not finite."""
+        return _finite(self._at(x, "values")[1], "a constraint")
 
     @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
-        return _finite(self._derivatives(x)[0], "the gradient")
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
+        return _finite(self._at(x, "derivatives")[0], "the gradient")
 
     @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable]."""
-        return _finite(self._derivatives(x)[1], "the Jacobian")
+        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
+        return _finite(self._at(x, "derivatives")[1], "the Jacobian")
 
     @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
-        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2]."""
-        begin = time.perf_counter()
-        values = self._problem.hessian(x, lagrange, factor)
-        self.calls["hessians"] += 1
-        self.seconds += time.perf_counter() - begin
-        return _finite(values, "the Hessian")
+        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2].
+
+        Raises CyIpoptEvaluationError where one is not finite.
+        """
+        return _finite(self._counted("hessians", self._problem.hessian, x, lagrange, factor), "the Hessian")
 
     def intermediate(self, *numbers: Any) -> bool:
         """Ipopt's question after each iteration, whether to go on."""
@@ -128,17 +140,17 @@ class IpoptProblem:
     lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
     """
 
-    def __init__(self, layout: Layout, groups: list[TermGroup], *, constants: np.ndarray, triplets: tuple[np.ndarray, ...]) -> None:
+    def __init__(self, layout: Layout, read: TermReader) -> None:
         self.layout = layout
         self.variables = layout.variables
         self.sense = layout.sense
         self.n = len(layout.variables)
         self._rows = len(layout.constraints) + 1  # the last row is the objective
-        self._groups = groups
-        self._curved = [g for g in groups if g.is_curved]
-        self._fixed_constants = constants
-        self._numeric_slopes = triplets[2]
-        self._settle_pattern(triplets[0], triplets[1])
+        self._groups = [TermGroup(shape_of(signature), bucket) for signature, bucket in read.buckets.items()]
+        self._curved = [g for g in self._groups if g.is_curved]
+        self._fixed_constants = np.array(read.constants, dtype=float)
+        self._numeric_slopes = np.array(read.slopes, dtype=float)
+        self._settle_pattern(np.array(read.rows, dtype=np.intp), np.array(read.columns, dtype=np.intp))
         self._settle_hessian()
         self.refresh(check=False)
 
@@ -167,8 +179,7 @@ class IpoptProblem:
         self._value_rows = np.concatenate([g.rows for g in self._curved]) if self._curved else np.empty(0, dtype=np.intp)
 
     def _settle_hessian(self) -> None:
-        entries = [g.curvature_entries for g in self._curved]
-        keys = [r * self.n + c for r, c in entries] or [np.empty(0, dtype=np.intp)]
+        keys = [r * self.n + c for r, c in (g.curvature_entries for g in self._curved)] or [np.empty(0, dtype=np.intp)]
         unique, self._curvature_place = np.unique(np.concatenate(keys), return_inverse=True)
         rows, columns = np.divmod(unique, max(self.n, 1))
         self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
@@ -214,6 +225,8 @@ class IpoptProblem:
     def start(self) -> tuple[np.ndarray, int]:
         """Current values of the variables; one without a value starts at the point of its bounds nearest 0.
 
+        Raises nothing: bounds that cross are for `solve` to tell.
+
         Returns
         -------
         x (n,) [units of the variables], and how many variables had no value
@@ -223,6 +236,15 @@ class IpoptProblem:
         for k in missing:
             values[k] = min(max(0.0, self.lower[k]), self.upper[k])
         return np.array(values, dtype=float), len(missing)
+
+    def violation(self, x: np.ndarray) -> float:
+        """Largest violation of a constraint or bound at x (n,) [units of the constraints]; what is not a number counts for nothing.
+
+        Raises nothing.
+        """
+        g = self.constraints(x)
+        sides = (self.lower - x, x - self.upper, self.constraint_lower - g, g - self.constraint_upper)
+        return max((float(np.max(side)) for side in sides if side.size), default=0.0)
 
     def trivial_violation(self) -> tuple[float, str]:
         """Largest violation of a constraint without variables, and its name; (0.0, "") where all hold."""
@@ -235,8 +257,10 @@ class IpoptProblem:
 
     # -- functions, under the names cyipopt asks for -----------------------------------------------------------------------------------
 
-    def rows_at(self, x: np.ndarray) -> np.ndarray:
-        """Values of all constraints of the layout and, last, of the minimised objective.
+    def values(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """The functions at a point.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -244,16 +268,18 @@ class IpoptProblem:
 
         Returns
         -------
-        (constraints + 1,) values [units of the rows]
+        the minimised objective, and the constraints (m,) [units of the constraints]
         """
         with np.errstate(all="ignore"):
             total = self._constants + np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
             if self._curved:
                 total += np.bincount(self._value_rows, np.concatenate([g.values(x) for g in self._curved]), self._rows)
-        return total
+        return float(total[-1]), total[self._sent]
 
-    def entries_at(self, x: np.ndarray) -> np.ndarray:
-        """All first derivatives, constraints first, then those of the objective.
+    def derivatives(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The first derivatives at a point.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -261,39 +287,42 @@ class IpoptProblem:
 
         Returns
         -------
-        (entries,) derivatives [row per variable]
+        gradient (n,) of the minimised objective, and entries (nonzeros,) of the Jacobian at the places of `jacobianstructure` [row per variable]
         """
-        if not self._curved:
-            return self._affine
-        with np.errstate(all="ignore"):
-            return self._affine + np.bincount(
-                self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), minlength=len(self._affine)
-            )
+        entries = self._affine
+        if self._curved:
+            with np.errstate(all="ignore"):
+                entries = entries + np.bincount(self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), len(entries))
+        gradient = np.zeros(self.n)
+        gradient[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
+        return gradient, entries[: self._objective_start]
 
     def objective(self, x: np.ndarray) -> float:
-        """The minimised objective at x (n,) [units of the objective]."""
-        return float(self.rows_at(x)[-1])
+        """The minimised objective at x (n,) [units of the objective]. Raises nothing: NaN or inf where the model has no number."""
+        return self.values(x)[0]
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
-        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
-        return self.rows_at(x)[self._sent]
+        """Values (m,) of the constraints at x (n,) [units of the constraints]. Raises nothing: NaN or inf where the model has no number."""
+        return self.values(x)[1]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
-        return self.dense_gradient(self.entries_at(x))
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable].
 
-    def dense_gradient(self, entries: np.ndarray) -> np.ndarray:
-        """Gradient (n,) of the minimised objective out of what `entries_at` gave (entries,) [objective per variable]."""
-        dense = np.zeros(self.n)
-        dense[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
-        return dense
+        Raises nothing: NaN or inf where the model has no number.
+        """
+        return self.derivatives(x)[0]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable]."""
-        return self.entries_at(x)[: self._objective_start]
+        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
+        return self.derivatives(x)[1]
 
     def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
         """Gradient of f + lagrange' g: at a solution it is zl - zu.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -304,15 +333,17 @@ class IpoptProblem:
         -------
         (n,) gradient [objective per variable]
         """
-        gradient, jacobian = self.split_entries(self.entries_at(x))
+        gradient, jacobian = self.derivatives(x)
         return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
 
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Jacobian's entries [-]."""
+        """Rows and columns (nonzeros,) of the Jacobian's entries [-]. Raises nothing."""
         return self._jacobian_rows, self._jacobian_columns
 
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
         """Lower triangle of factor * f'' + sum lagrange_i * g_i''.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------
@@ -334,7 +365,7 @@ class IpoptProblem:
             return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]."""
+        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]. Raises nothing."""
         return self._hessian_rows, self._hessian_columns
 
     @property
@@ -342,10 +373,62 @@ class IpoptProblem:
         """Entries of the Jacobian and of the lower triangle of the Hessian, at least 1."""
         return max(1, len(self._jacobian_rows) + len(self._hessian_rows))
 
-    def split_rows(self, rows: np.ndarray) -> tuple[float, np.ndarray]:
-        """The minimised objective, and the constraints (m,), out of what `rows_at` gave (constraints + 1,) [units of the rows]."""
-        return float(rows[-1]), rows[self._sent]
 
-    def split_entries(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The gradient (n,), and the Jacobian's entries (nonzeros,), out of what `entries_at` gave (entries,) [row per variable]."""
-        return self.dense_gradient(entries), entries[: self._objective_start]
+def compile_model(model: Any) -> IpoptProblem:
+    """Translate a smooth Pyomo model; the model itself is not changed.
+
+    Variables come in order of first appearance, constraints in order of declaration; constraints without any variable are checked by
+    `IpoptProblem.trivial_violation`, not sent to Ipopt.
+
+    Raises
+    ------
+    ModelRefusedError
+        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..)
+    MissingValueError
+        where a Param or a fixed variable has no value
+    """
+    with PauseGC():
+        refuse_unknown_components(model)
+        constraints = active_constraints(model)
+        objective = active_objective(model)
+        reader = TermReader()
+        reader.constants = [0.0] * (len(constraints) + 1)
+        lower: list[Any] = []
+        upper: list[Any] = []
+        for row, constraint in enumerate(constraints):
+            body, subtracted, low, high = sides_of(constraint)
+            reader.read(row, body, 1.0, constraint)
+            if subtracted is not None:
+                reader.read(row, subtracted, -1.0, constraint)
+            lower.append(low)
+            upper.append(high)
+        sense = sense_of(objective)
+        if objective is not None:
+            reader.read(len(constraints), objective, float(sense), objective)
+        layout = Layout(
+            model=model,
+            constraints=tuple(constraints),
+            expressions=tuple(constraint.expr for constraint in constraints),
+            objective=objective,
+            sense=sense,
+            lower=_bounds(lower, -np.inf),
+            upper=_bounds(upper, np.inf),
+            variables=tuple(reader.variables),
+            data=tuple(reader.data),
+            named=tuple(reader.named.values()),
+        )
+        return IpoptProblem(layout, reader)
+
+
+def _bounds(given: list[Any], unbounded: float) -> tuple[np.ndarray, tuple[tuple[int, Any], ...]]:
+    """(numbers, ((row, expression), ..)): what never changes, and what a refresh evaluates."""
+    numbers = np.full(len(given), unbounded)
+    later = []
+    for row, bound in enumerate(given):
+        if bound is None:
+            continue
+        if bound.__class__ in native_numeric_types:
+            numbers[row] = bound
+        else:
+            later.append((row, bound))
+    return numbers, tuple(later)

@@ -47,8 +47,7 @@ from pyomo.core.base.symbol_map import SymbolMap
 from pyomo.opt import ProblemSense, SolverFactory, SolverResults, SolverStatus, TerminationCondition
 from pyomo.opt.results.solution import Solution, SolutionStatus
 
-from formulations.ipopt.compile import compile_model
-from formulations.ipopt.problem import IpoptProblem
+from formulations.ipopt.problem import IpoptProblem, compile_model
 from formulations.ipopt.result import NOT_SENT, IpoptResult, write_point
 from formulations.ipopt.solve import Start, ipopt_version, repeats_constraints, solve
 from formulations.solution import Outcome
@@ -189,6 +188,8 @@ class PyomoAnswer:
 
 def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Multipliers in Pyomo's signs, from Ipopt's.
+
+    Raises nothing.
 
     Parameters
     ----------

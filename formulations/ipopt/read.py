@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from pyomo.common.numeric_types import native_numeric_types, native_types
 from pyomo.core.base.expression import ExpressionData, ScalarExpression
@@ -23,10 +23,18 @@ from pyomo.core.base.var import ScalarVar, VarData
 from pyomo.core.expr import numeric_expr as pe
 from pyomo.core.expr.visitor import identify_variables
 
-from formulations.ipopt.errors import ModelRefusedError
-from formulations.ipopt.graph import UNARY, EvaluatedExpression, as_data
+from formulations.ipopt.graph import UNARY
+from formulations.ipopt.model import EvaluatedExpression, ModelRefusedError, as_data
 
-_NUMBER, _LEAF, _MONOMIAL, _SUM, _PRODUCT, _DIVISION, _NEGATION, _POWER, _FUNCTION, _NAMED, _OTHER = range(11)
+_NUMBER, _LEAF, _MONOMIAL, _SUM, _PRODUCT, _DIVISION, _NEGATION, _POWER, _FUNCTION, _NAMED, _OTHER, _READ = range(12)
+
+
+class _Read(NamedTuple):
+    """An operation whose operands have been read, on the stack of a term with operands first."""
+
+    node: Any
+    operator: Any
+
 
 _KIND: dict[type, int] = {
     VarData: _LEAF, ScalarVar: _LEAF, ParamData: _LEAF, ScalarParam: _LEAF,
@@ -38,6 +46,7 @@ _KIND: dict[type, int] = {
     pe.PowExpression: _POWER, pe.NPV_PowExpression: _POWER,
     pe.UnaryFunctionExpression: _FUNCTION, pe.NPV_UnaryFunctionExpression: _FUNCTION,
     ExpressionData: _NAMED, ScalarExpression: _NAMED, ObjectiveData: _NAMED, ScalarObjective: _NAMED,
+    _Read: _READ,
 }  # fmt: skip
 
 
@@ -236,14 +245,16 @@ class TermReader:
         bucket.numbers += numbers
         bucket.params += params
 
-    # -- one term: tokens, operator first -----------------------------------------------------------------------------------------
+    # -- one term ---------------------------------------------------------------------------------------------------------------
 
-    def _tokens(self, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+    def _tokens(self, root: Any, *, shared: bool = False) -> tuple[tuple, list[int], list[float], list[int]]:
+        """Tokens, columns by slot, numbers and data numbers of a term; shared: operands first, and every subexpression once."""
         place, kind = self._place.get, _KIND.get
-        tokens: list[Any] = []
+        tokens: list[Any] = ["shared"] if shared else []
         numbers: list[float] = []
         params: list[int] = []
         slot: dict[int, int] = {}
+        written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
         stack = [root]
         while stack:
             node = stack.pop()
@@ -265,23 +276,30 @@ class TermReader:
                 else:
                     tokens.append("n")
                     numbers.append(node)
-            elif code in (_PRODUCT, _MONOMIAL):  # here too, because they are most of all: a tenth of the whole translation
+            elif not shared and code in (_PRODUCT, _MONOMIAL):  # here too, because they are most of all: a tenth of the whole translation
                 tokens.append("*")
-                left, right = node.args
-                stack.append(right)
-                stack.append(left)
+                stack.extend(reversed(node.args))
             elif code == _NAMED:
                 stack.append(self.open_named(node))
+            elif code == _READ:
+                tokens.append(node.operator)
+                written[id(node.node)] = len(written)
+            elif id(node) in written:
+                tokens.append(("ref", written[id(node)]))
             else:
                 found = _operator(node, code)
                 if found is None:
                     tokens.append("p")
                     params.append(~self.place(as_data(node, self.where)))
+                    continue
+                operator, operands = found
+                if shared:
+                    stack.append(_Read(node, operator))
                 else:
-                    tokens.append(found[0])
-                    stack.extend(reversed(found[1]))
-            if len(tokens) > _LONG_TERM:
-                return _read_shared(self, root)
+                    tokens.append(operator)
+                stack.extend(reversed(operands))
+            if len(tokens) > _LONG_TERM and not shared:
+                return self._tokens(root, shared=True)
         return tuple(tokens), list(slot), numbers, params
 
 
@@ -302,53 +320,6 @@ def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
     if code == _FUNCTION and node.getname() in UNARY:
         return node.getname(), node.args
     return None
-
-
-def _read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
-    """Tokens of a term too long to be read as a tree; as `TermReader._tokens`."""
-    tokens: list[Any] = ["shared"]
-    numbers: list[float] = []
-    params: list[int] = []
-    slot: dict[int, int] = {}
-    written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
-    operations = 0
-    stack: list[tuple[Any, Any]] = [(root, None)]
-    while stack:
-        node, operator = stack.pop()
-        if operator is not None:
-            tokens.append(operator)
-            written[id(node)] = operations
-            operations += 1
-            continue
-        code = _kind_of(node)
-        if code == _NAMED:
-            stack.append((reader.open_named(node), None))
-            continue
-        if code == _NUMBER:
-            tokens.append(("c", 1.0) if node == 1 else "n")
-            if node != 1:
-                numbers.append(node)
-            continue
-        if code == _LEAF:
-            where = reader.place(node)
-            if where >= 0:
-                tokens.append(slot.setdefault(where, len(slot)))
-            else:
-                tokens.append("p")
-                params.append(~where)
-            continue
-        if id(node) in written:
-            tokens.append(("ref", written[id(node)]))
-            continue
-        found = _operator(node, code)
-        if found is None:
-            tokens.append("p")
-            params.append(~reader.place(as_data(node, reader.where)))
-            continue
-        operator, operands = found
-        stack.append((node, operator))
-        stack.extend((operand, None) for operand in reversed(operands))
-    return tuple(tokens), list(slot), numbers, params
 
 
 def _data_factor(node: Any) -> tuple[Any, Any, bool]:

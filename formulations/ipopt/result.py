@@ -103,14 +103,39 @@ def _largest(values: np.ndarray) -> float:
     return float(np.max(values)) if values.size else 0.0
 
 
-def _side(distance: np.ndarray, multiplier: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """|distance to the bound * multiplier| where the bound is finite."""
-    finite = np.isfinite(bound)
-    return np.abs(distance[finite] * multiplier[finite])
+def bound_products(
+    problem: IpoptProblem, x: np.ndarray, g: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray, rows: np.ndarray
+) -> np.ndarray:
+    """|distance to a bound * its multiplier| where the bound is finite, of the variables and of some constraints.
+
+    Raises nothing: NaN stays NaN.
+
+    Parameters
+    ----------
+    problem : the compiled model
+    x, g : (n,) point, (m,) values of the constraints [units of the variables, of the constraints]
+    lagrange : (m,) multipliers of the constraints [objective per constraint]
+    zl, zu : (n,) multipliers of the bounds [objective per variable]
+    rows : (m,) mask of the constraints that count [-]
+
+    Returns
+    -------
+    (bounds,) products [units of the objective]
+    """
+    low, high = problem.constraint_lower, problem.constraint_upper
+    sides = (
+        (x - problem.lower, zl, np.isfinite(problem.lower)),
+        (problem.upper - x, zu, np.isfinite(problem.upper)),
+        (g - low, np.maximum(-lagrange, 0.0), rows & np.isfinite(low)),
+        (high - g, np.maximum(lagrange, 0.0), rows & np.isfinite(high)),
+    )
+    return np.concatenate([np.abs(distance[where] * multiplier[where]) for distance, multiplier, where in sides])
 
 
 def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
     """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
+
+    Raises nothing: NaN where a function has no number.
 
     Parameters
     ----------
@@ -119,8 +144,8 @@ def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np
     lagrange : (m,) multipliers of the constraints [objective per constraint]
     zl, zu : (n,) multipliers of the bounds [objective per variable]
     """
-    objective, g = problem.split_rows(problem.rows_at(x))
-    gradient, jacobian = problem.split_entries(problem.entries_at(x))
+    objective, g = problem.values(x)
+    gradient, jacobian = problem.derivatives(x)
     rows, columns = problem.jacobianstructure()
     with np.errstate(all="ignore"):
         values = np.concatenate([g, x])
@@ -140,12 +165,7 @@ def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np
         dual = np.concatenate([np.abs(stationarity), wrong_side, np.maximum(-zl, 0.0), np.maximum(-zu, 0.0)])
         terms = [1.0, _largest(np.abs(gradient)), _largest(np.abs(products)), _largest(np.abs(zl)), _largest(np.abs(zu))]
 
-        complementarity = np.concatenate([
-            _side(x - problem.lower, zl, problem.lower),
-            _side(problem.upper - x, zu, problem.upper),
-            _side(g - problem.constraint_lower, np.maximum(-lagrange, 0.0), problem.constraint_lower),
-            _side(problem.constraint_upper - g, np.maximum(lagrange, 0.0), problem.constraint_upper),
-        ])  # fmt: skip
+        complementarity = bound_products(problem, x, g, lagrange, zl, zu, np.full(problem.m, True))
     worst_dual, worst_product = _largest(dual), _largest(complementarity)
     if not np.isfinite(objective):
         worst_dual = float("nan")
@@ -169,9 +189,12 @@ UNKNOWN = Residuals(
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Iteration:
-    """One line of Ipopt's log. objective and mu in the model's sign and scale, inf_pr and inf_du as Ipopt scales them."""
+    """One line of Ipopt's log, in the order in which Ipopt tells it but for the first two.
+
+    objective and mu in the model's sign and scale, inf_pr and inf_du as Ipopt scales them
+    """
 
     iteration: int
     restoration: bool
@@ -233,7 +256,10 @@ def load(problem: IpoptProblem, result: IpoptResult) -> None:
 
 
 def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
-    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do."""
+    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do.
+
+    Raises ValueError where x has another size.
+    """
     StaleFlagManager.mark_all_as_stale()
     for variable, number in zip(variables, x.tolist(), strict=True):
         variable.set_value(number, skip_validation=True)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,11 +26,6 @@ from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Gra
 from formulations.ipopt.read import Bucket
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_NUMPY = {
-    "exp": "exp", "log": "log", "log10": "log10", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan",
-    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh",
-    "asinh": "arcsinh", "acosh": "arccosh", "atanh": "arctanh",
-}  # fmt: skip
 
 
 def _softplus(z):
@@ -57,8 +53,8 @@ def _falling_power(base, exponent, order):
 
 
 _NAMESPACE = {
-    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "power": np.power, "divide": np.divide,
-    "negative": np.negative, "inf": np.inf, "nan": np.nan, **{f"{name}_": getattr(np, target) for name, target in _NUMPY.items()},
+    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "pow": np.power, "div": np.divide,
+    "neg": np.negative, "inf": np.inf, "nan": np.nan, **{name: getattr(np, name) for name in UNARY},
 }  # fmt: skip
 
 
@@ -76,16 +72,10 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
     if op == SEED:
         return f"t{node} = seed[{row[args[0]]}]"
     names = [_name(graph, a, hoisted) for a in args]
-    if op == "div" and all(graph.op[a] == CONSTANT for a in args):  # Python would raise where numpy gives inf or NaN
-        return f"t{node} = divide({names[0]}, {names[1]})"
-    if op in _INFIX:
+    if op in _INFIX and not (
+        op == "div" and all(graph.op[a] == CONSTANT for a in args)
+    ):  # there Python would raise, numpy gives inf or NaN
         return f"t{node} = {names[0]} {_INFIX[op]} {names[1]}"
-    if op == "neg":
-        return f"t{node} = -{names[0]}"
-    if op == "pow":
-        return f"t{node} = power({names[0]}, {names[1]})"
-    if op in _NUMPY:
-        return f"t{node} = {op}_({names[0]})"
     return f"t{node} = {op}({', '.join(names)})"
 
 
@@ -130,6 +120,8 @@ def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
 
 def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     """Groups of the Hessian's columns, such that two columns of a group have no common row.
+
+    Raises nothing.
 
     Parameters
     ----------
@@ -178,7 +170,10 @@ def _generate_by_products(
     starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
 
     def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
-        """Write the entries into out (entries, instances) [row per variable^2]."""
+        """Write the entries into out (entries, instances) [row per variable^2].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         instances = out.shape[1]
         block = max(1, min(count, _BLOCK // max(1, operations * instances)))
         for start in range(0, count, block):
@@ -196,8 +191,6 @@ def _generate_by_products(
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
 # through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
 _SYMBOLIC_HESSIAN_LIMIT = 20_000
-# A process that builds new models for ever must not keep every shape it met; a scene needs about fifteen.
-_CACHE_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
 
@@ -219,23 +212,11 @@ class ExpressionShape:
     hessian_pairs: np.ndarray  # (2, entries) positions in `curved` of each Hessian entry
     hessian: Callable[..., None] | None
 
-    @property
-    def prepared(self) -> int:
-        """Rows that `prepare` fills."""
-        return 1 + len(self.linear) + self.hoisted
 
-
-_cache: dict[Signature, ExpressionShape] = {}
-
-
+@lru_cache(maxsize=20_000)  # a process that builds new models for ever must not keep every shape it met; a scene needs about fifteen
 def shape_of(signature: Signature) -> ExpressionShape:
-    """The compiled shape of a signature, from the process-wide cache when it was met before."""
-    shape = _cache.get(signature)
-    if shape is None:
-        if len(_cache) >= _CACHE_LIMIT:
-            del _cache[next(iter(_cache))]
-        shape = _cache[signature] = _compile_shape(*parse(signature))
-    return shape
+    """The compiled shape of a signature, the same in the whole process."""
+    return _compile_shape(*parse(signature))
 
 
 def parse(signature: Signature) -> tuple[Graph, int]:
@@ -342,7 +323,10 @@ def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     indices = [graph.args[n][0] for n in data]
 
     def prepare(rows: np.ndarray, out: np.ndarray) -> None:
-        """Fill out (prepared, instances) from rows (data, instances) [units of the data]."""
+        """Fill out (prepared, instances) from rows (data, instances) [units of the data].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         inner(None, [rows[i] for i in indices], out)
 
     return prepare
@@ -374,7 +358,7 @@ class TermGroup:
         self._numbers = np.array(bucket.numbers, dtype=float).reshape(count, -1).T
         self._params = np.array(bucket.params, dtype=np.intp).reshape(count, -1).T
         self._curved = self.columns[list(shape.curved)]
-        self._prepared = np.empty((shape.prepared, count))
+        self._prepared = np.empty((1 + len(shape.linear) + shape.hoisted, count))
         self._hoisted: list[np.ndarray] = []
 
     # -- structure --------------------------------------------------------------------------------------------------------------
@@ -382,6 +366,8 @@ class TermGroup:
     @property
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the affine part, slot after slot; values in `affine_values` after a refresh.
+
+        Raises nothing.
 
         Returns
         -------
@@ -394,6 +380,8 @@ class TermGroup:
     def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the nonlinear part's gradient entries.
 
+        Raises nothing.
+
         Returns
         -------
         rows, columns (gradient slots * N,) [-]
@@ -405,6 +393,8 @@ class TermGroup:
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """Places of the Hessian entries.
 
+        Raises nothing.
+
         Returns
         -------
         larger column, smaller column (pairs * N,) [-]
@@ -415,19 +405,22 @@ class TermGroup:
     # -- values -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
-        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data]."""
+        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         rows = [*self._numbers, *data[self._params]]
         self.shape.prepare(rows, self._prepared)
         self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
 
     @property
     def constants(self) -> np.ndarray:
-        """Weighted constant parts (N,) [units of the rows]."""
+        """Weighted constant parts (N,) [units of the rows]. Raises nothing."""
         return self.weights * self._prepared[0]
 
     @property
     def affine_values(self) -> np.ndarray:
-        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]."""
+        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]. Raises nothing."""
         return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
 
     @property
@@ -436,13 +429,19 @@ class TermGroup:
         return self.shape.value is not None
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows]."""
+        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         out = np.empty((1, len(self.rows)))
         self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
         return self.weights * out[0]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable]."""
+        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable].
+
+        Raises nothing: NaN or inf where the model has no number.
+        """
         out = np.empty((len(self.shape.slope_slots), len(self.rows)))
         if self.shape.slope is not None:
             self.shape.slope(x[self._curved], self._hoisted, out)
@@ -450,6 +449,8 @@ class TermGroup:
 
     def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Weighted Hessian entries times the multiplier of each term's row.
+
+        Raises nothing: NaN or inf where the model has no number.
 
         Parameters
         ----------

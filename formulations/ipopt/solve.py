@@ -14,9 +14,8 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
-from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, checked_options
+from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, UnknownOptionError, checked_options
 from formulations.ipopt.problem import Evaluations, IpoptProblem
 from formulations.ipopt.result import (
     FEASIBILITY,
@@ -26,6 +25,7 @@ from formulations.ipopt.result import (
     IpoptSeconds,
     Iteration,
     Residuals,
+    bound_products,
     name_of,
     outcome_of,
     residuals,
@@ -82,21 +82,11 @@ def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | 
     """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
-    g = problem.constraints(start.x)
     inequality = problem.constraint_lower < problem.constraint_upper
-    products = np.concatenate([
-        _products(start.x - problem.lower, start.zl, np.isfinite(problem.lower)),
-        _products(problem.upper - start.x, start.zu, np.isfinite(problem.upper)),
-        _products(g - problem.constraint_lower, np.maximum(-start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_lower)),
-        _products(problem.constraint_upper - g, np.maximum(start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_upper)),
-    ])  # fmt: skip
+    products = bound_products(problem, start.x, problem.constraints(start.x), start.lagrange, start.zl, start.zu, inequality)
     products = products[np.isfinite(products)]
     mean = float(np.mean(products)) if products.size else _MU_SMALLEST
     return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
-
-
-def _products(distance: np.ndarray, multiplier: np.ndarray, where: np.ndarray) -> np.ndarray:
-    return np.abs(distance[where] * multiplier[where])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,20 +253,9 @@ class _Recorder:
         self._sense = sense
         self._callback = callback
 
-    def __call__(self, alg_mod, iteration, objective, inf_pr, inf_du, mu, d_norm, regularization, alpha_du, alpha_pr, trials) -> bool:
-        line = Iteration(
-            iteration=int(iteration),
-            restoration=bool(alg_mod),
-            objective=self._sense * float(objective),
-            inf_pr=float(inf_pr),
-            inf_du=float(inf_du),
-            mu=float(mu),
-            step=float(d_norm),
-            regularization=float(regularization),
-            alpha_du=float(alpha_du),
-            alpha_pr=float(alpha_pr),
-            trials=int(trials),
-        )
+    def __call__(self, mode: int, iteration: int, objective: float, *others: float) -> bool:
+        *measures, trials = others
+        line = Iteration(int(iteration), bool(mode), self._sense * float(objective), *map(float, measures), trials=int(trials))
         self.lines.append(line)
         self.last = line.iteration
         if self._callback is None:
@@ -313,7 +292,11 @@ def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any])
     finite = all(bool(np.all(np.isfinite(v))) for v in vectors)
     certificate = residuals(problem, *vectors) if finite else UNKNOWN
     if answer.status == NOT_SENT:
-        return (Outcome.INFEASIBLE, answer.message, certificate) if answer.message else _empty(problem, certificate)
+        if answer.message:
+            return Outcome.INFEASIBLE, answer.message, certificate
+        if not np.isfinite(problem.objective(answer.x)):
+            return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
+        return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate
     outcome = outcome_of(answer.status)
     message = f"{name_of(answer.status)}: {certificate.sentence}"
     if outcome is Outcome.EVALUATION_ERROR:
@@ -369,13 +352,4 @@ def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) ->
 
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
     """Whether iterates that left for infinity took the objective down with them, along points that are feasible at their own scale."""
-    g = problem.constraints(x)
-    sides = (problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper)
-    violation = max((float(np.max(side)) for side in sides if side.size), default=0.0)
-    return problem.objective(x) < -_UNBOUNDED and violation <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
-
-
-def _empty(problem: IpoptProblem, certificate: Residuals) -> tuple[Outcome, str, Residuals]:
-    if not np.isfinite(problem.objective(np.zeros(0))):
-        return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
-    return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate
+    return problem.objective(x) < -_UNBOUNDED and problem.violation(x) <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))

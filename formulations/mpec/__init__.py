@@ -15,10 +15,9 @@ from __future__ import annotations
 from formulations.mpec.certificate.active import Stationarity
 from formulations.mpec.certificate.certificate import Certificate, Multipliers, Tolerances, certify
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
-from formulations.mpec.pyomo_solver import MpecIpopt
 from formulations.mpec.result import MpecResult, PairState, load
-from formulations.mpec.settings import FALLBACKS, STRATEGY_NAMES, MpecSettings, read_settings
-from formulations.mpec.solve import solve_mpec
+from formulations.mpec.solve import MpecIpopt, solve_mpec
+from formulations.mpec.strategies import FALLBACKS, STRATEGY_NAMES, MpecSettings, read_settings
 
 __all__ = [
     "FALLBACKS",

@@ -1,4 +1,7 @@
-"""Follow a relaxation as its eps goes to 0: how far a step goes is learnt from the steps before, and a failed one is taken again, shorter."""
+"""Follow a relaxation as its eps goes to 0: how far a step goes is learnt from the steps before, and a failed one is taken again, shorter.
+
+`Workspace` holds the numbers of one solve: the compiled relaxation, the compiled problem without products, and the columns of the pairs in both.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from formulations.ipopt import IpoptResult, Start, solve
-from formulations.mpec.settings import MpecSettings
-from formulations.mpec.strategies import Strategy
-from formulations.mpec.workspace import Workspace, natural_residual
+from formulations.ipopt import IpoptProblem, IpoptResult, MissingValueError, Start, compile_model, solve
+from formulations.mpec.lifted import Lifted
+from formulations.mpec.strategies import MpecSettings, Strategy
 from formulations.solution import Outcome
 
 # eps goes down by this at first; a step of few iterations makes the next one bolder, one of many makes it more careful.
@@ -22,6 +24,134 @@ _FEW, _MANY = 15, 120
 # Failed steps in a row, and in all, before the path is given up; the factors by which a first step that fails is tried again: a looser
 # relaxation is easier to satisfy, a tighter one is bounded where a looser one is not.
 _RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
+
+
+class Columns:
+    """Where things are in a compiled problem.
+
+    first[k], second[k]: columns of pair k; twin[k]: the column of the user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
+    """
+
+    def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
+        self.problem = problem
+        self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
+        self.first = np.array([self.place[id(v)] for v in lifted.firsts], dtype=np.intp)
+        self.second = np.array([self.place[id(w)] for w in lifted.seconds], dtype=np.intp)
+        self.twin = np.array([-1 if u is None else self.place[id(u)] for u in lifted.twins], dtype=np.intp)
+        row = {id(equation): number for number, equation in enumerate(problem.equations)}
+        self.twin_row = np.array([row[id(pair.ve)] for pair in lifted.pairs], dtype=np.intp)
+
+    def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]. Raises nothing."""
+        return x[self.first], x[self.second]
+
+
+def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
+    """Largest |min(v, w)| of a pair, 0 without pairs.
+
+    Raises nothing: NaN stays NaN.
+
+    Parameters
+    ----------
+    first, second : (pairs,) values of the two sides [units of the sides]
+    """
+    return float(np.max(np.abs(np.minimum(first, second)))) if first.size else 0.0
+
+
+class Workspace:
+    """Compiled once per strategy; only numbers change afterwards."""
+
+    def __init__(self, lifted: Lifted, strategy: Strategy) -> None:
+        self.lifted = lifted
+        self.branches = _compile_branches(lifted)
+        problem = self.branches.problem
+        self.branch_bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
+        self.strategy = strategy
+        strategy.attach(lifted)
+        self.relaxed = Columns(compile_model(lifted.shadow), lifted)
+        known = self.relaxed.place
+        self._to_branch = np.array([known.get(id(variable), -1) for variable in self.branches.problem.variables], dtype=np.intp)
+
+    def set(self, eps: float) -> None:
+        """Move the relaxation to eps."""
+        self.strategy.set(self.lifted, eps)
+        self.relaxed.problem.refresh(check=False)
+
+    def start(self) -> np.ndarray:
+        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+
+        Returns
+        -------
+        (n,) point of the relaxation [units of the variables]
+
+        Raises
+        ------
+        MissingValueError
+            where a variable starts at a number that is not finite
+        """
+        problem = self.relaxed.problem
+        x, _ = problem.start()
+        for k in np.flatnonzero(~np.isfinite(x)):
+            raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
+        settle(problem, x, self._slacks())
+        return x
+
+    def branch_point(self, x: np.ndarray) -> np.ndarray:
+        """A point of the relaxation (n,) in the columns of the problem without products (columns,) [units of the variables].
+
+        Raises nothing.
+        """
+        point = np.zeros(self.branches.problem.n)
+        known = self._to_branch >= 0
+        point[known] = x[self._to_branch[known]]
+        return point
+
+    def _slacks(self) -> list[Any]:
+        return [*self.lifted.shadow.slack.values(), *self.lifted.firsts]
+
+
+def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
+    """Give each slack the value that makes its defining row hold, within its bounds.
+
+    The row is an equality that no slack of a later pair enters. Raises nothing.
+
+    Parameters
+    ----------
+    problem : the compiled problem
+    x : (n,) point, changed in place [units of the variables]
+    slacks : Pyomo variables
+    """
+    place = {id(variable): column for column, variable in enumerate(problem.variables)}
+    columns = np.array([place[id(s)] for s in slacks if id(s) in place], dtype=np.intp)
+    if not columns.size:
+        return
+    x[columns] = np.clip(0.0, problem.lower[columns], problem.upper[columns])
+    rows, entries = problem.jacobianstructure()
+    for _ in range(2):  # slacks of user expressions first, then v == expression, which may hold such a slack
+        values, slopes = problem.constraints(x), problem.jacobian(x)
+        is_equality = problem.constraint_lower == problem.constraint_upper
+        wanted = np.full(problem.n, np.nan)
+        pick = np.isin(entries, columns) & is_equality[rows] & (slopes != 0.0)
+        with np.errstate(all="ignore"):
+            wanted[entries[pick]] = x[entries[pick]] + (problem.constraint_lower[rows[pick]] - values[rows[pick]]) / slopes[pick]
+        chosen = np.where(np.isfinite(wanted[columns]), wanted[columns], x[columns])
+        x[columns] = np.clip(chosen, problem.lower[columns], problem.upper[columns])
+
+
+def _compile_branches(lifted: Lifted) -> Columns:
+    """The problem without products. A side that stands nowhere else keeps its row w >= 0, so that it has a column."""
+    lifted.products(active=False)
+    problem = compile_model(lifted.shadow)
+    present = {id(variable) for variable in problem.variables}
+    lonely = [pair for pair, second in zip(lifted.pairs, lifted.seconds, strict=True) if id(second) not in present]
+    if lonely:
+        for pair in lonely:
+            pair.c.activate()
+        problem = compile_model(lifted.shadow)
+        for pair in lonely:
+            pair.c.deactivate()
+    lifted.products(active=True)
+    return Columns(problem, lifted)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,20 +205,21 @@ class WorkBudget:
 
 
 class Path:
-    """The steps of one strategy, taken one at a time by `points`.
+    """The steps of one strategy, taken one at a time by `points` and added to `steps`.
 
     gave_up: it ended before its last eps, and `last_outcome` and `last_message` say why
     """
 
-    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> None:
-        self._work, self._strategy, self._settings, self._budget = work, strategy, settings, budget
-        self.steps: list[Step] = []
+    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> None:
+        self._work, self._strategy, self._settings, self._budget, self._steps = work, strategy, settings, budget, steps
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
     def points(self, start: np.ndarray) -> Iterator[PathPoint]:
         """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either.
+
+        Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------
@@ -137,7 +268,7 @@ class Path:
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
         result = self._budget.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
-        self.steps.append(
+        self._steps.append(
             Step(
                 strategy=self._strategy.name,
                 eps=eps,

@@ -28,7 +28,7 @@ from pyomo.core.expr import value
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt.errors import MissingValueError, ModelRefusedError
+from formulations.ipopt import MissingValueError, ModelRefusedError
 from formulations.ipopt.model import active_constraints, active_objective, refuse_unknown_components
 
 
@@ -158,7 +158,6 @@ class Lifted:
     twins: the user's variable that v equals, where the first side is a variable with lower bound 0 itself
     """
 
-    model: Any
     shadow: Any
     conditions: tuple[Condition, ...]
     owners: tuple[int, ...]
@@ -217,7 +216,6 @@ def lift(model: Any) -> Lifted:
         for pair in pairs:
             pair.c.deactivate()  # w >= 0 is the bound of w already; as a row it would cost a slack each
     return Lifted(
-        model=model,
         shadow=shadow,
         conditions=tuple(conditions),
         owners=tuple(number for number, _ in found),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -14,17 +14,15 @@ from pyomo.common.collections import ComponentMap
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
-from formulations.mpec.homotopy import PathPoint, Step, WorkBudget
-from formulations.mpec.lifted import BoxCondition, Lifted, SimpleCondition
-from formulations.mpec.settings import MpecSettings
-from formulations.mpec.strategies import Strategy
-from formulations.mpec.workspace import Columns, Workspace
+from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
+from formulations.mpec.lifted import BoxCondition, SimpleCondition
+from formulations.mpec.strategies import MpecSettings
 from formulations.solution import Outcome
 
 
 def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: MpecSettings) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
-    summary = f"{candidate.strategy.name}: " + (
+    summary = f"{candidate.work.strategy.name}: " + (
         certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
@@ -59,15 +57,23 @@ def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) ->
 class Candidate:
     """What one strategy found: a branch, or only a point of its relaxation, or neither; and whether it met a branch without a lower bound."""
 
-    strategy: Strategy
-    lifted: Lifted
     work: Workspace
     branch: Branch | None
     point: PathPoint | None
     outcome: Outcome
     message: str
-    steps: tuple[Step, ...]
     unbounded: bool = False
+
+    @property
+    def columns(self) -> Columns:
+        """The columns that the point is in."""
+        return self.work.relaxed if self.branch is None and self.point is not None else self.work.branches
+
+    @property
+    def x(self) -> np.ndarray | None:
+        """Where the point is (columns,) [units of the variables]; None if there is none. Raises nothing."""
+        found = self.branch or self.point
+        return None if found is None else found.x
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,10 +115,10 @@ class MpecResult:
     has_multipliers: bool
     residual: float
     pairs: tuple[PairState, ...]
-    steps: tuple[Step, ...]
-    iterations: int
-    solves: int
-    seconds: float
+    steps: tuple[Step, ...] = ()
+    iterations: int = 0
+    solves: int = 0
+    seconds: float = 0.0
     certificate: Certificate | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     has_objective: bool = True
@@ -140,48 +146,49 @@ def load(result: MpecResult) -> None:
 
 def result_of(
     candidate: Candidate,
-    columns: Columns | None,
-    x: np.ndarray | None,
+    settings: MpecSettings,
     outcome: Outcome,
     message: str,
-    settings: MpecSettings,
-    budget: WorkBudget,
-    seconds: float,
+    *,
+    residual: float = math.nan,
+    certificate: Certificate | None = None,
+    with_multipliers: bool = False,
 ) -> MpecResult:
-    """The result of a candidate, by the user's variables and rows.
+    """The result of a candidate, by the user's variables and rows; steps and what was spent are those of the whole solve, and not known here.
 
     Parameters
     ----------
     candidate : what a strategy found
-    columns : the columns that x is in; None if there is no point
-    x : (n,) where the point is [units of the variables]; None if there is none
-    outcome, message : how it ended
     settings : of the solve
-    budget : what was spent
-    seconds : wall time [s]
+    outcome, message : how it ended
+    residual : largest min of a pair
+    certificate : of the point
+    with_multipliers : whether those of its branch belong to the point
     """
-    work, branch = candidate.work, candidate.branch
-    problem = (columns or work.branches).problem
+    work, branch, x = candidate.work, candidate.branch, candidate.x
+    problem = candidate.columns.problem
     mine = _own(candidate)
     keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
     lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
-    objective = float("nan")
-    if branch is not None and x is not None:
-        given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
-        lagrange = np.array([given.get(id(row), 0.0) for row in rows])
-        slope = branch.slope[keep]
-        zl, zu = np.maximum(slope, 0.0), np.maximum(-slope, 0.0)
-        held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
-        zl, zu = np.where(held_low, slope, zl), np.where(held_low, 0.0, zu)  # a side held at 0 keeps its sign: that is what classes look at
+    objective = math.nan
+    if branch is not None:
         objective = branch.objective
     elif candidate.point is not None:
         objective = _user_objective(candidate, candidate.point.x)
+    if branch is not None and with_multipliers:
+        given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
+        lagrange = np.array([given.get(id(row), 0.0) for row in rows])
+        slope = branch.slope[keep]
+        held_low = np.isclose(
+            point, problem.lower[keep], rtol=0.0, atol=1e-9
+        )  # a side held at 0 keeps its sign: that is what classes look at
+        zl, zu = np.where(held_low, slope, np.maximum(slope, 0.0)), np.where(held_low, 0.0, np.maximum(-slope, 0.0))
     return MpecResult(
         outcome=outcome,
         message=message,
-        strategy=candidate.strategy.name,
+        strategy=candidate.work.strategy.name,
         variables=tuple(problem.variables[k] for k in keep),
         x=point,
         rows=rows,
@@ -192,42 +199,25 @@ def result_of(
         objective=objective,
         has_objective=work.branches.problem.layout.objective is not None,
         polished=branch is not None,
-        has_multipliers=branch is not None,
-        residual=float("nan"),
-        pairs=() if columns is None or x is None else _pair_states(candidate, columns, x),
-        steps=candidate.steps,
-        iterations=budget.iterations,
-        solves=budget.solves,
-        seconds=seconds,
+        has_multipliers=with_multipliers,
+        residual=residual,
+        pairs=() if x is None else _pair_states(candidate, x, with_multipliers),
+        certificate=certificate,
         options=MappingProxyType({
             **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
-            "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
-            "eps_end": settings.eps_end or candidate.strategy.last, **settings.ipopt,
+            "strategy": candidate.work.strategy.name, "eps_start": settings.eps_start or candidate.work.strategy.first,
+            "eps_end": settings.eps_end or candidate.work.strategy.last, **settings.ipopt,
         }),
     )  # fmt: skip
 
 
-def without_multipliers(result: MpecResult) -> MpecResult:
-    """The same result with NaN for every multiplier."""
-    nothing = float("nan")
-    return replace(
-        result,
-        has_multipliers=False,
-        lagrange=np.full_like(result.lagrange, nothing),
-        zl=np.full_like(result.zl, nothing),
-        zu=np.full_like(result.zu, nothing),
-        pairs=tuple(replace(pair, first_multiplier=nothing, second_multiplier=nothing) for pair in result.pairs),
-    )
-
-
-def _pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
+def _pair_states(candidate: Candidate, x: np.ndarray, with_multipliers: bool) -> tuple[PairState, ...]:
     """One per pair of the shadow: a box has two."""
-    lifted = candidate.lifted
+    lifted, columns = candidate.work.lifted, candidate.columns
     first, second = columns.pair_values(x)
-    nu, mu = np.full(len(first), np.nan), np.full(len(first), np.nan)
-    if candidate.branch is not None:
-        slope = candidate.branch.slope
-        nu, mu = slope[columns.first], slope[columns.second]
+    nu = mu = np.full(len(first), np.nan)
+    if candidate.branch is not None and with_multipliers:
+        nu, mu = candidate.branch.slope[columns.first], candidate.branch.slope[columns.second]
     states = []
     for k, owner in enumerate(lifted.owners):
         sides = ((first[k], nu[k]), (second[k], mu[k]))
@@ -239,7 +229,7 @@ def _pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple
 
 def multipliers_of(candidate: Candidate) -> Multipliers:
     """The branch's multipliers by the user's components, in the certificate's signs."""
-    branch, lifted, columns = candidate.branch, candidate.lifted, candidate.work.branches
+    branch, lifted, columns = candidate.branch, candidate.work.lifted, candidate.work.branches
     assert branch is not None
     problem = columns.problem
     slope = branch.slope
@@ -277,13 +267,13 @@ def _add(pairs: Any, data: Any, argument: int, multiplier: float) -> None:
 
 def _own(candidate: Candidate) -> set[int]:
     """Variables that exist in the shadow only."""
-    shadow = candidate.lifted.shadow
+    shadow = candidate.work.lifted.shadow
     extra = [shadow.elastic] if shadow.component("elastic") is not None else []
-    return {id(variable) for variable in (*shadow.slack.values(), *candidate.lifted.firsts, *extra)}
+    return {id(variable) for variable in (*shadow.slack.values(), *candidate.work.lifted.firsts, *extra)}
 
 
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:
-    rows = candidate.lifted.shadow.component("user_rows")
+    rows = candidate.work.lifted.shadow.component("user_rows")
     return () if rows is None else tuple(rows.values())
 
 

@@ -2,6 +2,18 @@
 
 result = solve_mpec(model)                        # MpecResult; the model is untouched
 load(result)                                      # writes the variables
+
+The same behind Pyomo's own solver interface:
+
+    import formulations.mpec
+    solver = pyo.SolverFactory("mpec_ipopt")
+    solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
+    results = solver.solve(model)
+    pyo.assert_optimal_termination(results)           # B-stationary, certified by residuals recomputed from the model
+    solver.last_result.certificate.sentence
+
+The model keeps its components as they were (nothing is transformed in place); values, and the suffixes `dual`, `ipopt_zL_out`,
+`ipopt_zU_out` where the model imports them, are loaded.
 """
 
 from __future__ import annotations
@@ -12,11 +24,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pyomo.opt import SolverFactory, SolverResults
 
+from formulations.ipopt.contrib_solver import register
+from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
-from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget
+from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,
@@ -26,11 +41,8 @@ from formulations.mpec.result import (
     outcome_without_point,
     result_of,
     verdict,
-    without_multipliers,
 )
-from formulations.mpec.settings import MpecSettings
-from formulations.mpec.strategies import STRATEGIES, Strategy
-from formulations.mpec.workspace import Workspace, natural_residual
+from formulations.mpec.strategies import STRATEGIES, MpecSettings, Strategy, read_settings
 from formulations.solution import Outcome
 
 logger = logging.getLogger(__name__)
@@ -66,34 +78,32 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
     steps: list[Step] = []
     solved_before = False
     for name in settings.strategies:
-        candidate = _run_strategy(model, STRATEGIES[name], settings, budget)
-        steps += candidate.steps
-        result = _judged(model, candidate, settings, budget, begin)
-        result = replace(result, steps=tuple(steps))
+        candidate = _run_strategy(model, STRATEGIES[name], settings, budget, steps)
+        result = _judged(model, candidate, settings, budget)
         logger.info("%s on '%s': %s", name, model.name, result.message)
         if best is None or _rank(result) < _rank(best):
             best = result
         if budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
-        if result.solved and (not candidate.lifted.pairs or len(candidate.lifted.pairs) > settings.search or solved_before):
+        if result.solved and (not candidate.work.lifted.pairs or len(candidate.work.lifted.pairs) > settings.search or solved_before):
             break  # a small problem is worth a second path: it costs little, and may end in a better solution
         solved_before = solved_before or result.solved
     assert best is not None  # there is always a strategy
     return replace(best, steps=tuple(steps), iterations=budget.iterations, solves=budget.solves, seconds=time.perf_counter() - begin)
 
 
-def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> Candidate:
-    """One strategy from the model's values: its path, and the branch it leads to."""
+def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> Candidate:
+    """One strategy from the model's values: its path, whose steps are added to those before, and the branch it leads to."""
     lifted = lift(model)
     work = Workspace(lifted, strategy)
-    path, branching = Path(work, strategy, settings, budget), Branching(work, settings, budget)
+    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, settings, budget)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
     if not lifted.pairs:
         branch = branching.polish(work.start())
         message = "" if branching.last is None else branching.last.message
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
-        return Candidate(strategy=strategy, lifted=lifted, work=work, branch=branch, point=None, outcome=outcome, message=message, steps=())
+        return Candidate(work=work, branch=branch, point=None, outcome=outcome, message=message)
     before: np.ndarray | None = None
     for last in path.points(work.start()):
         first, second = work.relaxed.pair_values(last.x)
@@ -112,10 +122,7 @@ def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, budget
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
         branch, outcome, message = _without_branch(work, branching, path, last, settings, budget)
-    return Candidate(
-        strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps),
-        unbounded=branching.unbounded,
-    )  # fmt: skip
+    return Candidate(work=work, branch=branch, point=last, outcome=outcome, message=message, unbounded=branching.unbounded)
 
 
 def _without_branch(
@@ -141,28 +148,21 @@ def _without_branch(
     return None, Outcome.SOLVED, ""
 
 
-def _judged(model: Any, candidate: Candidate, settings: MpecSettings, budget: WorkBudget, begin: float) -> MpecResult:
+def _judged(model: Any, candidate: Candidate, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
     """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
-    if candidate.branch is None and candidate.point is None:
-        outcome, message = outcome_without_point(candidate.outcome, candidate.message, budget)
-        return result_of(candidate, None, None, outcome, message, settings, budget, time.perf_counter() - begin)
-    branch, point = candidate.branch, candidate.point
-    if branch is not None:
-        columns, x = candidate.work.branches, branch.x
-    else:
-        assert point is not None
-        columns, x = candidate.work.relaxed, point.x
-    residual = natural_residual(*columns.pair_values(x))
+    x = candidate.x
+    if x is None:
+        return result_of(candidate, settings, *outcome_without_point(candidate.outcome, candidate.message, budget))
+    residual = natural_residual(*candidate.columns.pair_values(x))
     certificate = None
-    with_multipliers = branch is not None
+    with_multipliers = candidate.branch is not None
     if settings.certificate:
-        with values_set(columns.problem.variables, x.tolist()):
+        with values_set(candidate.columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
             if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
                 with_multipliers, certificate = False, certify(model)
-    outcome, message = verdict(candidate, residual, certificate, settings)
-    result = result_of(candidate, columns, x, outcome, message, settings, budget, time.perf_counter() - begin)
-    return replace(result if with_multipliers else without_multipliers(result), residual=residual, certificate=certificate)
+    ended = verdict(candidate, residual, certificate, settings)
+    return result_of(candidate, settings, *ended, residual=residual, certificate=certificate, with_multipliers=with_multipliers)
 
 
 def _agrees(objective: float, relaxed: float) -> bool:
@@ -175,3 +175,35 @@ def _rank(result: MpecResult) -> tuple[int, float]:
         return 0 if result.solved else 2, result.sense * result.objective
     order = {Outcome.DIVERGED: 1, Outcome.INFEASIBLE: 3}.get(result.outcome, 4)
     return order, result.residual if result.residual == result.residual else float("inf")
+
+
+@SolverFactory.register("mpec_ipopt", doc="MPECs (pyomo.mpec) by relaxation, active-set polish and certificate, on Ipopt")
+class MpecIpopt(PyomoPlugin):
+    """A Pyomo solver object; `last_result` is the MpecResult of the last solve. A start is always taken from the model's values.
+
+    "optimal" is a B-stationary point here, not a proved global optimum.
+    """
+
+    title = "mpec_ipopt"
+
+    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+        """Solve with `solve_mpec`."""
+        result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
+        answer = PyomoAnswer(
+            outcome=result.outcome,
+            message=result.message,
+            is_feasible=result.solved or is_feasible(result),
+            sense=result.sense,
+            objective=result.objective,
+            has_objective=result.has_objective,
+            equations=result.rows,
+            variables=result.variables,
+            x=result.x if result.has_point else None,
+            multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
+            iterations=result.iterations,
+            wall=result.seconds,
+        )
+        return answer.results(self.title, model), answer
+
+
+register(MpecIpopt)

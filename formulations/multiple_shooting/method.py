@@ -9,8 +9,7 @@ import numpy as np
 
 from formulations.grids import plan_of
 from formulations.method import Clock, Method, Session, without_inputs
-from formulations.multiple_shooting.costs import Costs, GoalTerm
-from formulations.multiple_shooting.solver import MultipleShootingOptions, Solver, SolverResult
+from formulations.multiple_shooting.solver import Costs, GoalTerm, MultipleShootingOptions, Solver, SolverResult
 from formulations.shooting.growth import measure_growth
 from formulations.shooting.stage import arrived, first_inputs, plan_residuals, stage_seconds
 from formulations.solution import Solution

@@ -2,7 +2,7 @@
 
 Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic subproblem gives inputs
 and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A step is taken if it lowers the exact penalty function
-cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps. The goal is met by an augmented Lagrangian (`costs.GoalTerm`): its multipliers are
+cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps. The goal is met by an augmented Lagrangian (`GoalTerm`): its multipliers are
 updated where the iterations have settled.
 
 The subproblem is solved in compiled C (riccati.c), linear in the number of stages:
@@ -14,11 +14,14 @@ The subproblem is solved in compiled C (riccati.c), linear in the number of stag
 
 The recursion is that of iLQR with gaps between the nodes; the bounds of the inputs are met stage by stage by a small quadratic program
 (Tassa, Mansard and Todorov, Control-Limited Differential Dynamic Programming, ICRA 2014; gaps as in Mastalli et al., Crocoddyl, ICRA 2020).
+
+`Costs` are the running and final cost of a scene with first and second derivatives, for all steps at once.
 """
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -26,15 +29,18 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
+import sympy as sp
 
 from formulations.grids import input_bounds
 from formulations.method import Options, option
-from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.solution import Outcome
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.codegen.steps import Linearised, Steps
 from models.contact_law import ContactLaw
+from models.dynamics import derive
+from models.scene import Scene
+from models.scene.goal import goal_state, miss
 
 _SOURCE = Path(__file__).with_name("riccati.c")
 _POINTER, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
@@ -61,6 +67,118 @@ class MultipleShootingOptions(Options):
     guess: str = option(
         "line", "the nodes without a warm start: on the line from start to goal, or all at the start", choices=("line", "start")
     )
+
+
+class GoalTerm:
+    """The goal as an augmented Lagrangian, y'm + weight/2 |m|^2 with m = x_T - goal, 0 where the end is free. y (2*nq,): multipliers, from zero."""
+
+    def __init__(self, scene: Scene, weight: float) -> None:
+        self._goal = goal_state(scene.task)
+        self._given = ~np.isnan(self._goal)
+        self.multipliers = np.zeros(len(self._goal))
+        self.weight = weight
+
+    @property
+    def any(self) -> bool:
+        """Whether a component of the end is given."""
+        return bool(self._given.any())
+
+    def miss(self, end: np.ndarray) -> np.ndarray:
+        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        return miss(end, self._goal)
+
+    def value(self, end: np.ndarray) -> float:
+        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        m = self.miss(end)
+        return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
+
+    def slope(self, end: np.ndarray) -> np.ndarray:
+        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises nothing."""
+        return np.where(self._given, self.multipliers + self.weight * self.miss(end), 0.0)
+
+    def hessian(self) -> np.ndarray:
+        """Give its second derivatives: (2*nq, 2*nq) [-]. Raises nothing."""
+        return np.diag(np.where(self._given, self.weight, 0.0))
+
+    def update(self, end: np.ndarray) -> None:
+        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        self.multipliers += np.where(self._given, self.weight * self.miss(end), 0.0)
+
+
+class Costs:
+    """Running and final cost of a scene: values, slopes and Hessians, the Hessians made positive semidefinite."""
+
+    def __init__(self, scene: Scene) -> None:
+        d = derive(scene)
+        state, inputs = [*d.q, *d.v], list(d.u)
+        values = scene.parameter_values
+        running, final = sp.sympify(d.running_cost).xreplace(values), sp.sympify(d.final_cost).xreplace(values)
+        self._nx, self._nu = len(state), len(inputs)
+        self._running = _Derivatives(running, [*state, *inputs])
+        self._final = _Derivatives(final, state)
+
+    def value(self, x: np.ndarray, u: np.ndarray) -> float:
+        """Evaluate the cost of nodes x (steps+1, nx) [m, rad, m/s, rad/s] and inputs u (steps, nu) [N, N m].
+
+        Raises ValueError where their lengths do not fit.
+        """
+        return float(self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0])
+
+    def running(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give the slope (steps, nx+nu) [-] and Hessian (steps, nx+nu, nx+nu) [-] of the running cost at x (steps, nx), u (steps, nu) [SI].
+
+        Raises ValueError where their lengths differ.
+        """
+        point = np.hstack([x, u])
+        return self._running.slope(point), self._running.hessian(point)
+
+    def final(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Give the slope (nx,) [-] and Hessian (nx, nx) [-] of the final cost at x (nx,) [m, rad, m/s, rad/s].
+
+        Raises nothing: NaN or inf where the cost has no number.
+        """
+        point = x[None, :]
+        return self._final.slope(point)[0], self._final.hessian(point)[0]
+
+
+class _Derivatives:
+    """slope: a function of points (n, symbols) [SI] to (n, symbols) [-]."""
+
+    def __init__(self, expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> None:
+        n = len(symbols)
+        slope = [sp.diff(expression, symbol) for symbol in symbols]
+        hessian = [sp.diff(entry, symbol) for entry in slope for symbol in symbols]
+        self._n = n
+        self._value, self.slope, self._hessian = (_rows(entries, symbols) for entries in ([expression], slope, hessian))
+        self._quadratic = not any(entry.free_symbols for entry in hessian)
+
+    def value(self, point: np.ndarray) -> np.ndarray:
+        """Evaluate at points (n, symbols) [SI]: (n,) [-]. Raises nothing: NaN or inf where it has no number."""
+        return self._value(point)[:, 0]
+
+    def hessian(self, point: np.ndarray) -> np.ndarray:
+        """Differentiate twice at points (n, symbols) [SI], made positive semidefinite: (n, symbols, symbols) [-].
+
+        Raises LinAlgError where no eigenvalues are found, as with NaN.
+        """
+        rows = self._hessian(point[:1] if self._quadratic else point).reshape(-1, self._n, self._n)
+        value, vectors = np.linalg.eigh(rows)
+        convex = (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) if (value < 0.0).any() else rows
+        return np.broadcast_to(convex, (len(point), self._n, self._n))
+
+
+def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of points (n, len(symbols)) to (n, len(entries)), constants spread over the rows."""
+    compiled = sp.lambdify([list(symbols)], list(entries), modules="numpy", cse=True)
+
+    def function(point: np.ndarray) -> np.ndarray:
+        """Evaluate the entries at points (n, symbols) [SI]: (n, entries) [-]. Raises nothing: NaN or inf where one has no number."""
+        found = np.empty((len(point), len(entries)))
+        for index, column in enumerate(compiled(list(point.T))):
+            found[:, index] = column
+        return found
+
+    return function
 
 
 @lru_cache(maxsize=1)
@@ -99,6 +217,7 @@ class Stages:
         """Fill k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
 
         shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a larger shift).
+        Raises nothing: sizes are not checked.
         """
         self.Vx[-1] = self.px
         hessian = self.pxx.copy()
@@ -111,7 +230,10 @@ class Stages:
         return failed == 0
 
     def forward(self, gap: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone."""
+        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone.
+
+        Raises nothing: sizes are not checked.
+        """
         dx, du = np.zeros((self.steps + 1, self.nx)), np.zeros((self.steps, self.nu))
         arrays = (self.A, self.B, self.gap, self.k, self.K, dx, du)
         if gap is not None:
@@ -172,6 +294,8 @@ class Solver:
 
     def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> SolverResult:
         """Iterate until nodes and inputs settle, or a limit is reached.
+
+        Raises MachineError without a C compiler.
 
         Parameters
         ----------

@@ -239,7 +239,10 @@ class _Prover:
         return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
 
     def adopt(self, closed: np.ndarray) -> None:
-        """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known."""
+        """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known.
+
+        Raises nothing: modes without a plan are passed over.
+        """
         answer = self._modes.solve(closed)
         plan = None if answer is None else _exact_plan(self._scene, answer.u)
         if plan is not None and self._residuals.cost(plan) < self._cost:

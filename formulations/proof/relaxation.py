@@ -52,6 +52,8 @@ class Relaxation:
     def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> RelaxationResult:
         """A lower bound of the cost.
 
+        Raises nothing: -inf where the program is not solved.
+
         Parameters
         ----------
         lower, upper : (steps, nc) bounds of the penetrations [m]
@@ -66,6 +68,8 @@ class Relaxation:
         self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float
     ) -> RelaxationResult:
         """A lower bound of sign * phi[t, contact], t >= 1, over all plans that cost at most the ceiling.
+
+        Raises nothing: -inf where the program is not solved.
 
         Parameters
         ----------
@@ -172,6 +176,8 @@ class Relaxation:
 
 def relaxed_bound(linear: LinearScene, lower: np.ndarray, upper: np.ndarray, ceiling: float = np.inf) -> float:
     """A cost below which there is no plan.
+
+    Raises nothing: -inf where the program is not solved.
 
     Parameters
     ----------

@@ -57,6 +57,8 @@ def wrong_by(pair: tuple[float, float], choices: tuple[Signs, ...]) -> float:
 def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.ndarray]:
     """Limits of the multipliers of the columns of `active.matrix`, with these signs on the biactive pairs.
 
+    Raises nothing.
+
     Returns
     -------
     lowest, highest (columns,), each 0 or infinite [objective per row]
@@ -70,6 +72,8 @@ def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.nd
 
 def pairs_of(active: ActiveSet, y: np.ndarray) -> list[tuple[float, float]]:
     """Multipliers nu, mu of the biactive pairs among those of all columns of `active.matrix`.
+
+    Raises nothing.
 
     Parameters
     ----------

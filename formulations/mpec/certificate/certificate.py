@@ -56,7 +56,7 @@ def _forced_violation(local: LocalModel, tolerance: float) -> float:
     scale = np.maximum(1.0, np.maximum(_finite(low), _finite(high)))
 
     def violation(now: np.ndarray) -> float:
-        """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]."""
+        """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]. Raises nothing."""
         return float(np.max(np.maximum(np.maximum(low - now, now - high), 0.0) / scale, initial=0.0))
 
     rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))  # of its terms and its constant

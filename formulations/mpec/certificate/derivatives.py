@@ -25,7 +25,8 @@ from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_vari
 from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
-from formulations.ipopt.errors import MissingValueError
+from formulations.ipopt import MissingValueError
+from formulations.ipopt.graph import UNARY
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
@@ -35,10 +36,6 @@ _OFTEN = 8
 _ROUNDING = 1e-9
 _DISAGREE = "the derivatives that were evaluated together disagree with Pyomo's own, which were taken instead: please report this model"
 _UNKNOWN = "Pyomo has no derivatives to compare those with that were evaluated together; its own were taken throughout"
-# Functions of one argument that have all derivatives wherever they have a value that is not at the end of their domain.
-_SMOOTH = frozenset(
-    ["exp", "log", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "sqrt"]
-)
 _REFUSED = (ValueError, ArithmeticError, TypeError)  # of an expression that the compiler does not treat
 _NOWHERE = SimpleNamespace(name="an expression")
 
@@ -96,7 +93,7 @@ def _symbolic(expression: Any, variables: Sequence[Any]) -> Sequence[float]:
     """By Pyomo's way over SymPy, which knows more functions; NaN where one of them is not smooth."""
     nothing = [math.nan] * len(variables)
     functions = {node.getname() for node in _nodes(expression) if isinstance(node, UnaryFunctionExpression)}
-    if not functions <= _SMOOTH:
+    if not functions <= UNARY.keys():  # these have all derivatives wherever they have a value that is not at the end of their domain
         return nothing
     try:
         slopes = differentiate(expression, wrt_list=variables, mode=Modes.sympy)
@@ -209,6 +206,8 @@ class _Together:
 
     def agrees_with(self, values: np.ndarray, triplets: _Triplets, expressions: Sequence[Any], own: np.ndarray) -> bool:
         """Whether all values are Pyomo's, and the derivatives of some expressions of each shape, of some linear ones and of the last.
+
+        Raises nothing: what Pyomo cannot differentiate is told by `compared`.
 
         Parameters
         ----------

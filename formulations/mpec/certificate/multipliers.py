@@ -49,6 +49,7 @@ def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.
     """Multipliers that leave at most the tolerance, by a linear program; undecided where it fails.
 
     Tolerances on both sides of each row are a far easier program than the smallest residual (`least_residual`), whose variable is in all rows.
+    Raises nothing: it is undecided where the program fails.
 
     Parameters
     ----------
@@ -76,7 +77,10 @@ def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.
 
 
 def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
-    """The smallest residual that there is: min t with -t <= gradient - matrix y <= t. Arguments as in `decide`: (n, columns), (n,), (columns,) [-]."""
+    """The smallest residual that there is: min t with -t <= gradient - matrix y <= t. Arguments as in `decide`: (n, columns), (n,), (columns,) [-].
+
+    Raises ValueError for numbers that are not finite; it is undecided where the program fails.
+    """
     n, columns = matrix.shape
     if not n or not columns:
         residual = float(np.max(np.abs(gradient), initial=0.0))
@@ -94,6 +98,8 @@ def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndar
 
 def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
     """Least gradient' d over |d| <= 1, relative to the scale.
+
+    Raises ValueError for numbers that are not finite; NaN where the program fails.
 
     Parameters
     ----------
@@ -154,6 +160,8 @@ class Decision:
 def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
     """Whether multipliers with these limits leave at most the tolerance of the gradient.
 
+    Raises nothing: it is undecided where a factorisation fails.
+
     Parameters
     ----------
     matrix : (n, columns) active gradients [row per variable]
@@ -184,6 +192,8 @@ def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hig
 
 def excludes(gradient: np.ndarray, polar: np.ndarray, across: float, tolerance: float) -> bool:
     """Whether a vector proves that no multipliers leave as little as the tolerance.
+
+    Raises nothing.
 
     Parameters
     ----------
@@ -225,6 +235,8 @@ class Projection:
 
 def project(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> Projection | None:
     """The gradient projected onto the cone of the columns with the right signs; None where a factorisation fails.
+
+    Raises nothing: None where a factorisation fails.
 
     Parameters
     ----------
@@ -366,6 +378,8 @@ class LeastSquares:
     def leaving(self, column: int) -> np.ndarray:
         """The shortest direction in which the condition of this column rises by one and all others stay: the objective changes by y[column].
 
+        Raises nothing.
+
         Returns
         -------
         (n,) direction [units of the variables]
@@ -377,6 +391,8 @@ class LeastSquares:
 
 def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquares | None:
     """Multipliers by least squares; None where the columns are not linearly independent (then there may be many y, or it is not known).
+
+    Raises nothing.
 
     Parameters
     ----------
@@ -424,7 +440,7 @@ def signed_least_squares(
 ) -> SignedMultipliers | None:
     """Multipliers within limits (which hold 0) that leave at most the tolerance in each component, if that is found; else those found last.
 
-    The columns may depend on each other. None where there is no column, or the factorisation fails.
+    The columns may depend on each other. None where there is no column, or the factorisation fails. Raises nothing.
 
     Parameters
     ----------
@@ -478,6 +494,9 @@ def _proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> 
 
 
 def column_lengths(matrix: sparse.csc_matrix) -> np.ndarray:
-    """Lengths (columns,) of the columns of a matrix (n, columns), in the 2-norm; 1 for a column of zeros [units of the entries]."""
+    """Lengths (columns,) of the columns of a matrix (n, columns), in the 2-norm; 1 for a column of zeros [units of the entries].
+
+    Raises nothing.
+    """
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
     return np.where(length == 0.0, 1.0, length)

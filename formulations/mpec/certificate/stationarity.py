@@ -53,6 +53,8 @@ def affordable(active: ActiveSet, choices: int) -> int:
 def steepest_piece(active: ActiveSet, tolerance: float) -> tuple[float, np.ndarray | None]:
     """The steepest slope over all pieces: B-stationary where it is 0.
 
+    Raises nothing: NaN where a program fails.
+
     Parameters
     ----------
     active : what is active

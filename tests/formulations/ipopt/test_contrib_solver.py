@@ -10,7 +10,7 @@ from pyomo.contrib.solver.common.util import NoDualsError, NoFeasibleSolutionErr
 from pyomo.mpec import Complementarity, complements
 
 import formulations.mpec  # noqa: F401 - registers the solvers
-from formulations.ipopt.errors import ModelRefusedError, UnknownOptionError
+from formulations.ipopt import ModelRefusedError, UnknownOptionError
 
 
 def program(sense=pyo.minimize) -> pyo.ConcreteModel:

@@ -29,7 +29,7 @@ def test_the_start_is_not_written_over():
     assert start.zl.tolist() == [1.0, 1.0]
 
 
-@pytest.mark.parametrize("name", ["rows_at", "entries_at", "hessian"])
+@pytest.mark.parametrize("name", ["values", "derivatives", "hessian"])
 def test_an_exception_of_a_function_arrives_as_it_was(monkeypatch, name: str):
     problem = compile_model(rosenbrock())
     calls = {"left": 4}

@@ -38,14 +38,6 @@ def hs6(m):
     return 0.0
 
 
-def hs26(m):
-    """Problem 26; optimum 0."""
-    m.x = pyo.Var([1, 2, 3], initialize={1: -2.6, 2: 2, 3: 2})
-    m.c = pyo.Constraint(expr=(1 + m.x[2] ** 2) * m.x[1] + m.x[3] ** 4 - 3 == 0)
-    m.cost = pyo.Objective(expr=(m.x[1] - m.x[2]) ** 2 + (m.x[2] - m.x[3]) ** 4)
-    return 0.0
-
-
 def hs39(m):
     """Problem 39; optimum -1."""
     m.x = pyo.Var([1, 2, 3, 4], initialize=2)
@@ -53,24 +45,6 @@ def hs39(m):
     m.b = pyo.Constraint(expr=m.x[1] ** 2 - m.x[2] - m.x[4] ** 2 == 0)
     m.cost = pyo.Objective(expr=-m.x[1])
     return -1.0
-
-
-def hs65(m):
-    """Problem 65; optimum 0.9535289."""
-    m.x = pyo.Var([1, 2, 3], initialize={1: -5, 2: 5, 3: 0}, bounds=lambda m, i: (-4.5, 4.5) if i < 3 else (-5, 5))
-    m.c = pyo.Constraint(expr=48 - m.x[1] ** 2 - m.x[2] ** 2 - m.x[3] ** 2 >= 0)
-    m.cost = pyo.Objective(expr=(m.x[1] - m.x[2]) ** 2 + (m.x[1] + m.x[2] - 10) ** 2 / 9 + (m.x[3] - 5) ** 2)
-    return 0.9535289
-
-
-def hs78(m):
-    """Problem 78; optimum -2.91970041."""
-    m.x = pyo.Var(range(1, 6), initialize={1: -2, 2: 1.5, 3: 2, 4: -1, 5: -1})
-    m.a = pyo.Constraint(expr=sum(m.x[i] ** 2 for i in m.x) == 10)
-    m.b = pyo.Constraint(expr=m.x[2] * m.x[3] - 5 * m.x[4] * m.x[5] == 0)
-    m.c = pyo.Constraint(expr=m.x[1] ** 3 + m.x[2] ** 3 == -1)
-    m.cost = pyo.Objective(expr=m.x[1] * m.x[2] * m.x[3] * m.x[4] * m.x[5])
-    return -2.91970041
 
 
 def hs100(m):
@@ -88,7 +62,7 @@ def hs100(m):
     return 680.6300573
 
 
-@pytest.mark.parametrize("problem", [hs6, hs26, hs39, hs65, hs71, hs78, hs100])
+@pytest.mark.parametrize("problem", [hs6, hs39, hs71, hs100])
 def test_hock_and_schittkowski(solver, problem):
     m = pyo.ConcreteModel()
     optimum = problem(m)

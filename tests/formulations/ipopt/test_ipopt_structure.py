@@ -195,11 +195,19 @@ def test_a_missing_number_is_named(value):
         compile_model(m)
 
 
-def test_a_param_without_value_is_named():
+@pytest.mark.parametrize(
+    ("place", "named"),
+    [
+        (lambda m: m.add_component("more", pyo.Constraint(expr=m.r * m.x[1] <= 1)), "'r' has no value"),
+        (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)), "a bound of constraint 'more' has no value"),
+        (lambda m: m.x[1].setub(2 * m.r), "a bound of variable 'x\\[1\\]' has no value"),
+    ],
+)
+def test_a_param_without_value_is_named_by_where_it_stands(place, named):
     m = small()
     m.r = pyo.Param(mutable=True, domain=pyo.Any)
-    m.more = pyo.Constraint(expr=m.r * m.x[1] <= 1)
-    with pytest.raises(MissingValueError, match="'r'"):
+    place(m)
+    with pytest.raises(MissingValueError, match=named):
         compile_model(m)
 
 

@@ -15,10 +15,9 @@ from pyomo.opt import SolverStatus, TerminationCondition
 
 from formulations.mpec import MpecSettings, Multipliers, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
-from formulations.mpec.homotopy import WorkBudget
+from formulations.mpec.homotopy import WorkBudget, Workspace
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
-from formulations.mpec.workspace import Workspace
 from formulations.solution import Outcome
 from tests.formulations.mpec.nearest import solver
 
@@ -109,33 +108,40 @@ def test_ctrl_c_inside_ipopt_arrives(monkeypatch):
 # -- endings -----------------------------------------------------------------------------------------------------------------------------
 
 
-def test_infeasible(caplog):
-    m = two(near)
-    m.apart = pyo.Constraint(expr=m.x + m.y <= -1)
-    with caplog.at_level(logging.WARNING):
-        results = solver().solve(m)
-    assert results.solver.termination_condition == TerminationCondition.infeasible
-    assert results.solver.status == SolverStatus.warning
-    assert (m.x.value, m.y.value) == (1.0, 1.0)  # nothing worth loading
+def _both_at_least_one(m):
+    """On both axes, which only the pair forbids."""
+    m.both = pyo.Constraint([1, 2], rule=lambda m, i: (m.x, m.y)[i - 1] >= 1)
 
 
-def test_feasible_without_its_complementarity_only(caplog):
-    """x, y >= 1 on both axes: the pair alone makes it infeasible."""
-    m = two(near)
-    m.both = pyo.ConstraintList()
-    m.both.add(m.x >= 1)
-    m.both.add(m.y >= 1)
-    with caplog.at_level(logging.WARNING):
-        results = solver().solve(m)
-    assert results.solver.termination_condition == TerminationCondition.infeasible
-
-
-def test_unbounded(caplog):
-    m = two(lambda m: -m.x, bounds=(0.0, None))
+def _without_end(m):
     m.row.deactivate()
+    m.cost.set_value(-m.x)
+
+
+def _crossed(m):
+    m.x.setlb(3)
+    m.x.setub(2)
+
+
+@pytest.mark.parametrize(
+    ("change", "ended", "words"),
+    [
+        (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""),
+        (_both_at_least_one, "infeasible", "branches"),
+        (_crossed, "infeasible", "'x'"),
+        (_without_end, "unbounded", ""),
+    ],
+)
+def test_what_has_no_solution_is_a_warning(change, ended, words, caplog):
+    m = two(near)
+    change(m)
     with caplog.at_level(logging.WARNING):
         results = solver().solve(m)
-    assert results.solver.termination_condition == TerminationCondition.unbounded
+    assert results.solver.termination_condition == TerminationCondition(ended)
+    assert results.solver.status == SolverStatus.warning
+    assert words in results.solver.message
+    if ended == "infeasible":
+        assert (m.x.value, m.y.value) == (1.0, 1.0)  # nothing worth loading
 
 
 def test_bounded_by_its_complementarity_only():
@@ -201,16 +207,6 @@ def test_a_model_without_objective_is_made_feasible():
 def test_an_empty_model():
     m = pyo.ConcreteModel(name="empty")
     pyo.assert_optimal_termination(solver().solve(m))
-
-
-def test_inconsistent_bounds_are_infeasible(caplog):
-    m = two(near)
-    m.x.setlb(3)
-    m.x.setub(2)
-    with caplog.at_level(logging.WARNING):
-        results = solver().solve(m)
-    assert results.solver.termination_condition == TerminationCondition.infeasible
-    assert "'x'" in results.solver.message
 
 
 def test_a_maximised_objective():

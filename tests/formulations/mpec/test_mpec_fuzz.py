@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, note, settings
 
+from benchmarks.mpec import enumeration, generator
 from formulations.solution import Outcome
-from tests.formulations.mpec.fuzz import enumeration, generator
 
 _CONVEX = 52  # a seed of a convex problem with few branches
 

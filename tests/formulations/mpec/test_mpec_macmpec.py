@@ -1,22 +1,12 @@
-"""MacMPEC, its small problems: the published optimum, exact complementarity, and a certificate that holds.
-
-Here, 88 of the 193 of the collection: bard1 to 3 and bard1m to 3m, bilevel1 to 3, bilevel1m, bilevel2m, bilin, dempe, design-cent-1, desilva, df1,
-ex9.1.1 and 3 to 10, ex9.2.1 to 9, flp2, gauvin, gnash10 to 19 and 10m to 19m, hakonsen, hs044-i, jr1, jr2, kth1 to 3, nash1a to e, outrata31 to
-34, qpec1, qpec2, ralph1, ralph2, scale1 to 5, scholtes1 to 5, sl1, stackelberg1.
-
-Not here: ex9.1.2 (it has a binary variable, which is refused); not written down yet, with at most 13 pairs: bar-truss-3, design-cent-2, 21, 3, 31
-and 4, portfl-i-1 to 6, taxmcp, water-net; with 30 to 1748 pairs, most with data of their own: bem-milanc30-s, flp4, incid-set, liswet1, monteiro,
-pack-comp, pack-rig, qpec-100 and 200, ralphmod, siouxfls, tap-09, tap-15, TrafficSignalCycle, water-FL.
-`python -m benchmarks mpec-growth` stands for the large ones: 100 to 3025 pairs.
-"""
+"""MacMPEC, its small problems: the published optimum, exact complementarity, and a certificate that holds."""
 
 from __future__ import annotations
 
 import pyomo.environ as pyo
 import pytest
 
+from benchmarks.mpec import macmpec
 from formulations.mpec import MpecSettings, Stationarity, load, solve_mpec
-from tests.formulations.mpec.macmpec import bard, bilevel, equilibria, floudas, scholtes, toy
 
 _RELATIVE = 1e-5  # published figures have six digits
 
@@ -27,9 +17,7 @@ MISPRINTS = {
     "ex9_2_5": (6.0, 5.0, "the handbook has 5, at (1, 3)"),
 }
 
-
-FILES = (bard, bilevel, equilibria, floudas, scholtes, toy)
-PROBLEMS = [(builder.__name__, builder, optimum) for file in FILES for builder, optimum, _ in file.PROBLEMS]
+PROBLEMS = [(builder.__name__, builder, optimum) for builder, optimum, _ in macmpec.PROBLEMS]
 
 
 def test_there_are_at_least_forty():

@@ -7,8 +7,7 @@ import pytest
 import sympy as sp
 from example_scenes import example_scene
 
-from formulations.multiple_shooting.costs import Costs
-from formulations.multiple_shooting.solver import Stages
+from formulations.multiple_shooting.solver import Costs, Stages
 from formulations.pipelines import MULTIPLE_SHOOTING_EPS, load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene

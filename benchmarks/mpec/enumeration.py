@@ -11,8 +11,7 @@ import numpy as np
 import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
-from formulations.ipopt import compile_model, solve
-from formulations.ipopt.errors import ModelRefusedError
+from formulations.ipopt import ModelRefusedError, compile_model, solve
 from formulations.mpec import load, solve_mpec
 from formulations.solution import Outcome
 
