@@ -511,10 +511,8 @@ class _Reader:
         yield from range(self.header.variables - self.header.integers, self.header.variables)
 
     def _complements(self, body: Any, bounds: _Bounds, number: int) -> Any:
-        variable, of = self.variables[bounds.complements], self.bounds[bounds.complements]
-        lacking = [
-            word for bit, word, value in ((1, "lower", of.lower), (2, "upper", of.upper)) if bounds.sides & bit and math.isinf(value)
-        ]
+        variable, of, sides = self.variables[bounds.complements], self.bounds[bounds.complements], bounds.sides or 0
+        lacking = [word for bit, word, value in ((1, "lower", of.lower), (2, "upper", of.upper)) if sides & bit and math.isinf(value)]
         if lacking:
             raise NlError(
                 f"{self.file}: row {number} complements the {lacking[0]} bound of variable {bounds.complements}, which has none. "
