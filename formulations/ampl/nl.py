@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Any
 
 import pyomo.environ as pyo
-from pyomo.core.expr.numeric_expr import LinearExpression
+from pyomo.core.expr.numeric_expr import LinearExpression, MaxExpression, MinExpression
 from pyomo.mpec import Complementarity, complements
 
 from models.errors import TouchstoneError
@@ -154,9 +154,13 @@ _UNARY: dict[int, Callable[[Any], Any]] = {
     46: pyo.cos, 47: pyo.atanh, 49: pyo.atan, 50: pyo.asinh, 51: pyo.asin, 52: pyo.acosh, 53: pyo.acos, 77: lambda base: base**2,
 }  # fmt: skip
 _BINARY: dict[int, Callable[[Any, Any], Any]] = {0: add, 1: sub, 2: mul, 3: truediv, 5: pow, 76: pow, 78: pow}
-_SUM = 54
+_ANY: dict[int, Callable[..., Any]] = {
+    11: lambda *terms: MinExpression(terms),
+    12: lambda *terms: MaxExpression(terms),
+    54: lambda *terms: pyo.quicksum(terms),
+}
 _REFUSED = {
-    4: "rem", 6: "less", 11: "min", 12: "max", 13: "floor", 14: "ceil", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=", 28: ">=", 29: ">", 30: "!=",
+    4: "rem", 6: "less", 13: "floor", 14: "ceil", 20: "or", 21: "and", 22: "<", 23: "<=", 24: "=", 28: ">=", 29: ">", 30: "!=",
     34: "not", 35: "if", 48: "atan2", 55: "div", 56: "precision", 57: "round", 58: "trunc", 59: "count", 60: "numberof", 61: "numberof (symbolic)",
     62: "atleast", 63: "atmost", 64: "piecewise-linear term", 65: "if (symbolic)", 66: "exactly", 67: "not atleast", 68: "not atmost",
     69: "not exactly", 70: "forall", 71: "exists", 72: "implies", 73: "iff", 74: "alldiff", 75: "not alldiff",
@@ -441,11 +445,11 @@ class _Reader:
             return _UNARY[number], 1
         if number in _BINARY:
             return _BINARY[number], 2
-        if number == _SUM:
+        if number in _ANY:
             (count,) = self.source.values("i")
             if count < 1:
-                raise self._damaged(f"a sum of {count} terms")
-            return _sum, count
+                raise self._damaged(f"an operator of {count} terms")
+            return _ANY[number], count
         if number in _REFUSED:
             raise self._refused(f"the operator '{_REFUSED[number]}'")
         raise self._damaged(f"{number} is no operator's number")
@@ -553,10 +557,6 @@ def names_beside(file: Path, ending: str, count: int) -> Sequence[Any]:
     except OSError:
         return range(count)
     return names if len(set(names)) == count else range(count)
-
-
-def _sum(*terms: Any) -> Any:
-    return pyo.quicksum(terms)
 
 
 def _has_variables(body: Any) -> bool:

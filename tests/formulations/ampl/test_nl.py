@@ -151,6 +151,17 @@ def test_a_variable_of_a_lower_side_keeps_its_upper_bound(written):
     assert len([side for side in model.pair[2]._args if len(side.args) == 2]) == 2
 
 
+@pytest.mark.parametrize(("operator", "least"), [(11, min), (12, max), (54, lambda *values: sum(values))])
+def test_operators_of_any_number_of_terms(written, operator, least):
+    terms = [("o", "o", operator), (None, "i", 3), ("v", "i", 0), ("n", "d", 2.5), ("v", "i", 2)]
+    begin = next(i for i, item in enumerate(SEGMENTS) if item[:3] == ("C", "i", 1))
+    model = read_nl(written(as_text([*SEGMENTS[: begin + 1], *terms, *SEGMENTS[begin + 3 :]])))
+    for values in ((0.5, 0.0, 7.0), (9.0, 0.0, 3.0)):
+        for i, value in enumerate(values):
+            model.x[i].set_value(value)
+        assert pyo.value(model.row[1].body) == pytest.approx(least(values[0], 2.5, values[2]))
+
+
 def test_integers_are_read_and_relaxed_when_asked(written):
     path = written(as_text(integers="1 1"))
     assert [variable.is_integer() for variable in read_nl(path).x.values()] == [False, True, True]
