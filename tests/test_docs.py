@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from formulations.ampl.command import main as solve_mpec_file
 from models.contact_law import worst_case_violation
 from validate.cli.group import run
 
 DOCS = Path(__file__).parents[1] / "docs"
 TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
-    for name in ("campaigns", "tutorial", "extending", "equations", "verdict", "cosimulation")
+    for name in ("campaigns", "tutorial", "extending", "equations", "verdict", "cosimulation", "mpec")
 }
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[^>\n]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```", re.DOTALL)
 
@@ -52,6 +53,9 @@ def test_every_snippet_runs(name: str, elsewhere: Path, capfd: pytest.CaptureFix
             continue  # a change of our own files, which tests/test_recipes.py makes
         elif block["language"] == "python":
             exec(compile(text, f"docs/{name}.md", "exec"), space)
+        elif mark == "mpec":
+            for line in text.splitlines():
+                assert solve_mpec_file(shlex.split(line, comments=True)[1:]) == 0, line
         elif mark == "long":  # that it can be run is what `plan` finds out
             for words in _words(text):
                 jobs = words.index("-j") if "-j" in words else len(words)

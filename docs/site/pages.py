@@ -19,6 +19,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import formulations
+import formulations.ampl
 import formulations.mpec
 import models.fmu
 import models.scene
@@ -66,6 +67,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/formulations.md": _reference("formulations", [_home(formulations, name) for name in formulations.__all__]),
         "reference/formulations.mpec.md": _reference(
             "formulations.mpec", [_home(formulations.mpec, name) for name in formulations.mpec.__all__]
+        ),
+        "reference/formulations.ampl.md": _reference(
+            "formulations.ampl", [_home(formulations.ampl, name) for name in formulations.ampl.__all__]
         ),
     }
     for path, text in pages.items():

@@ -19,6 +19,7 @@ Importing this package also registers `SolverFactory("touchstone_ipopt")`, which
 
 from __future__ import annotations
 
+from formulations.ipopt import contrib_solver as contrib_solver  # registers with Pyomo's second factory
 from formulations.ipopt.model import MissingValueError, ModelRefusedError, StructureChangedError
 from formulations.ipopt.options import UnknownOptionError, known_options
 from formulations.ipopt.problem import IpoptProblem, compile_model

@@ -22,6 +22,10 @@ class ModelRefusedError(ValueError):
     """The model holds something that a smooth solver cannot treat, or that would be silently dropped."""
 
 
+class NotSmoothError(ModelRefusedError):
+    """The model applies abs, min or max to variables; `mpec_ipopt` writes them as complementarities."""
+
+
 class MissingValueError(ValueError):
     """A Param or a fixed variable that the model needs has no value, or not a finite one."""
 
@@ -31,9 +35,9 @@ class StructureChangedError(RuntimeError):
 
 
 _ADVICE = {
-    "abs": "write sqrt(x**2 + eps**2), or split x = xp - xn with xp, xn >= 0",
-    "max": "write an epigraph variable t >= each argument, or a smooth maximum",
-    "min": "write a hypograph variable t <= each argument, or a smooth minimum",
+    "abs": "use mpec_ipopt, which splits it into a pair, or write sqrt(x**2 + eps**2)",
+    "max": "use mpec_ipopt, which writes it as a pair, or an epigraph variable t >= each argument",
+    "min": "use mpec_ipopt, which writes it as a pair, or a hypograph variable t <= each argument",
     "Expr_if": "write the two cases as a complementarity or blend them smoothly",
 }
 
@@ -62,7 +66,8 @@ def as_data(node: Any, where: Any) -> EvaluatedExpression:
     if not node.is_fixed():
         name = node.getname() if hasattr(node, "getname") else type(node).__name__
         known = "known are + - * / ** and " + " ".join(sorted(UNARY))
-        raise ModelRefusedError(
+        refusal = NotSmoothError if name in ("abs", "max", "min") else ModelRefusedError
+        raise refusal(
             f"'{where.name}' applies {name} to a variable: only smooth functions can be handed to Ipopt ({_ADVICE.get(name, known)})"
         )
     return EvaluatedExpression(node)

@@ -26,11 +26,14 @@ from typing import Any
 import numpy as np
 from pyomo.opt import SolverFactory, SolverResults
 
+from formulations.ipopt.contrib_solver import register
+from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
+from formulations.mpec.kinks import smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,
@@ -72,7 +75,16 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
         for a time limit that is not positive
     """
     settings = settings or MpecSettings()
-    begin, budget = time.perf_counter(), WorkBudget(time_limit)
+    budget = WorkBudget(time_limit)
+    try:
+        return _solved(model, settings, budget)
+    except NotSmoothError:
+        smooth = smooth_copy(model)
+        return smooth.restore(_solved(smooth.model, settings, budget))
+
+
+def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
+    begin = time.perf_counter()
     best: MpecResult | None = None
     steps: list[Step] = []
     solved_before = False
@@ -203,3 +215,6 @@ class MpecIpopt(PyomoPlugin):
             wall=result.seconds,
         )
         return answer.results(self.title, model), answer
+
+
+register(MpecIpopt)

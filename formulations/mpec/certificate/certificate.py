@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from scipy.sparse.linalg import lsqr
 from formulations.mpec.certificate.active import ActiveSet, Stationarity, active_set, class_of
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair, read_local
 from formulations.mpec.certificate.stationarity import classify, steepest_piece
+from formulations.mpec.kinks import has_kinks, smooth_copy
 
 # The step may change a variable by this, relative to max(1, |x|): far more than tolerances ask for, far less than another solution.
 _SMALL_STEP = 1e-2
@@ -234,12 +235,13 @@ class Certificate:
 def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: Tolerances = Tolerances()) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
-    With more than ten biactive pairs B-stationarity is known only where it follows from class S.
+    With more than ten biactive pairs B-stationarity is known only where it follows from class S. Absolute values, minima and maxima of variables are
+    judged as the pairs that they are (`formulations.mpec.kinks`).
 
     Parameters
     ----------
     model : a Pyomo model
-    multipliers : if given they are checked too
+    multipliers : if given they are checked too, where the model has no such kinks
     tolerances : up to which violation the point counts as feasible
 
     Raises
@@ -247,6 +249,9 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     MissingValueError
         where a component needs an Expression that is empty
     """
+    if has_kinks(model):
+        found = certify(smooth_copy(model).model, tolerances=tolerances)
+        return replace(found, notes=(*found.notes, "absolute values, minima and maxima are written as pairs"))
     with PauseGC():
         local = read_local(model, _ACTIVE)
     rows = (*local.rows, *local.bounds)

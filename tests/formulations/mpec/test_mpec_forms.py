@@ -157,7 +157,7 @@ def _external(m):
         (_pair(lambda m: pyo.inequality(0, m.x, 1), _nonnegative), ["'pair'", "3 finite bounds", "two in all"], ModelRefusedError),
         (_pair(lambda m: m.x >= 0, lambda m: m.y), ["'pair'", "1 finite bounds", "two in all"], ModelRefusedError),
         (_pair(lambda m: m.x > 0, _nonnegative), ["'pair'", "strict"], ModelRefusedError),
-        (_pair(lambda m: abs(m.x) >= 1, _nonnegative), ["abs"], ModelRefusedError),
+        (_pair(lambda m: pyo.ceil(m.x) >= 1, _nonnegative), ["ceil"], ModelRefusedError),
         (_pair(lambda m: pyo.inequality(m.y, m.x, 3), lambda m: m.y), ["'pair'", "variable bound"], ModelRefusedError),
         (lambda m: m.add_component("pair", Complementarity()), ["'pair'", "no condition"], ModelRefusedError),
         (_integer, ["'n'"], ModelRefusedError),

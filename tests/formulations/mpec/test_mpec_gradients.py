@@ -54,11 +54,10 @@ def test_they_are_pyomos_own():
     assert not np.isfinite(together[-1]).all()
 
 
-@pytest.mark.parametrize("function", [abs, pyo.floor])
-def test_what_has_no_derivative_here_is_said_not_raised(function):
+def test_what_has_no_derivative_here_is_said_not_raised():
     m = pyo.ConcreteModel()
     m.x = pyo.Var(initialize=0.0)
-    m.row = pyo.Constraint(expr=function(m.x) <= 1.0)
+    m.row = pyo.Constraint(expr=pyo.floor(m.x) <= 1.0)
     m.cost = pyo.Objective(expr=m.x**2)
     certificate = certify(m)
     assert certificate.b_stationary is None

@@ -1,0 +1,198 @@
+"""`touchstone-mpec STUB -AMPL [name=value ..]`: the MPEC solver as AMPL calls its solvers.
+
+    touchstone-mpec bard1                        reads bard1.nl, prints how it ended
+    touchstone-mpec bard1 -AMPL strategy=chks    writes bard1.sol instead, for AMPL, JuMP (AmplNLWriter) or Pyomo (`SolverFactory("asl:touchstone-mpec")`)
+    touchstone-mpec -=                           names the options
+
+Options also come from the environment: `touchstone_mpec_options='strategy=chks max_iter=500'`; those of the command line count last.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from formulations.ampl.nl import Problem
+    from formulations.mpec.result import MpecResult, PairState
+
+# Which bounds of its variable a row complements.
+_LOWER, _BOTH = 1, 3
+NAME = "touchstone-mpec"
+# Where AMPL puts its options: the solver's name and `_options`.
+_ENVIRONMENT = ("touchstone_mpec_options", f"{NAME}_options")
+_USAGE = f"usage: {NAME} STUB [-AMPL] [name=value ..]     (STUB.nl is read; with -AMPL, STUB.sol is written; {NAME} -= names the options)"
+# Of the command itself; the others are those of `mpec_ipopt` and of Ipopt.
+_OWN = {
+    "objno": "which objective, from 1; 0 for none (1)",
+    "relax_integers": "1: integer variables become continuous (0)",
+    "timelimit": "wall time in seconds (none)",
+    "outlev": "0: nothing is printed, 1: how it ended (1; with -AMPL 0, since AMPL prints it)",
+}
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read."""
+    given = list(sys.argv[1:] if words is None else words)
+    flags, rest = [word for word in given if word.startswith("-")], [word for word in given if not word.startswith("-")]
+    if "-v" in flags or "--version" in flags:
+        print(f"{NAME} {metadata.version('touchstone-contact')}")
+        return 0
+    if "-=" in flags:
+        print(_options_in_words())
+        return 0
+    stubs = [word for word in rest if "=" not in word]
+    if len(stubs) != 1 or set(flags) - {"-AMPL", "-s"} or "-?" in flags:
+        print(_USAGE, file=sys.stderr)
+        return 2
+    for_ampl = bool({"-AMPL", "-s"} & set(flags))
+    environment = next((os.environ[name] for name in _ENVIRONMENT if name in os.environ), "")
+    try:
+        answer = _solved(Path(stubs[0]), [*shlex.split(environment), *(word for word in rest if "=" in word)], for_ampl)
+    except _RefusedError as refused:
+        print(f"{NAME}: {refused}", file=sys.stderr)
+        return 2
+    if not for_ampl or answer.outlev:
+        print(answer.message)
+    return 0
+
+
+class _RefusedError(Exception):
+    """What ends the command with exit code 2, in one sentence."""
+
+
+@dataclass(frozen=True)
+class _Answer:
+    message: str
+    outlev: int
+
+
+def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
+    import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
+
+    from formulations.ampl.nl import NlError, read_problem
+    from formulations.ampl.sol import write_sol
+    from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
+    from formulations.mpec import read_settings
+    from formulations.mpec.solve import solve_mpec
+
+    own, others = _split(words)
+    try:
+        problem = read_problem(stub, objective=own["objno"], relax_integers=bool(own["relax_integers"]))
+    except NlError as error:
+        raise _RefusedError(str(error)) from error
+    target = problem.file.with_suffix(".sol")
+    duals: Sequence[float] = ()
+    values: Sequence[float] = ()
+    try:
+        result = solve_mpec(problem.model, read_settings(others), time_limit=own["timelimit"])
+        message, code = f"{NAME}: {_sentence(result)}", _code(result)
+        if result.has_point:
+            duals, values = _duals(problem, result), _values(problem, result)
+    except (ModelRefusedError, MissingValueError, UnknownOptionError) as error:
+        message, code = f"{NAME}: {error}", 500
+        if not for_ampl:
+            raise _RefusedError(str(error)) from error
+    if for_ampl:
+        try:
+            write_sol(target, problem.header, message=message, code=code, duals=duals, values=values, objective=own["objno"])
+        except OSError as error:
+            raise _RefusedError(f"{target} cannot be written: {error.strerror}.") from error
+    return _Answer(message, own["outlev"] if own["outlev"] is not None else int(not for_ampl))
+
+
+def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The command's own options, with their defaults, and the solver's. Raises _RefusedError for values that are none."""
+    own: dict[str, Any] = {"objno": 1, "relax_integers": 0, "timelimit": None, "outlev": None}
+    others: dict[str, Any] = {}
+    for word in words:
+        name, is_set, text = word.partition("=")
+        if not name or not is_set or not text:
+            raise _RefusedError(f"'{word}' is no option: write name=value, without spaces around the sign.")
+        value: Any = text
+        for kind in (int, float):
+            try:
+                value = kind(text)
+                break
+            except ValueError:
+                continue
+        if name not in own:
+            others[name] = value
+        elif isinstance(value, str) or not math.isfinite(value) or value < 0 or (name != "timelimit" and not isinstance(value, int)):
+            raise _RefusedError(
+                f"the option '{name}' is {'a number of seconds' if name == 'timelimit' else 'a whole number'}, not '{text}'."
+            )
+        else:
+            own[name] = value
+    if own["timelimit"] == 0:
+        own["timelimit"] = None
+    return own, others
+
+
+def _options_in_words() -> str:
+    from formulations.mpec import MpecSettings
+
+    rows = [f"{name:28}{text}" for name, text in _OWN.items()]
+    rows += [f"{item.name:28}of mpec_ipopt ({item.default})" for item in fields(MpecSettings) if item.name != "ipopt"]
+    return "\n".join([*rows, "and every option of Ipopt, as max_iter, tol, print_level"])
+
+
+def _sentence(result: MpecResult) -> str:
+    value = f"objective {result.objective:.12g}; " if result.has_point and result.has_objective else ""
+    return f"{result.outcome.name.lower().replace('_', ' ')}; {value}{result.message}"
+
+
+def _code(result: MpecResult) -> int:
+    """AMPL's code; a feasible point without a proof is 100."""
+    from formulations.mpec.result import is_feasible
+    from formulations.solution import Outcome
+
+    codes = {
+        Outcome.SOLVED: 0,
+        Outcome.INFEASIBLE: 200,
+        Outcome.DIVERGED: 300,
+        Outcome.ITERATION_LIMIT: 400,
+        Outcome.TIME_LIMIT: 401,
+        Outcome.INTERRUPTED: 402,
+    }
+    if result.outcome is Outcome.STALLED:
+        return 100 if is_feasible(result) else 501
+    return codes.get(result.outcome, 500)
+
+
+def _values(problem: Problem, result: MpecResult) -> list[float]:
+    """(variables,) values in the order of the file; a variable that no row mentions keeps its start, within its bounds."""
+    found = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
+    return [found.get(id(variable), _at_rest(variable)) for variable in problem.variables]
+
+
+def _at_rest(variable: Any) -> float:
+    value = 0.0 if variable.value is None else float(variable.value)
+    return min(max(value, -math.inf if variable.lb is None else variable.lb), math.inf if variable.ub is None else variable.ub)
+
+
+def _duals(problem: Problem, result: MpecResult) -> list[float]:
+    """(rows,) duals in AMPL's signs: the change of the objective by the right-hand side, of a complementarity by what its body is compared with."""
+    if not result.has_multipliers:
+        return []
+    of_rows = dict(zip(map(id, result.rows), (-result.lagrange).tolist(), strict=True))
+    of_pairs: dict[str, list[PairState]] = {}
+    for pair in result.pairs:
+        of_pairs.setdefault(pair.name, []).append(pair)
+    duals = []
+    for row, sides in zip(problem.rows, problem.sides, strict=True):
+        if not sides:
+            duals.append(of_rows.get(id(row), 0.0))
+        elif sides == _BOTH:  # a box has two pairs, body = w1 - w2 with w1 and w2 not negative: the multiplier of w1 is that of the body
+            duals.append(of_pairs[row.name][0].second_multiplier)
+        else:
+            (pair,) = of_pairs[row.name]
+            duals.append(pair.first_multiplier if sides == _LOWER else -pair.first_multiplier)
+    return [result.sense * dual for dual in duals]

@@ -1,0 +1,139 @@
+"""Absolute values, minima and maxima of variables, written as complementarities in a copy of the model.
+
+    e = p - n,  0 <= p  complementary to  n >= 0:      |e| = p + n,   max(a, b) = b + p with e = a - b,   min(a, b) = a - p
+
+p is the positive part of e and n its negative part, so that the copy has the same points with the same objective; where e is not 0 at the answer
+the pair is decided there and the answer is that of a smooth problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyomo.environ as pyo
+from pyomo.common.gc_manager import PauseGC
+from pyomo.core.base import Block
+from pyomo.core.expr.numeric_expr import AbsExpression, MaxExpression, MinExpression
+from pyomo.core.expr.visitor import ExpressionReplacementVisitor
+from pyomo.mpec import Complementarity, complements
+
+if TYPE_CHECKING:
+    from formulations.mpec.result import MpecResult
+
+# Both parts below this: the answer lies on the kink.
+_ON_KINK = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SmoothCopy:
+    """A copy without kinks, and the user's components by those of the copy."""
+
+    model: Any
+    users: dict[int, Any]
+    block: Any
+
+    def restore(self, result: MpecResult) -> MpecResult:
+        """The result by the user's variables and rows, and a word about the kinks."""
+        kept = np.array([k for k, variable in enumerate(result.variables) if id(variable) in self.users], dtype=np.intp)
+        rows = np.array([k for k, row in enumerate(result.rows) if id(row) in self.users], dtype=np.intp)
+        own = f"{self.block.name}."
+        mine = [pair for pair in result.pairs if pair.name.startswith(own)]
+        on_kink = sum(max(pair.first, pair.second) <= _ON_KINK for pair in mine)
+        words = f"{len(self.block.pair)} absolute values, minima and maxima written as pairs, {on_kink} of them on their kink"
+        return replace(
+            result,
+            message=f"{result.message}; {words}",
+            variables=tuple(self.users[id(result.variables[k])] for k in kept),
+            x=result.x[kept],
+            zl=result.zl[kept],
+            zu=result.zu[kept],
+            rows=tuple(self.users[id(result.rows[k])] for k in rows),
+            lagrange=result.lagrange[rows],
+            pairs=tuple(pair for pair in result.pairs if pair not in mine),
+        )
+
+
+def has_kinks(model: Any) -> bool:
+    """Whether an active objective, constraint or complementarity has an absolute value, a minimum or a maximum of variables."""
+    kinds = (pyo.Objective, pyo.Constraint, Complementarity)
+    return any(_has_kink(side) for data in model.component_data_objects(kinds, active=True, descend_into=Block) for side in _sides(data))
+
+
+def smooth_copy(model: Any) -> SmoothCopy:
+    """A copy of the model without absolute values, minima and maxima of its variables. The model is only read."""
+    with PauseGC():
+        copy = model.clone()
+        both = [
+            zip(*(list(one.component_data_objects(kind, descend_into=Block)) for one in (copy, model)), strict=True)
+            for kind in (pyo.Var, pyo.Constraint)
+        ]
+        users = {id(mine): theirs for pairs in both for mine, theirs in pairs}
+        block = pyo.Block(concrete=True)
+        copy.add_component(_free_name(model), block)
+        block.positive, block.negative = (pyo.VarList(domain=pyo.NonNegativeReals) for _ in range(2))
+        block.parts, block.pair = pyo.ConstraintList(), Complementarity(pyo.Any)
+        visitor = _Replacing(block)
+        for data in list(copy.component_data_objects((pyo.Objective, pyo.Constraint), active=True, descend_into=Block)):
+            if data.parent_block() is not block:
+                data.set_value(visitor.walk_expression(data.expr))
+        for data in list(copy.component_data_objects(Complementarity, active=True, descend_into=Block)):
+            if data.parent_block() is not block:
+                data._args = tuple(visitor.walk_expression(side) for side in data._args)
+    return SmoothCopy(model=copy, users=users, block=block)
+
+
+def _sides(data: Any) -> tuple[Any, ...]:
+    return tuple(data._args or ()) if hasattr(data, "_args") else (data.expr,)
+
+
+def _has_kink(expression: Any) -> bool:
+    todo = [expression]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, AbsExpression | MaxExpression | MinExpression) and not node.is_fixed():
+            return True
+        if hasattr(node, "is_expression_type") and node.is_expression_type():
+            todo += [argument for argument in node.args if argument is not None]
+    return False
+
+
+def _free_name(model: Any) -> str:
+    name = "kinks"
+    while model.component(name) is not None:
+        name += "_"
+    return name
+
+
+class _Replacing(ExpressionReplacementVisitor):
+    """Writes the copy's expressions anew; a named expression is written once, in its place."""
+
+    def __init__(self, block: Any) -> None:
+        super().__init__(descend_into_named_expressions=True, remove_named_expressions=False)
+        self._block = block
+
+    def exitNode(self, node: Any, data: Any) -> Any:  # noqa: N802 - the visitor's own name
+        found = super().exitNode(node, data)
+        if isinstance(found, AbsExpression) and not found.is_fixed():
+            positive, negative = self._parts(found.args[0])
+            return positive + negative
+        if isinstance(found, MaxExpression | MinExpression) and not found.is_fixed():
+            chosen, *others = found.args
+            for other in others:
+                positive, _ = self._parts(chosen - other)
+                chosen = other + positive if isinstance(found, MaxExpression) else chosen - positive
+            return chosen
+        return found
+
+    def _parts(self, expression: Any) -> tuple[Any, Any]:
+        """The positive and the negative part, which begin at the values of now."""
+        block = self._block
+        positive, negative = block.positive.add(), block.negative.add()
+        now = pyo.value(expression, exception=False)
+        if now is not None:
+            positive.set_value(max(now, 0.0))
+            negative.set_value(max(-now, 0.0))
+        block.parts.add(positive - negative == expression)
+        block.pair.add(len(block.positive), complements(positive >= 0, negative >= 0))
+        return positive, negative

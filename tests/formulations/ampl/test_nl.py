@@ -1,0 +1,255 @@
+"""`.nl` files as Pyomo models: what is written is read, text or binary, and what is damaged or cannot be said is named with its place."""
+
+import math
+import struct
+from pathlib import Path
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.mpec import Complementarity
+
+from formulations.ampl import NlError, read_nl
+from formulations.mpec import solve_mpec
+
+# min (x0 - 1)^2 + sin(d) + 3 x1, d = 2 x0 + x1 x2;  row 0: 1 <= x0 x1 + 4 x2 <= 7;  row 1: exp(x2) - x1 = 0.5;
+# row 2: x0 + x1 - 2 complements x2 >= 0.25
+SEGMENTS = [
+    ("V", "iii", 3, 1, 0), (None, "id", 0, 2.0), ("o", "o", 2), ("v", "i", 1), ("v", "i", 2),
+    ("C", "i", 0), ("o", "o", 2), ("v", "i", 0), ("v", "i", 1),
+    ("C", "i", 1), ("o", "o", 44), ("v", "i", 2),
+    ("C", "i", 2), ("s", "h", -2),
+    ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 0), ("v", "i", 0), ("n", "d", -1.0), ("l", "i", 2), ("o", "o", 41), ("v", "i", 3),
+    ("S", "iis", 0, 1, "priority"), (None, "ii", 2, 7), ("S", "iis", 5, 1, "weight"), (None, "id", 1, 0.5),
+    ("x", "i", 2), (None, "id", 0, 1.5), (None, "id", 2, -0.5),
+    ("d", "i", 1), (None, "id", 1, 0.75),
+    ("r", ""), ("0", "dd", 1.0, 7.0), ("4", "d", 0.5), ("5", "ii", 1, 3),
+    ("b", ""), ("1", "d", 9.0), ("3", ""), ("2", "d", 0.25),
+    ("k", "i", 2), (None, "i", 2), (None, "i", 5),
+    ("J", "ii", 0, 3), (None, "id", 0, 0.0), (None, "id", 1, 0.0), (None, "id", 2, 4.0),
+    ("J", "ii", 1, 2), (None, "id", 1, -1.0), (None, "id", 2, 0.0), ("J", "ii", 2, 2), (None, "id", 0, 1.0), (None, "id", 1, 1.0),
+    ("G", "ii", 0, 3), (None, "id", 0, 0.0), (None, "id", 1, 3.0), (None, "id", 2, 0.0),
+]  # fmt: skip
+HEADER = """{letter}3 1 1 0\t# a problem
+ 3 3 1 1 1 \t# vars, constraints, objectives, ranges, eqns
+ 2 1 1 0 0 1\t# nonlinear constrs, objs; ccons: lin, nonlin, nd, nzlb
+ 0 0
+ 3 3 3
+ 0 0 {arithmetic} 1
+ {integers} 0 0 0
+ 7 3
+ 0 0
+ 1 0 0 0 0
+"""
+
+
+def _header(letter: str, arithmetic: int = 0, integers: str = "0 0") -> str:
+    return HEADER.format(letter=letter, arithmetic=arithmetic, integers=integers)
+
+
+def as_text(segments=SEGMENTS, **header) -> bytes:
+    lines = [f"{code or ''}{' '.join(map(str, values))}\t# a comment" for code, _, *values in segments]
+    return (_header("g", **header) + "\n".join(lines) + "\n").encode()
+
+
+def as_binary(order: str, letter: str = "b") -> bytes:
+    data = _header(letter, arithmetic={"<": 1, ">": 2}[order]).encode()
+    for code, form, *values in SEGMENTS:
+        data += (code or "").encode()
+        for kind, value in zip(form, values, strict=True):
+            if kind == "s":
+                data += struct.pack(f"{order}i", len(value)) + value.encode()
+            else:
+                data += struct.pack(order + {"o": "h" if letter == "z" else "i"}.get(kind, kind), value)
+    return data
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(data: bytes) -> Path:
+        path = tmp_path / "problem.nl"
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
+FORMS = {
+    "text": as_text(),
+    "little": as_binary("<"),
+    "big": as_binary(">"),
+    "short codes": as_binary("<", "z"),
+    "crlf": as_text().replace(b"\n", b"\r\n"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_says_the_same(written, form):
+    model = read_nl(written(FORMS[form]))
+    x = model.x
+    assert [(x[i].lb, x[i].ub) for i in range(3)] == [(None, 9.0), (None, None), (0.25, None)]
+    assert [x[i].value for i in range(3)] == [1.5, None, -0.5]
+    for values in ((0.3, -1.2, 0.7), (-2.0, 0.4, 1.9)):
+        for i, value in enumerate(values):
+            x[i].set_value(value)
+        x0, x1, x2 = values
+        assert pyo.value(model.objective[1].expr) == pytest.approx((x0 - 1) ** 2 + math.sin(2 * x0 + x1 * x2) + 3 * x1, rel=1e-15)
+        assert pyo.value(model.row[0].body) == pytest.approx(x0 * x1 + 4 * x2, rel=1e-15)
+        assert pyo.value(model.row[1].body) == pytest.approx(math.exp(x2) - x1, rel=1e-15)
+        first, second = model.pair[2]._args
+        assert (pyo.value(first.args[1]), pyo.value(first.args[0])) == pytest.approx((x0 + x1 - 2, 0.0))
+        assert (pyo.value(second.args[1]), pyo.value(second.args[0])) == (x2, 0.25)
+    assert (pyo.value(model.row[0].lower), pyo.value(model.row[0].upper)) == (1.0, 7.0)
+    assert model.row[1].equality
+    assert pyo.value(model.row[1].lower) == 0.5
+    assert model.objective[1].sense == pyo.minimize
+    assert (model.priority[x[2]], model.weight[model.row[1]], model.dual[model.row[1]]) == (7, 0.5, 0.75)
+
+
+def test_names_stand_beside_the_file(written):
+    path = written(FORMS["text"])
+    path.with_suffix(".col").write_text("flow[1,'a']\nspeed\nforce\n")
+    path.with_suffix(".row").write_text("balance\nlaw\ncontact\nthe objective\n")
+    model = read_nl(path.with_suffix(""))
+    assert [data.name for data in model.component_data_objects((pyo.Constraint, Complementarity), descend_into=False)] == [
+        "row[balance]", "row[law]", "pair[contact]",
+    ]  # fmt: skip
+    assert list(model.x) == ["flow[1,'a']", "speed", "force"]
+
+
+@pytest.mark.parametrize(
+    ("row", "bounds", "start", "best"),
+    [
+        # min (y - 3)^2 + (z - 1)^2 with y - 1 and z: the pair leaves one side; the nearer one wins
+        ((1,), ("2", "d", 0.0), (1.0, 1.0), (3.0, 0.0)),
+        ((2,), ("1", "d", 0.0), (1.0, -1.0), (1.0, 0.0)),
+        ((3,), ("0", "dd", 0.0, 0.5), (1.0, 0.2), (3.0, 0.0)),
+        ((0,), ("3", ""), (0.0, 0.0), (1.0, 1.0)),
+    ],
+)
+def test_each_kind_of_complementarity(written, row, bounds, start, best):
+    segments = [
+        ("C", "i", 0), ("n", "d", -1.0),
+        ("O", "ii", 0, 0), ("o", "o", 0), ("o", "o", 5), ("o", "o", 1), ("v", "i", 0), ("n", "d", 3.0), ("n", "d", 2.0),
+        ("o", "o", 5), ("o", "o", 1), ("v", "i", 1), ("n", "d", 1.0), ("n", "d", 2.0),
+        ("x", "i", 2), (None, "id", 0, start[0]), (None, "id", 1, start[1]),
+        ("r", ""), ("5", "ii", *row, 2), ("b", ""), ("3", ""), bounds,
+        ("J", "ii", 0, 1), (None, "id", 0, 1.0), ("G", "ii", 0, 2), (None, "id", 0, 0.0), (None, "id", 1, 0.0),
+    ]  # fmt: skip
+    header = "g3 1 1 0\n 2 1 1 0 0\n 0 1 1 0 0 0\n 0 0\n 0 2 0\n 0 0 0 1\n 0 0 0 0 0\n 1 2\n 0 0\n 0 0 0 0 0\n"
+    lines = [f"{code or ''}{' '.join(map(str, values))}" for code, _, *values in segments]
+    result = solve_mpec(read_nl(written((header + "\n".join(lines) + "\n").encode())))
+    assert result.solved, result.message
+    assert dict(zip((v.name for v in result.variables), result.x, strict=True)) == pytest.approx(
+        {"x[0]": best[0], "x[1]": best[1]}, abs=1e-7
+    )
+
+
+def test_a_variable_of_a_lower_side_keeps_its_upper_bound(written):
+    data = as_text([item if item != ("2", "d", 0.25) else ("0", "dd", 0.25, 5.0) for item in SEGMENTS])
+    model = read_nl(written(data))
+    assert (model.x[2].lb, model.x[2].ub) == (0.25, 5.0)
+    assert len([side for side in model.pair[2]._args if len(side.args) == 2]) == 2
+
+
+@pytest.mark.parametrize(("operator", "least"), [(11, min), (12, max), (54, lambda *values: sum(values))])
+def test_operators_of_any_number_of_terms(written, operator, least):
+    terms = [("o", "o", operator), (None, "i", 3), ("v", "i", 0), ("n", "d", 2.5), ("v", "i", 2)]
+    begin = next(i for i, item in enumerate(SEGMENTS) if item[:3] == ("C", "i", 1))
+    model = read_nl(written(as_text([*SEGMENTS[: begin + 1], *terms, *SEGMENTS[begin + 3 :]])))
+    for values in ((0.5, 0.0, 7.0), (9.0, 0.0, 3.0)):
+        for i, value in enumerate(values):
+            model.x[i].set_value(value)
+        assert pyo.value(model.row[1].body) == pytest.approx(least(values[0], 2.5, values[2]))
+
+
+def test_integers_are_read_and_relaxed_when_asked(written):
+    path = written(as_text(integers="1 1"))
+    assert [variable.is_integer() for variable in read_nl(path).x.values()] == [False, True, True]
+    assert not any(variable.is_integer() for variable in read_nl(path, relax_integers=True).x.values())
+
+
+def test_an_objective_is_chosen_and_maximised(written):
+    path = written(as_text([item if item != ("O", "ii", 0, 0) else ("O", "ii", 0, 1) for item in SEGMENTS]))
+    assert read_nl(path).objective[1].sense == pyo.maximize
+    assert not read_nl(path, objective=0).objective[1].active
+    with pytest.raises(NlError, match="1 objectives; 2"):
+        read_nl(path, objective=2)
+
+
+@pytest.mark.parametrize("form", ["text", "little"])
+def test_a_file_cut_off_anywhere_is_refused(written, form):
+    data = FORMS[form]
+    begin = data.index(b"V")
+    for end in range(begin, len(data) - 12, 7):
+        with pytest.raises(NlError, match=r"cut off|damaged"):
+            read_nl(written(data[:end]))
+
+
+def _with(index: int, item: tuple) -> bytes:
+    return as_text([*SEGMENTS[:index], item, *SEGMENTS[index + 1 :]])
+
+
+_AT = {code: next(i for i, item in enumerate(SEGMENTS) if item[0] == code) for code in "5vkJxorO"}
+
+
+@pytest.mark.parametrize(
+    ("data", "parts"),
+    [
+        (_with(_AT["5"], ("5", "ii", 1, 9)), ("row 2", "variable 8", "0 to 2")),
+        (_with(_AT["5"], ("5", "ii", 1, 0)), ("row 2", "variable -1")),
+        (_with(_AT["5"], ("5", "ii", 7, 3)), ("row 2", "sides 7")),
+        (_with(_AT["5"], ("5", "ii", 2, 3)), ("row 2", "upper bound of variable 2", "none")),
+        (_with(_AT["5"] - 2, ("0", "dd", "nan", 7.0)), ("row 0", "no number")),
+        (_with(_AT["5"] - 2, ("0", "dd", 7.0, 1.0)), ("row 0", "bounds 7 and 1")),
+        (_with(_AT["5"] - 1, ("4", "d", "inf")), ("row 1", "inf")),
+        (_with(_AT["v"], ("v", "i", 4)), ("common expression 1",)),
+        (_with(_AT["v"], ("v", "i", 3)), ("common expression 0", "before")),
+        (_with(_AT["o"], ("o", "o", 35)), ("'if'",)),
+        (_with(_AT["o"], ("o", "o", 999)), ("999",)),
+        (_with(_AT["v"], ("f", "ii", 0, 1)), ("imported function '0'",)),
+        (_with(_AT["J"], ("J", "ii", 5, 3)), ("row 5", "0 to 2")),
+        (_with(_AT["J"], ("J", "ii", 0, 8)), ("8 entries", "at most 3")),
+        (_with(_AT["x"] + 1, (None, "id", 3, 1.0)), ("entry 3", "0 to 2")),
+        (_with(_AT["x"] + 1, (None, "id", 0, "one")), ("a whole number, a number", "0 one")),
+        (_with(_AT["r"], ("L", "i", 0)), ("logical constraint",)),
+        (_with(_AT["k"], ("q", "i", 2)), ("'q'",)),
+        (b"", ("no .nl file", "header")),
+        (b"not a problem\n" * 12, ("no .nl file",)),
+        (as_text().replace(b" 3 3 1 1 1 ", b" 3 3 1 1 1 2"), ("2 logical constraints",)),
+        (as_text().replace(b" 3 3 1 1 1 ", b" three 3 1 1 1 "), ("line 2", "whole numbers", "three")),
+        (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("another byte order",)),
+        (as_binary("<").replace(b" 0 0 1 1", b" 0 0 5 1"), ("line 6", "arithmetic 5")),
+    ],
+)
+def test_what_is_damaged_or_cannot_be_said_is_named(written, data, parts):
+    with pytest.raises(NlError) as refused:
+        read_nl(written(data))
+    assert [part for part in ("problem.nl", *parts) if part not in str(refused.value)] == [], refused.value
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(NlError, match=r"nothing\.nl cannot be read"):
+        read_nl(tmp_path / "nothing")
+
+
+def test_what_pyomo_writes_is_read_back(tmp_path):
+    model = pyo.ConcreteModel()
+    model.x, model.y = pyo.Var(bounds=(0.1, 4), initialize=1.5), pyo.Var(initialize=0.7)
+    model.shared = pyo.Expression(expr=model.x * pyo.sin(model.y) + 1)
+    functions = (pyo.sqrt, pyo.exp, pyo.log, pyo.log10, pyo.cos, pyo.tan, pyo.atan, pyo.sinh, pyo.cosh, pyo.tanh, pyo.asinh)
+    model.row = pyo.Constraint(expr=sum(function(model.x) for function in functions) - model.shared**2 == 1)
+    model.range = pyo.Constraint(expr=pyo.inequality(-1, model.x / model.shared - 2 * model.y, 5))
+    model.small = pyo.Constraint(expr=pyo.asin(model.x / 9) + pyo.acos(model.y / 9) + pyo.acosh(1 + model.x) + pyo.atanh(model.y / 9) <= 8)
+    model.cost = pyo.Objective(expr=abs(model.x - model.y) + model.shared**3, sense=pyo.maximize)
+    model.write(str(tmp_path / "written.nl"), io_options={"symbolic_solver_labels": True})
+    again = read_nl(tmp_path / "written.nl")
+    assert {name: again.x[name].value for name in again.x} == {"x": 1.5, "y": 0.7}
+    assert pyo.value(again.objective[1]) == pytest.approx(pyo.value(model.cost), rel=1e-15)
+    assert again.objective[1].sense == pyo.maximize
+    for name in ("row", "range", "small"):
+        ours, theirs = again.row[name], model.component(name)
+        shift = pyo.value(ours.body) - pyo.value(theirs.body)  # Pyomo moves constants to the other side
+        for bound in ("lower", "upper"):
+            a, b = getattr(ours, bound), getattr(theirs, bound)
+            assert (a is None) == (b is None)
+            assert b is None or pyo.value(a) - pyo.value(b) == pytest.approx(shift, abs=1e-13)
