@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from formulations.ampl.nl import Problem
+    from formulations.ampl.nl import NlProblem
     from formulations.mpec.result import MpecResult, PairState
 
 # Which bounds of its variable a row complements.
@@ -167,7 +167,7 @@ def _code(result: MpecResult) -> int:
     return codes.get(result.outcome, 500)
 
 
-def _values(problem: Problem, result: MpecResult) -> list[float]:
+def _values(problem: NlProblem, result: MpecResult) -> list[float]:
     """(variables,) values in the order of the file; a variable that no row mentions keeps its start, within its bounds."""
     found = dict(zip(map(id, result.variables), result.x.tolist(), strict=True))
     return [found.get(id(variable), _at_rest(variable)) for variable in problem.variables]
@@ -178,7 +178,7 @@ def _at_rest(variable: Any) -> float:
     return min(max(value, -math.inf if variable.lb is None else variable.lb), math.inf if variable.ub is None else variable.ub)
 
 
-def _duals(problem: Problem, result: MpecResult) -> list[float]:
+def _duals(problem: NlProblem, result: MpecResult) -> list[float]:
     """(rows,) duals in AMPL's signs: the change of the objective by the right-hand side, of a complementarity by what its body is compared with."""
     if not result.has_multipliers:
         return []

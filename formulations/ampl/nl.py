@@ -51,7 +51,7 @@ def read_nl(path: str | Path, *, objective: int = 1, relax_integers: bool = Fals
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class NlProblem:
     """A model and the order of its file, in which a `.sol` file answers.
 
     rows: a constraint or a complementarity for each row; sides: which bounds of its variable a row complements (1: lower, 2: upper, 3: both), else 0
@@ -65,7 +65,7 @@ class Problem:
     sides: Sequence[int]
 
 
-def read_problem(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> Problem:
+def read_problem(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> NlProblem:
     """Read a problem with the order of its file; parameters and errors as in `read_nl`."""
     file = Path(path)
     file = file if file.suffix == ".nl" else file.with_name(f"{file.name}.nl")
@@ -470,7 +470,7 @@ class _Reader:
         variables, factors = zip(*terms, strict=True)
         return nonlinear + LinearExpression(constant=0.0, linear_coefs=list(factors), linear_vars=list(variables))
 
-    def complete(self, objective: int, relax_integers: bool) -> Problem:
+    def complete(self, objective: int, relax_integers: bool) -> NlProblem:
         """State bounds, rows, pairs, objectives and suffixes. Raises NlError for an objective there is not, or a pair without its bound."""
         model, header = self.model, self.header
         if not 0 <= objective <= max(header.objectives, 1):
@@ -504,7 +504,7 @@ class _Reader:
                 model.objective[number + 1].deactivate()
         self._state_suffixes(stated)
         sides = [bounds.sides or 0 for bounds in self.row_bounds]
-        return Problem(file=self.file, header=header, model=model, variables=self.variables, rows=stated, sides=sides)
+        return NlProblem(file=self.file, header=header, model=model, variables=self.variables, rows=stated, sides=sides)
 
     def _integers(self) -> Iterator[int]:
         """Numbers of the variables that are integer: those that stand linearly last of all, the others last in each block of nonlinear ones."""

@@ -8,10 +8,9 @@ the pair is decided there and the answer is that of a smooth problem.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 import pyomo.environ as pyo
 from pyomo.common.gc_manager import PauseGC
 from pyomo.core.base import Block
@@ -19,40 +18,14 @@ from pyomo.core.expr.numeric_expr import AbsExpression, MaxExpression, MinExpres
 from pyomo.core.expr.visitor import ExpressionReplacementVisitor
 from pyomo.mpec import Complementarity, complements
 
-if TYPE_CHECKING:
-    from formulations.mpec.result import MpecResult
-
-# Both parts below this: the answer lies on the kink.
-_ON_KINK = 1e-6
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothCopy:
-    """A copy without kinks, and the user's components by those of the copy."""
+    """A copy without kinks; the user's components by the `id` of those of the copy; the block that holds what was added."""
 
     model: Any
     users: dict[int, Any]
     block: Any
-
-    def restore(self, result: MpecResult) -> MpecResult:
-        """The result by the user's variables and rows, and a word about the kinks."""
-        kept = np.array([k for k, variable in enumerate(result.variables) if id(variable) in self.users], dtype=np.intp)
-        rows = np.array([k for k, row in enumerate(result.rows) if id(row) in self.users], dtype=np.intp)
-        own = f"{self.block.name}."
-        mine = [pair for pair in result.pairs if pair.name.startswith(own)]
-        on_kink = sum(max(pair.first, pair.second) <= _ON_KINK for pair in mine)
-        words = f"{len(self.block.pair)} absolute values, minima and maxima written as pairs, {on_kink} of them on their kink"
-        return replace(
-            result,
-            message=f"{result.message}; {words}",
-            variables=tuple(self.users[id(result.variables[k])] for k in kept),
-            x=result.x[kept],
-            zl=result.zl[kept],
-            zu=result.zu[kept],
-            rows=tuple(self.users[id(result.rows[k])] for k in rows),
-            lagrange=result.lagrange[rows],
-            pairs=tuple(pair for pair in result.pairs if pair not in mine),
-        )
 
 
 def has_kinks(model: Any) -> bool:

@@ -33,7 +33,7 @@ from formulations.mpec.branching import Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
-from formulations.mpec.kinks import smooth_copy
+from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,
@@ -54,6 +54,8 @@ logger = logging.getLogger(__name__)
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
 # Multipliers with a larger residual (relative) are not handed out.
 _WRONG_MULTIPLIERS = 1e-4
+# Both parts of an absolute value below this: the answer lies on its kink.
+_ON_KINK = 1e-6
 
 
 def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None) -> MpecResult:
@@ -80,7 +82,27 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
         return _solved(model, settings, budget)
     except NotSmoothError:
         smooth = smooth_copy(model)
-        return smooth.restore(_solved(smooth.model, settings, budget))
+        return _by_users(_solved(smooth.model, settings, budget), smooth)
+
+
+def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
+    """The result of a copy by the user's variables and rows, and a word about the kinks."""
+    kept = np.array([k for k, variable in enumerate(result.variables) if id(variable) in smooth.users], dtype=np.intp)
+    rows = np.array([k for k, row in enumerate(result.rows) if id(row) in smooth.users], dtype=np.intp)
+    own = [pair for pair in result.pairs if pair.name.startswith(f"{smooth.block.name}.")]
+    on_kink = sum(max(pair.first, pair.second) <= _ON_KINK for pair in own)
+    words = f"{len(smooth.block.pair)} absolute values, minima and maxima written as pairs, {on_kink} of them on their kink"
+    return replace(
+        result,
+        message=f"{result.message}; {words}",
+        variables=tuple(smooth.users[id(result.variables[k])] for k in kept),
+        x=result.x[kept],
+        zl=result.zl[kept],
+        zu=result.zu[kept],
+        rows=tuple(smooth.users[id(result.rows[k])] for k in rows),
+        lagrange=result.lagrange[rows],
+        pairs=tuple(pair for pair in result.pairs if pair not in own),
+    )
 
 
 def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
