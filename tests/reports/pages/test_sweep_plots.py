@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.pages import stability, sweeps
+from reports.pages import stress_cases, sweeps
 from reports.pages.section import Report
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
@@ -163,7 +163,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
     chart = ChartRecord.model_validate({**said, "series": curves, **changes})
     record = ExaminationRecord(
         key="1",
-        kind="hard case",
+        kind="stress case",
         name="07 a case",
         expected="",
         outcome="answered",
@@ -173,7 +173,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         cpu_seconds=1.0,
         provenance=factory.provenance(),
     )
-    section = stability.build(Report(Stored("x", None, (), (), (), 0, (record,))))
+    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (record,))))
     assert section is not None
     (row,) = section.values["rows"]
     return row.plots[0]
@@ -237,7 +237,7 @@ def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
 def examined(name: str, **changes: object) -> ExaminationRecord:
     said = {
         "key": name,
-        "kind": "hard case",
+        "kind": "stress case",
         "name": name,
         "expected": "e",
         "outcome": "answered",
@@ -259,12 +259,12 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         examined("10 later", passed=False, figures=figures), examined("02 early", found="it went well."), examined("003", outcome="time_limit", passed=False, message="late."),
         examined("00 zero", outcome="time_limit", passed=False), examined("x", kind="FMU"),
     )  # fmt: skip
-    section = stability.build(Report(Stored("x", None, (), (), (), 0, records)))
+    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, records)))
     assert section is not None
     rows = section.values["rows"]
     assert [(row.number, row.title, row.anchor, row.sign.word, row.happened) for row in rows] == [
-        ("00", "zero", "hard-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "hard-case-003", "no answer", "late."),
-        ("2", "early", "hard-case-02", "pass", "it went well."), ("10", "later", "hard-case-10", "fail", "It ended as answered, without a word."),
+        ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "stress-case-003", "no answer", "late."),
+        ("2", "early", "stress-case-02", "pass", "it went well."), ("10", "later", "stress-case-10", "fail", "It ended as answered, without a word."),
     ]  # fmt: skip
     shown = rows[3].figures
     assert [item.name for item in rows[3].decisive] == ["bad", "good"]
@@ -278,5 +278,5 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         6.0,
     )
     assert section.said.startswith("1 of 4 stress cases pass: stiff, grazing")
-    assert stability.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
-    assert stability.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
+    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
+    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
