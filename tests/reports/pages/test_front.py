@@ -47,12 +47,12 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
         Mark("c2 full", "circle", "near: cost 300.00, position 0.10 m, velocity 0.40 m/s, holds", "pages/near-key.html", (0.1, 300.0)),
         Mark("c2", "circle", "dear: cost 400.00, position 0.20 m, velocity 0.50 m/s, undecided", "pages/dear-key.html", (0.2, 400.0)),
         Mark("c2 full", "circle", "middle: cost 200.00, position 0.20 m, velocity 0.50 m/s, holds", "pages/middle-key.html", (0.2, 200.0)),
-        Mark("c2 full", "circle", "exact: cost 600.00, position 0 m, velocity 0.50 m/s, holds", "pages/exact-key.html", (1e-10, 600.0)),
+        Mark("c2 full", "circle", "exact: cost 600.00, position 0 m, velocity 0.50 m/s, holds", "pages/exact-key.html", (1e-12, 600.0)),
     ]
     top, right = float(f"{positions.y.high:.4g}"), float(f"{positions.x.high:.4g}")
     path = [
-        (1e-10, top),
-        (1e-10, 600.0),
+        (1e-12, top),
+        (1e-12, 600.0),
         (0.1, 600.0),
         (0.1, 300.0),
         (0.2, 300.0),
@@ -83,7 +83,7 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
     assert drawn(positions).lines["best known cost of an exact plan: 490.55"][1][0][1] == 490.6
     assert (positions.x.log, positions.y.log, positions.y.quantity, positions.width, positions.height) == (True, False, "cost", 720, 400)
     assert positions.y.high == pytest.approx(650.0), "a tenth of 500 above 600"
-    assert positions.x.high == pytest.approx(0.4 * 10 ** (0.06 * 9.60206), rel=1e-6)
+    assert positions.x.high == pytest.approx(0.4 * 10 ** (0.06 * 11.60206), rel=1e-6)
     assert {words for style, words in drawn(positions).tags if style == "strong"} == {"exact", "near", "middle", "far"}
     assert [(key.style, key.marker) for key in positions.keys] == [*KEYS, ("front", "")]
 
@@ -111,8 +111,9 @@ def test_without_a_known_cost_there_is_no_level_and_units_that_differ_are_not_to
     [("relaxed_lcp", "c1"), ("softplus_dc", "c1"), ("softplus_gd", "c3"), ("relu_gd", "c3"), ("strict_lcp", "c0"), ("mpcc", "c2")],
 )
 def test_a_mark_is_of_the_family_of_its_method_and_filled_where_the_plan_holds(method: str, style: str):
-    (errors, _) = section(ended(method, 0.1, 5.0), ended(method, 0.2, 7.0, "violates"))["plots"]
-    assert [mark.style for mark in drawn(errors).marks] == [f"{style} full", style]
+    for verdict, words in (("holds", f"{style} full"), ("violates", style)):
+        (errors, _) = section(ended(method, 0.1, 5.0, verdict))["plots"]
+        assert [mark.style for mark in drawn(errors).marks] == [words]
 
 
 def test_of_points_with_one_error_the_cheaper_is_unbeaten_and_equal_costs_are_beaten():
