@@ -147,8 +147,7 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
     )
     assert quick.phases == (("replaying", 1.5), ("odd phase", 0.5))
     assert (
-        found.values["sentence"]
-        == "Of the 12.00 s of 2 runs, most went to replaying (38 %), solving otherwise (33 %) and imports (17 %)."
+        found.values["sentence"] == "Of the 12.00 s of 2 runs, most went to replaying (38 %), solving otherwise (33 %) and imports (17 %)."
     )
     assert (found.values["without"], found.values["width"], found.said) == (1, 200.0, found.values["sentence"])
     assert found.values["styles"] == {

@@ -294,9 +294,13 @@ def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
 
     def cells(part: str) -> list[str]:
         rows = re.findall(r"<tr>(.*?)</tr>", part[part.index("<tbody>") : part.index("</tbody>")], re.DOTALL)
-        return [" | ".join(" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)) for row in rows]
+        return [
+            " | ".join(" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)) for row in rows
+        ]
 
-    assert cells(first) == ["10 | later | ✗ fail | e | It ended as answered, without a word. | bad: no number (≤ 0.5 m²); good: 0.25 m² (≥ 0.5 m²)"]
+    assert cells(first) == [
+        "10 | later | ✗ fail | e | It ended as answered, without a word. | bad: no number (≤ 0.5 m²); good: 0.25 m² (≥ 0.5 m²)"
+    ]
     assert cells(second) == [
         "shown meaning of shown | 0.25 m² | – | shown | reason of shown", "good meaning of good | 0.25 m² | ≥ 0.5 m² | ✓ pass | reason of good",
         "fine meaning of fine | 0.25 | ≤ 0.5 | ✓ pass | –", "bad meaning of bad | no number | ≤ 0.5 m² | ✗ fail | reason of bad",
