@@ -289,6 +289,6 @@ def _against_cost(scene: SceneRecord, name: str, title: str, quantity: str, poin
     plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both cheaper and closer", tip)
     if known:
         plot.level(known[1], f"best known cost of an exact plan: {cost(known[1])}")
-    steps = [f"{row.label} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
+    steps = [f"{row.label} (cost {cost(price)} at {error(row.metric(name))})" for _, price, row in front]
     plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
     return plot

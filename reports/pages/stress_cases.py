@@ -11,8 +11,8 @@ from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRec
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced
 
-# What records call it; in those from before, the second.
-KINDS = ("stress case", "hard case")
+# What records call it.
+KIND = "stress case"
 PASS = Sign("pass", "✓", "holds", "every metric is within its limit")
 FAIL = Sign("fail", "✗", "violates", "a metric is beyond its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
@@ -41,7 +41,7 @@ class CaseRow:
 
 def build(report: Report) -> Section | None:
     """The section, or None where no stress case ran."""
-    records = sorted((item for item in report.stored.examinations if item.kind in KINDS), key=lambda item: item.name)
+    records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
     if not records:
         return None
     rows = [_row(record) for record in records]

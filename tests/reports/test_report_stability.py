@@ -63,7 +63,7 @@ def rows(text: str) -> list[str]:
     return re.findall(r"<tr><td class=\"n\">.*?</tr>", body[: body.index("</table>")], flags=re.DOTALL)
 
 
-def test_without_hard_cases_there_is_no_such_page(page):
+def test_without_stress_cases_there_is_no_such_page(page):
     assert 'id="stress-cases"' not in page()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.pages import front, overview, pareto
+from reports.pages import overview, pareto
 from reports.pages.section import Report
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
@@ -14,6 +14,8 @@ from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import judged, ran, scene
 
 POSITION, VELOCITY = "replay_terminal_position_error", "replay_terminal_velocity_error"
+# Style and marker in the legend: the four families, and what holds.
+KEYS = [("c1", "circle"), ("c3", "circle"), ("c0", "circle"), ("c2", "circle"), ("c2 full", "circle")]
 
 
 def ended(name: str, position: float | None, cost: float | None, verdict: str = "holds", velocity: float = 0.5, **changes) -> RunRecord:
@@ -27,7 +29,7 @@ def report(*runs: RunRecord) -> Report:
 
 def section(*runs: RunRecord) -> dict:
     told = report(*runs)
-    found = front.build(told, told.scenes[0])
+    found = pareto.ends(told, told.scenes[0])
     assert found is not None
     assert (found.anchor, found.title) == ("front-1", "Cost against terminal error")
     return found.values
@@ -36,21 +38,21 @@ def section(*runs: RunRecord) -> dict:
 def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase():
     runs = [
         ended("far", 0.4, 100.0, "violates", 0.1), ended("near", 0.1, 300.0, velocity=0.4), ended("dear", 0.2, 400.0, "undecided"), ended("middle", 0.2, 200.0),
-        ended("exact", 0.0, 600.0, kind="indirect"), ended("lost", None, 5.0), ended("unpriced", 0.3, None),
+        ended("exact", 0.0, 600.0), ended("lost", None, 5.0), ended("unpriced", 0.3, None),
     ]  # fmt: skip
     found = section(*runs)
     positions, velocities = found["plots"]
     assert drawn(positions).marks == [
-        Mark("direct", "square", "far: cost 100.00, position 0.40 m, velocity 0.10 m/s, violates", "pages/far-key.html", (0.4, 100.0)),
-        Mark("direct", "square", "near: cost 300.00, position 0.10 m, velocity 0.40 m/s, holds", "pages/near-key.html", (0.1, 300.0)),
-        Mark("direct", "square", "dear: cost 400.00, position 0.20 m, velocity 0.50 m/s, undecided", "pages/dear-key.html", (0.2, 400.0)),
-        Mark("direct", "square", "middle: cost 200.00, position 0.20 m, velocity 0.50 m/s, holds", "pages/middle-key.html", (0.2, 200.0)),
-        Mark("indirect", "circle", "exact: cost 600.00, position 0 m, velocity 0.50 m/s, holds", "pages/exact-key.html", (1e-10, 600.0)),
+        Mark("c2", "circle", "far: cost 100.00, position 0.40 m, velocity 0.10 m/s, violates", "pages/far-key.html", (0.4, 100.0)),
+        Mark("c2 full", "circle", "near: cost 300.00, position 0.10 m, velocity 0.40 m/s, holds", "pages/near-key.html", (0.1, 300.0)),
+        Mark("c2", "circle", "dear: cost 400.00, position 0.20 m, velocity 0.50 m/s, undecided", "pages/dear-key.html", (0.2, 400.0)),
+        Mark("c2 full", "circle", "middle: cost 200.00, position 0.20 m, velocity 0.50 m/s, holds", "pages/middle-key.html", (0.2, 200.0)),
+        Mark("c2 full", "circle", "exact: cost 600.00, position 0 m, velocity 0.50 m/s, holds", "pages/exact-key.html", (1e-12, 600.0)),
     ]
     top, right = float(f"{positions.y.high:.4g}"), float(f"{positions.x.high:.4g}")
     path = [
-        (1e-10, top),
-        (1e-10, 600.0),
+        (1e-12, top),
+        (1e-12, 600.0),
         (0.1, 600.0),
         (0.1, 300.0),
         (0.2, 300.0),
@@ -81,9 +83,9 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
     assert drawn(positions).lines["best known cost of an exact plan: 490.55"][1][0][1] == 490.6
     assert (positions.x.log, positions.y.log, positions.y.quantity, positions.width, positions.height) == (True, False, "cost", 720, 400)
     assert positions.y.high == pytest.approx(650.0), "a tenth of 500 above 600"
-    assert positions.x.high == pytest.approx(0.4 * 10 ** (0.06 * 9.60206), rel=1e-6)
+    assert positions.x.high == pytest.approx(0.4 * 10 ** (0.06 * 11.60206), rel=1e-6)
     assert {words for style, words in drawn(positions).tags if style == "strong"} == {"exact", "near", "middle", "far"}
-    assert [(key.style, key.marker) for key in positions.keys] == [("indirect", "circle"), ("direct", "square"), ("front", "")]
+    assert [(key.style, key.marker) for key in positions.keys] == [*KEYS, ("front", "")]
 
 
 @pytest.mark.parametrize(("dearest", "log"), [(2000.0, False), (2001.0, True)])
@@ -101,17 +103,27 @@ def test_without_a_known_cost_there_is_no_level_and_units_that_differ_are_not_to
     assert (list(drawn(plot).lines), plot.x.unit) == (["front"], "")
     assert plot.y.low == pytest.approx(4.6)
     empty = report(ended("a", None, None))
-    assert front.build(empty, empty.scenes[0]) is None
+    assert pareto.ends(empty, empty.scenes[0]) is None
+
+
+@pytest.mark.parametrize(
+    ("method", "style"),
+    [("relaxed_lcp", "c1"), ("softplus_dc", "c1"), ("softplus_gd", "c3"), ("relu_gd", "c3"), ("strict_lcp", "c0"), ("mpcc", "c2")],
+)
+def test_a_mark_is_of_the_family_of_its_method_and_filled_where_the_plan_holds(method: str, style: str):
+    for verdict, words in (("holds", f"{style} full"), ("violates", style)):
+        (errors, _) = section(ended(method, 0.1, 5.0, verdict))["plots"]
+        assert [mark.style for mark in drawn(errors).marks] == [words]
 
 
 def test_of_points_with_one_error_the_cheaper_is_unbeaten_and_equal_costs_are_beaten():
     points = [(2.0, 5.0, "b"), (1.0, 7.0, "dear"), (1.0, 6.0, "a"), (3.0, 5.0, "same"), (4.0, 4.0, "c")]
-    assert [name for _, _, name in front.unbeaten(points)] == ["a", "b", "c"]  # pyright: ignore[reportArgumentType]
+    assert [name for _, _, name in pareto.unbeaten(points)] == ["a", "b", "c"]  # pyright: ignore[reportArgumentType]
 
 
 def test_no_points_have_no_staircase():
     plot = Plot("none", Axis("x", "", 0.0, 1.0), Axis("y", "", 0.0, 1.0))
-    front.draw_front(plot, [])
+    pareto.draw_front(plot, [])
     assert drawn(plot).lines == {}
 
 
@@ -137,11 +149,11 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
     error, cost = speed(*runs)
     ends = "ends off the goal by position 0.040 m"
     assert drawn(error.plot).marks == [
-        Mark("direct", "square", f"quick, pipeline quick, stage 1: 2.00 CPU s, replay error 0.020, {ends}, holds", "pages/quick-key.html", (2.0, 0.02)),
-        Mark("direct", "square", f"best, pipeline best, stage 1: 8.00 CPU s, replay error 0.0010, {ends}, holds", "pages/best-key.html", (8.0, 0.001)),
-        Mark("indirect", "circle", f"wrong, pipeline wrong, stage 1: 1.00 CPU s, replay error 0.50, {ends}, violates", "pages/wrong-key.html", (1.0, 0.5)),
-        Mark("indirect", "circle", f"tick, pipeline tick, stage 1: 0.001 CPU s, replay error 3.0×10⁻⁹, {ends}, undecided", "pages/tick-key.html", (1e-3, 3e-9)),
-        Mark("indirect", "circle", f"loose, pipeline loose, stage 1: 4.00 CPU s, replay error 0.030, {ends}, violates", "pages/loose-key.html", (4.0, 0.03)),
+        Mark("c2 full", "circle", f"quick, pipeline quick, stage 1: 2.00 CPU s, replay error 0.020, {ends}, holds", "pages/quick-key.html", (2.0, 0.02)),
+        Mark("c2 full", "circle", f"best, pipeline best, stage 1: 8.00 CPU s, replay error 0.0010, {ends}, holds", "pages/best-key.html", (8.0, 0.001)),
+        Mark("c2", "circle", f"wrong, pipeline wrong, stage 1: 1.00 CPU s, replay error 0.50, {ends}, violates", "pages/wrong-key.html", (1.0, 0.5)),
+        Mark("c2", "circle", f"tick, pipeline tick, stage 1: 0.001 CPU s, replay error 3.0×10⁻⁹, {ends}, undecided", "pages/tick-key.html", (1e-3, 3e-9)),
+        Mark("c2", "circle", f"loose, pipeline loose, stage 1: 4.00 CPU s, replay error 0.030, {ends}, violates", "pages/loose-key.html", (4.0, 0.03)),
     ]  # fmt: skip
     assert [mark.at for mark in drawn(cost.plot).marks] == [(2.0, 500.0), (8.0, 400.0), (4.0, 300.0)], (
         "those that end where the scene allows"
@@ -151,8 +163,9 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
     assert drawn(error.plot).lines["front"][1][1] == (1e-3, 3e-9), "of all"
     assert (error.plot.y.quantity, error.plot.y.unit, error.plot.y.log, error.plot.x.unit) == ("replay error", "m", True, "s")
     assert [(view.plot.width, view.plot.height) for view in (error, cost)] == [(720, 400)] * 2
-    assert [(key.style, key.words, key.marker) for key in cost.plot.keys] == [
-        ("direct", "holds", "square"), ("indirect", "does not hold", "circle"), ("front", "front: no stage is both faster and better", ""),
+    assert [(key.style, key.marker) for key in cost.plot.keys] == [*KEYS, ("front", "")]
+    assert [key.words for key in cost.plot.keys] == [
+        "relaxed contact", "gradient descent", "exact contact", "ours", "filled: holds", "front: no stage is both faster and better",
     ]  # fmt: skip
     assert (cost.plot.y.quantity, cost.plot.y.log, cost.plot.x.quantity) == ("cost", False, "CPU time, with the stages before")
     level = next(words for words in drawn(cost.plot).lines if words != "front")
@@ -209,7 +222,7 @@ def test_of_a_stage_that_holds_with_feedback_that_replay_counts():
     stage = one.model_copy(update={"metrics": (*one.metrics, *tracked), "replay": one.replay.model_copy(update={"judged": "feedback"})})
     error, cost = speed(run.model_copy(update={"stages": (stage,)}))
     assert [mark.at for mark in drawn(error.plot).marks] == [(1.0, 0.004)]
-    assert [mark.marker for mark in drawn(cost.plot).marks] == ["square"]
+    assert [mark.style for mark in drawn(cost.plot).marks] == ["c2 full"]
     assert "followed, which holds with feedback" in error.sentence
 
 
@@ -230,7 +243,7 @@ def test_why_a_method_has_no_point():
     assert [(row.label, why) for row, why in found.values["failed"]] == [
         ("lost", "time limit, no plan: it was late"), ("mute", "crashed, no plan"), ("unknown", "its replay error is not known: the FMU crashed."),
     ]  # fmt: skip
-    assert (found.anchor, found.title) == ("pareto-1", "CPU time against error and cost")
+    assert (found.anchor, found.title) == ("pareto-1", "All methods: speed against error")
     nothing = report(ran("lost", outcome="crashed", verdict="no plan"))
     empty = pareto.build(nothing, nothing.scenes[0])
     assert empty is not None

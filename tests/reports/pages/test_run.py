@@ -6,7 +6,7 @@ import pytest
 
 from reports.pages import run as one_run
 from reports.pages import runs
-from reports.pages.run import decision_of, view_of
+from reports.pages.run import decision_of, not_applicable, view_of
 from reports.pages.section import Report
 from reports.records.load import Stored
 from reports.records.record import RunRecord, TrackedRecord
@@ -31,7 +31,7 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
         490.0, pytest.approx(4.9), 0.1, 0.2, 0.3, 3.0, "", "pages/a-key.html", "run-1",
     )  # fmt: skip
     assert (second.cost, second.integral, second.position, second.velocity, second.error, second.cpu, second.why, second.anchor, second.view) == (
-        None, None, None, None, None, 0, "too many.", "run-2", None,
+        None, None, None, None, None, 0, "Too many.", "run-2", None,
     )  # fmt: skip
     assert found.said == "2 runs in one table, 1 of which holds: verdict, cost, errors, seconds and why."
     assert found.entries == ()
@@ -45,18 +45,19 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ("strict: scene three_cart has no inputs; see there", "has no inputs"), ("a word: it does not apply", "a word: it does not apply"), ("it does not apply", "it does not apply"),
-        ("strict: scene hill has none", "scene hill has none"),
+        ("strict: scene three_cart has no inputs; see there", "The scene has no inputs"), ("a word: it does not apply", "A word: it does not apply"),
+        ("it does not apply", "It does not apply"), ("strict: scene hill has none", "Scene hill has none"),
     ],
 )  # fmt: skip
 def test_why_a_run_does_not_apply(message: str, said: str):
-    assert runs.not_applicable(ran("a", verdict="not applicable").model_copy(update={"message": message})) == said
-    assert runs.not_applicable(ran("a", verdict="holds").model_copy(update={"message": message})) == ""
+    assert not_applicable(ran("a", verdict="not applicable").model_copy(update={"message": message})) == said
+    assert not_applicable(ran("a", verdict="holds").model_copy(update={"message": message})) == ""
 
 
 def test_why_a_run_has_its_verdict():
     bad = judged("physics_scaled", 2.0, question=3, limit=1.0, ok=False)
-    run = ran("a", bad, cost=490.0, verdict="violates", why="it is too much.", advice="Do this.", questions=factory.questions(q3="no"))
+    answers = factory.questions(q3="no")
+    run = ran("a", bad, cost=490.0, verdict="violates", cause="physics_scaled", why="it is too much.", advice="Do this.", questions=answers)
     found = decision_of(run)
     assert (found.question.number, found.metric, found.cost, found.integral) == (3, bad, 490.0, pytest.approx(4.9))
     assert found.cause == "Relaxed contact: the planned forces are not those of contact. It is too much."

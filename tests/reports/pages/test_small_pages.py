@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from reports.pages import errata, fmus, index, provenance, scene, section, sizes, starts, time_spent, violation
+from reports.pages import errata, fmus, overview, provenance, scene, section, time_spent
+from reports.pages import run as one_run
 from reports.pages.section import Report
 from reports.records.check_record import ExaminationRecord
 from reports.records.load import Stored, Unreadable
 from reports.records.record import EquationRecord, RunRecord, SizeRecord, StartRecord, TimeStepRecord, ViolationPoint
+from reports.render import Templates
 from tests.reports import record_factory as factory
 from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import judged, ran
@@ -30,7 +34,7 @@ def stage_of(*found: StartRecord):
 
 
 def test_the_spread_of_several_starts():
-    found = starts.spread(stage_of(
+    found = one_run.spread(stage_of(
         start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)), start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
         start(4, "chain", 200.0),
     ))  # fmt: skip
@@ -50,19 +54,19 @@ def test_the_spread_of_several_starts():
     ]  # fmt: skip
     assert (plot.width, plot.height, plot.y.low, plot.y.high) == (560, 158, 0.0, pytest.approx(2.2))
     assert (plot.x.low, plot.x.high) == (pytest.approx(90), pytest.approx(310))
-    assert starts.Optimum(1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], "").reached_from == "a (3); b (4, 7)"
+    assert one_run.Optimum(1.0, [start(7, "b", 1.0), start(3, "a", 1.0), start(4, "b", 1.0)], "").reached_from == "a (3); b (4, 7)"
 
 
 def test_starts_of_one_bin_of_forty_are_stacked():
-    plot = starts.spread(stage_of(*(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1)))).plot
+    plot = one_run.spread(stage_of(*(start(place, "a", cost) for place, cost in enumerate((0.0, 40.0, 0.9, 1.1, 39.0), 1)))).plot
     assert [mark.at for mark in drawn(plot).marks] == [(0.0, 1.0), (0.9, 2.0), (1.1, 1.0), (39.0, 1.0), (40.0, 1.0)]
-    same = starts.spread(stage_of(start(1, "a", 7.0), start(2, "a", 7.0))).plot
+    same = one_run.spread(stage_of(start(1, "a", 7.0), start(2, "a", 7.0))).plot
     assert [mark.at for mark in drawn(same).marks] == [(7.0, 1.0), (7.0, 2.0)]
 
 
 def test_no_start_or_none_that_was_solved():
-    assert starts.spread(stage_of()) is None
-    found = starts.spread(stage_of(start(1, "a", None), start(2, "b", None)))
+    assert one_run.spread(stage_of()) is None
+    found = one_run.spread(stage_of(start(1, "a", None), start(2, "b", None)))
     assert found is not None
     assert (found.words, found.plot, found.optima, len(found.failed)) == ("None of 2 starts was solved.", None, [], 2)
 
@@ -80,7 +84,7 @@ def points() -> tuple[ViolationPoint, ...]:
 
 
 def test_the_worst_violation_is_drawn_against_eps():
-    found = violation.build(report(violation=points()))
+    found = errata.violation(report(violation=points()))
     assert found is not None
     plot = found.values["plot"]
     assert drawn(plot).lines == {
@@ -111,9 +115,9 @@ def test_the_worst_violation_is_drawn_against_eps():
         "N²",
     )
     assert ("c0", "softplus: D = (k L ln 2 / ln ε)²") in drawn(plot).tags
-    assert violation.build(report()) is None
-    assert violation.build(report(violation=points()[-1:])) is None
-    assert violation.build(report(violation=points()[3:4])).values["force"] is None
+    assert errata.violation(report()) is None
+    assert errata.violation(report(violation=points()[-1:])) is None
+    assert errata.violation(report(violation=points()[3:4])).values["force"] is None
 
 
 def profiled(name: str, wall: float, **phases: float) -> RunRecord:
@@ -134,7 +138,7 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
     assert dict(zip(found.values["groups"], slow.groups, strict=True)) == {
         "starting": 3.0, "compiling": 0.0, "modelling": 0.0, "evaluating": 0.0, "linear algebra": 0.0, "judging": 3.0, "other": 4.0,
     }  # fmt: skip
-    assert slow.phases == (("the rest of solving", 4.0), ("replaying", 3.0), ("imports", 2.0), ("reading the scene", 1.0))
+    assert slow.phases == (("solving otherwise", 4.0), ("replaying", 3.0), ("imports", 2.0), ("reading the scene", 1.0))
     assert [(part.x, part.width, part.style, part.words) for part in slow.bar if part.width] == [
         (0.0, 60.0, "c0", "starting: 3.00 s"), (60.0, 60.0, "c5", "judging: 3.00 s"), (120.0, 80.0, "rest", "other: 4.00 s"),
     ]  # fmt: skip
@@ -143,8 +147,7 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
     )
     assert quick.phases == (("replaying", 1.5), ("odd phase", 0.5))
     assert (
-        found.values["sentence"]
-        == "Of the 12.00 s of 2 runs, most went to replaying (38 %), the rest of solving (33 %) and imports (17 %)."
+        found.values["sentence"] == "Of the 12.00 s of 2 runs, most went to replaying (38 %), solving otherwise (33 %) and imports (17 %)."
     )
     assert (found.values["without"], found.values["width"], found.said) == (1, 200.0, found.values["sentence"])
     assert found.values["styles"] == {
@@ -183,7 +186,8 @@ def examined(name: str, passed: bool = True, outcome: str = "answered", **change
 
 def test_fmus_by_scene_and_version():
     found = fmus.build(report(examinations=(
-        examined("bank, FMI 2.0"), examined("hill, FMI 3.0", False), examined("bank, FMI 3.0", False, "time_limit", scene="bank"), examined("other", kind="hard case"),
+        examined("bank, FMI 2.0", scene="bank"), examined("hill, FMI 3.0", False, scene="hill"), examined("bank, FMI 3.0", False, "time_limit", scene="bank"),
+        examined("other", kind="stress case"),
     )))  # fmt: skip
     assert found is not None
     assert [(view.name, view.version, view.anchor, view.ended) for view in found.values["views"]] == [
@@ -193,13 +197,15 @@ def test_fmus_by_scene_and_version():
         found.said
         == "3 FMUs of 2 scenes in FMI 2.0 and 3.0: 2 of them do not pass. Checks: 0 passed, 0 failed, 0 not offered; 4 CPU seconds."
     )
-    one = fmus.build(report(examinations=(examined("bank, FMI 2.0", False),)))
+    assert found.values["ours"] is True
+    one = fmus.build(report(examinations=(examined("bank, FMI 2.0", False, scene="bank"),)))
     assert one is not None
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in one.said
     good = fmus.build(report(examinations=(examined("bank, FMI 2.0"),)))
     assert good is not None
-    assert "every one passes" in good.said
-    assert fmus.build(report(examinations=(examined("other", kind="hard case"),))) is None
+    assert good.said.startswith("1 FMU in FMI 2.0: every one passes."), "somebody's, of no scene"
+    assert good.values["ours"] is False
+    assert fmus.build(report(examinations=(examined("other", kind="stress case"),))) is None
 
 
 def test_what_a_runs_origin_has_other_than_the_campaigns():
@@ -227,10 +233,6 @@ def test_what_a_runs_origin_has_other_than_the_campaigns():
 
 def test_sizes_once_a_method_and_those_that_differ():
     size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
-    assert sizes.MethodSize("a", "A", size).agrees
-    for name in ("unknowns", "equations", "paper_unknowns", "paper_equations"):
-        assert not sizes.MethodSize("a", "A", size.model_copy(update={name: 9})).agrees
-    assert not sizes.MethodSize("a", "A", SizeRecord(unknowns=5, equations=4, paper_unknowns=4, paper_equations=5)).agrees
     other = size.model_copy(update={"unknowns": 9})
     told = report(
         ran("a", size=size),
@@ -240,11 +242,24 @@ def test_sizes_once_a_method_and_those_that_differ():
         ran("a", size=other),
         ran("d", size=size, of=factory.scene("hill")),
     )
-    assert [(item.method, item.title, item.size.unknowns) for item in sizes.method_sizes(told, "three_cart")] == [
-        ("a", "A", 5),
-        ("c", "C", 5),
-        ("a", "A", 9),
-    ]
+    found = scene.model(told, told.scenes[0])
+    assert [(method, item.unknowns) for method, item in found.values["sizes"]] == [("a", 5), ("c", 5), ("a", 9)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "same"),
+    [
+        ({}, "yes"), ({"unknowns": 9}, "no"), ({"equations": 9}, "no"), ({"paper_unknowns": 9}, "no"), ({"paper_equations": 9}, "no"),
+        ({"paper_unknowns": 4, "paper_equations": 5}, "no"),
+    ],
+)  # fmt: skip
+def test_sizes_say_whether_they_are_those_on_paper(changes: dict[str, int], same: str):
+    size = SizeRecord.model_validate({"unknowns": 5, "equations": 4, "paper_unknowns": 5, "paper_equations": 4} | changes)
+    told = report(ran("a", size=size))
+    found = scene.model(told, told.scenes[0])
+    (row,) = re.findall(r'<tr><th scope="row">a</th>.*?</tr>', Templates().render(found.template, section=found, **found.values))
+    numbers = [str(value) for value in (size.unknowns, size.paper_unknowns, size.equations, size.paper_equations)]
+    assert re.findall(r"<td[^>]*>(.*?)</td>", row) == [*numbers, same]
 
 
 def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
@@ -253,15 +268,15 @@ def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
         ran("unpriced", cost=None), ran("none", verdict="no plan", of=factory.scene("hill")), ran("free", verdict="consistent", of=factory.scene("hill")),
     )  # fmt: skip
     page = section.Section("sweeps", "Sweeps", "sweeps.html", said="Two sweeps.")
-    found = index.build(told, [("sweep", page)])
+    found = overview.index(told, [("sweep", page)])
     assert found is not None
     assert [(item.scene.name, item.link, item.holds, item.asked, item.best) for item in found.values["scenes"]] == [
         ("three_cart", "pages/scene-three_cart.html", 3, 4, "cheap, cost 100.00"), ("hill", "pages/scene-hill.html", 0, 1, ""),
     ]  # fmt: skip
     assert found.values["pages"] == [("pages/sweep.html", "Sweeps", "Two sweeps.")]
-    assert index.build(report(single=True), [("sweep", page)]).values["pages"] == [("#sweeps", "Sweeps", "Two sweeps.")]
-    assert index.build(report(), []) is None
-    assert index.build(report(ran("one")), []) is not None
+    assert overview.index(report(single=True), [("sweep", page)]).values["pages"] == [("#sweeps", "Sweeps", "Two sweeps.")]
+    assert overview.index(report(), []) is None
+    assert overview.index(report(ran("one")), []) is not None
 
 
 @pytest.mark.parametrize(
@@ -343,7 +358,6 @@ def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, s
     assert (told.page_link("sweeps"), told.page_link("sweeps", "one"), single.page_link("sweeps"), single.page_link("sweeps", "one")) == (
         "pages/sweeps.html", "pages/sweeps.html#one", "#sweeps", "#one",
     )  # fmt: skip
-    assert (told.report_link("a"), single.report_link("a"), beside.report_link("a")) == ("#a", "#a", "../report.html#a")
     assert [row.run.pipeline for row in told.rows_of_scene(where)] == ["one"]
 
 
@@ -356,7 +370,7 @@ def test_what_is_said_before_anything_else():
     told = Stored("x", factory.campaign([], quick=True), (ran("a"),), lost, ("gone",), 2)
     assert notices(Report(told)) == [
         "1 run of the campaign has no stored record yet; the same command runs them.", "3 files could not be read: of 2 of them it is old.",
-        "2 stored runs in this folder belong to another campaign and are left out.", "This was a quick campaign; what it left out stands below.",
+        "2 stored runs in this folder belong to another campaign and are left out.", "This was a quick campaign; what it left out is listed below.",
     ]  # fmt: skip
     one = Stored("x", factory.campaign([]), (ran("a"),), lost[:1], ("gone", "lost"), 1)
     assert notices(Report(one)) == [
@@ -375,10 +389,10 @@ def test_every_phase_has_its_words_and_its_group():
     """A second copy of the table."""
     groups = {
         "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene", "opening": "opening methods"},
-        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating them"},
+        "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating models"},
         "evaluating": {"evaluate": "functions and derivatives"}, "linear algebra": {"linear_algebra": "linear algebra of solvers"},
         "judging": {"certificate": "certificates", "replay": "replaying"},
-        "other": {"shared": "taking over and handing on stages", "solve_rest": "the rest of solving", "writing": "writing files", "record": "the record"},
+        "other": {"shared": "sharing stages with other runs", "solve_rest": "solving otherwise", "writing": "writing files", "record": "the record"},
     }  # fmt: skip
     assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES
 
@@ -389,18 +403,13 @@ def test_a_scene_and_its_model():
     size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
     told = report(ran("a", of=paper, size=size), ran("b", of=hill))
     first, second = scene.build(told, paper), scene.build(told, hill)
-    assert (first.anchor, first.title, first.values["table1"], first.values["strip"]) == (
-        "scene-1",
-        "The scene three_cart",
-        "#table1",
-        None,
-    )
-    assert (second.anchor, second.title, second.values["table1"]) == ("scene-2", "The scene hill", "")
+    assert (first.anchor, first.title, first.values["model"], first.values["shown"]) == ("scene-1", "The scene three_cart", "model-1", None)
+    assert (second.anchor, second.title, second.values["model"]) == ("scene-2", "The scene hill", "model-2")
     found = scene.model(told, paper)
     assert (found.anchor, found.title) == ("model-1", "Equations and quantities of three_cart")
     assert found.values["equations"] == [("one", "<math><mi>k</mi></math>", "<math><mi>k</mi></math>"), ("bad", None, "<p>no</p>")]
-    assert ([item.method for item in found.values["sizes"]], found.values["time_step"]) == (["a"], "")
-    assert scene.model(told, hill).values["sizes"] == ()
+    assert (found.values["sizes"], found.values["time_step"]) == ([("a", size)], "")
+    assert scene.model(told, hill).values["sizes"] == []
     known = TimeStepRecord(scene="hill", digest="", step=0.01, radius=0.75, contacts=(), growth=0.0, largest_step=None)
     told = report(ran("b", of=hill), time_steps=(known,))
     assert scene.model(told, hill).values["time_step"].startswith("The time step of 0.01 s is stable")

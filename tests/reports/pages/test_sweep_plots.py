@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from reports.pages import stability, sweeps
+from reports.pages import stress_cases, sweeps
 from reports.pages.section import Report
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, QuantityRecord, RunRecord
+from reports.render import Templates
 from tests.reports import drawn as back
 from tests.reports import record_factory as factory
 from tests.reports.drawn import drawn
@@ -163,7 +166,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
     chart = ChartRecord.model_validate({**said, "series": curves, **changes})
     record = ExaminationRecord(
         key="1",
-        kind="hard case",
+        kind="stress case",
         name="07 a case",
         expected="",
         outcome="answered",
@@ -173,7 +176,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         cpu_seconds=1.0,
         provenance=factory.provenance(),
     )
-    section = stability.build(Report(Stored("x", None, (), (), (), 0, (record,))))
+    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (record,))))
     assert section is not None
     (row,) = section.values["rows"]
     return row.plots[0]
@@ -237,7 +240,7 @@ def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
 def examined(name: str, **changes: object) -> ExaminationRecord:
     said = {
         "key": name,
-        "kind": "hard case",
+        "kind": "stress case",
         "name": name,
         "expected": "e",
         "outcome": "answered",
@@ -259,24 +262,46 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         examined("10 later", passed=False, figures=figures), examined("02 early", found="it went well."), examined("003", outcome="time_limit", passed=False, message="late."),
         examined("00 zero", outcome="time_limit", passed=False), examined("x", kind="FMU"),
     )  # fmt: skip
-    section = stability.build(Report(Stored("x", None, (), (), (), 0, records)))
+    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, records)))
     assert section is not None
     rows = section.values["rows"]
     assert [(row.number, row.title, row.anchor, row.sign.word, row.happened) for row in rows] == [
-        ("00", "zero", "hard-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "hard-case-003", "no answer", "late."),
-        ("2", "early", "hard-case-02", "pass", "it went well."), ("10", "later", "hard-case-10", "fail", "It ended as answered, without a word."),
+        ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "stress-case-003", "no answer", "late."),
+        ("2", "early", "stress-case-02", "pass", "it went well."), ("10", "later", "stress-case-10", "fail", "It ended as answered, without a word."),
     ]  # fmt: skip
-    shown = rows[3].figures
-    assert [item.name for item in rows[3].decisive] == ["bad", "good"]
-    assert [(item.name, item.value, item.unit, item.limit, item.sign and item.sign.word) for item in shown] == [
-        ("shown", "0.25", "m²", "", None), ("good", "0.25", "m²", "≥ 0.5 m²", "pass"), ("fine", "0.25", "", "≤ 0.5", "pass"), ("bad", "no number", "", "≤ 0.5 m²", "fail"),
-    ]  # fmt: skip
-    assert (shown[1].reason, shown[1].meaning) == ("reason of good", "meaning of good")
+    assert rows[3].decisive == (figures[3], figures[1])
     assert (section.values["passed"], [row.number for row in section.values["failed"]], section.values["seconds"]) == (
         "1 of 4 stress cases pass",
         ["00", "3", "10"],
         6.0,
     )
     assert section.said.startswith("1 of 4 stress cases pass: stiff, grazing")
-    assert stability.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
-    assert stability.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
+    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
+    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
+
+
+def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
+    figures = (
+        figure("shown", None, limit=None),
+        figure("good", True, at_least=True),
+        figure("fine", True, unit="1", reason=""),
+        figure("bad", False, value=None),
+    )
+    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
+    assert section is not None
+    text = Templates().render(section.template, section=section, **section.values)
+    first, second = (text[place:] for place in (text.index("Stress cases"), text.index("Metrics of case 10")))
+
+    def cells(part: str) -> list[str]:
+        rows = re.findall(r"<tr>(.*?)</tr>", part[part.index("<tbody>") : part.index("</tbody>")], re.DOTALL)
+        return [
+            " | ".join(" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)) for row in rows
+        ]
+
+    assert cells(first) == [
+        "10 | later | ✗ fail | e | It ended as answered, without a word. | bad: no number (≤ 0.5 m²); good: 0.25 m² (≥ 0.5 m²)"
+    ]
+    assert cells(second) == [
+        "shown meaning of shown | 0.25 m² | – | shown | reason of shown", "good meaning of good | 0.25 m² | ≥ 0.5 m² | ✓ pass | reason of good",
+        "fine meaning of fine | 0.25 | ≤ 0.5 | ✓ pass | –", "bad meaning of bad | no number | ≤ 0.5 m² | ✗ fail | reason of bad",
+    ]  # fmt: skip

@@ -77,7 +77,7 @@ def test_a_line_is_drawn_where_both_of_its_values_are_known():
     assert drawn(one).lines == {
         "known": ("c1", [(0.0, 0.5), (2.0, -0.5), (3.0, 1.0)]), "shorter times": ("c2", [(0.0, 0.0), (2.0, 1.0)]),
     }  # fmt: skip
-    assert 'd="M54,70l186,88 93,-132"' in str(one.markup())
+    assert 'd="M54,70l186 88 93-132"' in str(one.markup())
 
 
 def test_a_single_point_of_a_line_is_a_dot():

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from validate.judge.shown import JudgedPlan, SolvedPlan
 
 import touchstone as ts
 from formulations.solution import Seconds, Solution
@@ -19,12 +18,14 @@ from models.errors import MachineError, TrajectoryError
 from models.netcdf import read_columns
 from models.scene import Limit
 from models.trajectory import Trajectory
-from validate.judge import judgement, shown
+from validate.judge import judgement
 from validate.judge.judgement import Judgement
 from validate.judge.replay import Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import Metric, Question, Score, Verdict
+from validate.tasks import shown
+from validate.tasks.shown import JudgedPlan, SolvedPlan
 
 SMALL = 150_000
 

@@ -1,0 +1,54 @@
+"""The one word of a verdict: why inputs do not give the motion, at each limit and just beside it, and what says its cause by its own name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.trajectory import Trajectory, uniform_grid
+from validate.judge.score import Metric, Question, Verdict
+from validate.judge.score.cause import ScoredPlan, cause_of
+
+
+def metric(name: str, value: float, question: Question = Question.SHOWN, limit: float | None = None, ok: bool | None = None) -> Metric:
+    return Metric(name=name, question=question, value=value, unit="m", meaning="", limit=limit, ok=ok)
+
+
+def cause(*metrics: Metric) -> str:
+    """Of a plan that violates by these."""
+    scene = load_scene("three_cart")
+    steps = scene.task.steps
+    states, forces = np.zeros((steps + 1, 3)), np.zeros((steps, 2))
+    plan = Trajectory(t=uniform_grid(scene.task.step, steps), q=states, v=states, u=forces, lam=forces)
+    found = {item.name: item for item in metrics}
+    return cause_of(ScoredPlan(scene=scene, trajectory=plan, replay=None, metrics=found, verdict=Verdict.VIOLATES, questions={}))
+
+
+@pytest.mark.parametrize(
+    ("law", "grid", "growth", "defect", "word"),
+    [
+        (2.0, 1.0, None, None, "relaxed contact"), (1.0, 1.0, None, None, "coarse grid"), (1.0, None, None, None, "motion"), (None, 1.0, None, None, "coarse grid"),
+        (1.0, 2.0, 100.0, None, "unstable"), (1.0, 2.0, 99.9, None, "coarse grid"), (None, None, 100.0, None, "unstable"), (2.0, 1.0, 100.0, None, "relaxed contact"),
+        (2.0, 1.0, 100.0, False, "defect"), (1.0, 2.0, None, True, "coarse grid"),
+    ],
+)  # fmt: skip
+def test_why_inputs_do_not_give_the_motion(law: float | None, grid: float | None, growth: float | None, defect: bool | None, word: str):
+    shown = [
+        metric(name, value) for name, value in (("law_error", law), ("grid_error", grid), ("amplification", growth)) if value is not None
+    ]
+    shown += [metric("defect", 1.0, Question.SCHEME, limit=1.0, ok=defect)] if defect is not None else []
+    for missed in ("replay_error", "replay_terminal_position_error", "tracked_replay_error"):
+        assert cause(metric(missed, 2.0, Question.MOTION, limit=1.0, ok=False), *shown) == word
+
+
+@pytest.mark.parametrize("name", ["unexplained_force", "replay_cost"])
+def test_of_the_motion_these_say_their_cause_by_their_own_name(name: str):
+    assert cause(metric(name, 2.0, Question.MOTION, limit=1.0, ok=False), metric("grid_error", 1.0)) == name
+
+
+@pytest.mark.parametrize("question", [Question.TASK, Question.GOAL, Question.FORCES, Question.POSSIBLE])
+def test_what_fails_of_another_question_is_named_itself(question: Question):
+    """Of the replay with feedback by the name of its twin."""
+    assert cause(metric("ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
+    assert cause(metric("tracked_ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
