@@ -16,7 +16,6 @@ from click.shell_completion import CompletionItem
 
 from models.catalog import scene_names
 from validate.cli.table import wide_option
-from validate.tasks.plugins import DEFAULT_PLUGIN
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -36,6 +35,13 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number.", param, ctx)
         return number
+
+
+def _our_plugin() -> str:
+    """The plugin where none is named, read when it is needed: its file imports the methods, without which an FMU is checked and replayed."""
+    from validate.tasks.plugins import DEFAULT_PLUGIN
+
+    return DEFAULT_PLUGIN
 
 
 # What a campaign file decides.
@@ -82,7 +88,7 @@ _SELECTING = (
     click.option(
         "--plugin",
         "plugin",
-        default=DEFAULT_PLUGIN,
+        default=_our_plugin,
         metavar="MODULE[:NAME]",
         help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),

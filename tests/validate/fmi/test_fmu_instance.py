@@ -14,16 +14,17 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2Discard, fmi2Error, fmi2LastSuccessfulTime, fmi2Terminated
-from validate.fmi.versions import CLASSES, StepAnswer
 
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package
 from validate.fmi.instance import (
+    CLASSES,
     EVENT_ROUNDS,
     Instance,
     Lacking,
     Misbehaviour,
     References,
+    StepAnswer,
     TerminationRequested,
     endless,
     faults_of,
@@ -126,28 +127,39 @@ def test_doubles_are_handed_over_in_the_order_of_each_version():
 
 
 def test_each_version_sets_up_and_derives_by_its_own_calls():
-    two, log = bare(
-        TWO, setupExperiment=None, enterInitializationMode=None, getDirectionalDerivative=[2.0], getDerivatives=None, newDiscreteStates=6
-    )
+    two, log = bare(TWO, setupExperiment=None, enterInitializationMode=None, getDirectionalDerivative=[2.0])
     two.setup(1.0, 2.0, 1e-6)
     two.enter(1.0, 2.0, 1e-6)
-    assert (two.directional([1], [2], [3.0], 4), two.rates("into", 2), two.update()) == ([2.0], None, 6)
+    assert two.directional([1], [2], [3.0], 4) == [2.0]
     assert log == [
         ("setupExperiment", ("tolerance", 1e-6), ("startTime", 1.0), ("stopTime", 2.0)), ("enterInitializationMode",),
-        ("getDirectionalDerivative", [1], [2], [3.0]), ("getDerivatives", "into", 2), ("newDiscreteStates",),
+        ("getDirectionalDerivative", [1], [2], [3.0]),
     ]  # fmt: skip
-    three, log = bare(
-        THREE, enterInitializationMode=None, getDirectionalDerivative=[2.0], getAdjointDerivative=[3.0], getContinuousStateDerivatives=None,
-        updateDiscreteStates=6,
-    )  # fmt: skip
+    three, log = bare(THREE, enterInitializationMode=None, getDirectionalDerivative=[2.0], getAdjointDerivative=[3.0])
     three.setup(1.0, 2.0, 1e-6)
     three.enter(1.0, 2.0, 1e-6)
-    assert (three.directional([1], [2], [3.0], 4), three.adjoint([5], [6], [7.0], 8), three.rates("into", 2)) == ([2.0], [3.0], None)
-    assert three.update() == 6
-    assert log[:3] == [
+    assert (three.directional([1], [2], [3.0], 4), three.adjoint([5], [6], [7.0], 8)) == ([2.0], [3.0])
+    assert log == [
         ("enterInitializationMode", ("tolerance", 1e-6), ("startTime", 1.0), ("stopTime", 2.0)),
         ("getDirectionalDerivative", [1], [2], [3.0], ("nSensitivity", 4)), ("getAdjointDerivative", [5], [6], [7.0], ("nSensitivity", 8)),
     ]  # fmt: skip
+
+
+def test_each_versions_model_exchange_gives_rates_and_ends_events_by_its_own_calls():
+    def tells(component: Any, info: Any) -> None:
+        info._obj.newDiscreteStatesNeeded, info._obj.nextEventTimeDefined, info._obj.nextEventTime = 1, 1, 2.5
+
+    def answers(component: Any, *places: Any) -> None:
+        for place, value in zip(places, (True, False, False, False, True, 2.5), strict=True):
+            place._obj.value = value
+
+    two, log_2 = bare(CLASSES[2, "ME"], fmi2GetDerivatives=None, fmi2NewDiscreteStates=tells)
+    three, log_3 = bare(CLASSES[3, "ME"], fmi3GetContinuousStateDerivatives=None, fmi3UpdateDiscreteStates=answers)
+    for fmu in (two, three):
+        fmu.rates("into", 2)
+        assert fmu.update() == (True, False, False, False, True, 2.5)
+    assert (log_2[0], log_2[1][0]) == (("fmi2GetDerivatives", "component", "into", 2), "fmi2NewDiscreteStates")
+    assert (log_3[0], log_3[1][0]) == (("fmi3GetContinuousStateDerivatives", "component", "into", 2), "fmi3UpdateDiscreteStates")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from models.trajectory import Hold, Trajectory, column_names, uniform_grid, writ
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.replay import exit_code
 from validate.judge import judgement as module
-from validate.judge.judgement import as_trajectory, judge, judge_fmu, judge_on_fmu
+from validate.judge.judgement import as_trajectory, judge, judge_fmu
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import Question, Verdict
 
@@ -361,7 +361,9 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
     monkeypatch.setattr(module, "replay_foreign", lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}")
     monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered(motion, verdict))
     foreign: Any = SimpleNamespace(model="model")
-    found = judge_on_fmu(foreign, "package", plan, feedback=True, limits="limits")  # type: ignore[arg-type]
+    monkeypatch.setattr(module, "read_package", lambda path: "package")
+    monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
+    found = judge_fmu(Path("a.fmu"), {"t": plan.t}, feedback=True, limits="limits")  # type: ignore[arg-type]
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
     assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "track": True})
     assert scores[0] == (("model", plan, "replay 1"), {})
@@ -375,18 +377,20 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
 def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     asked: list[Any] = []
     monkeypatch.setattr(module, "read_package", lambda path: f"package of {path}")
-    monkeypatch.setattr(module, "judge_on_fmu", lambda *given, **named: (given, named))
-    monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: asked.append(given) or ("foreign", "trajectory"))
+    foreign = SimpleNamespace(model="model")
+    monkeypatch.setattr(module, "_judged", lambda *given: given)
+    monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: asked.append(given) or (foreign, "trajectory"))
     (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
     columns = {"t": np.array([0.0, 1.0]), "u": np.array([1.0])}
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
-        given, named = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
-        assert given == ("foreign", "package of a.fmu", "trajectory")
-        assert (named["feedback"], named["limits"]) == (True, module.Limits())
+        subject, trajectory, run, feedback = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
+        assert (subject, trajectory, feedback) == ("model", "trajectory", True)
+        assert (run.func, run.args, run.keywords) == (module.replay_foreign, (foreign, "package of a.fmu"), {"limits": module.Limits()})
         package, table, map_file, hold, where = asked[-1]
         assert (package, table.names[0], map_file, hold, where) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
-    judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))
+    run = judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))[2]  # type: ignore[index]
+    assert run.keywords == {"limits": module.Limits(seconds=2.0)}
     assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
     with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: there is no metric of that name \(near it: replay_error"):
@@ -411,6 +415,26 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
     assert (track is True) is feedback
     if not feedback:
         assert track("opened") == "wanted of opened"
+
+
+@pytest.mark.parametrize("followed", [True, False])
+def test_a_replay_that_is_not_followed_is_scored_once(followed: bool, monkeypatch: pytest.MonkeyPatch):
+    """What comes back is what was scored to ask whether to follow it; with a tracked replay beside it, it is another."""
+    scene = load_scene("wall_pendulum")
+    states = np.zeros((3, 1))
+    plan = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
+    scored: list[Any] = []
+
+    def score(*given: Any, **named: Any) -> Any:
+        scored.append(given[2])
+        return SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics={}, number=len(scored))
+
+    monkeypatch.setattr(module, "replay", lambda *given, track, **named: "followed" if track("opened") else "opened")
+    monkeypatch.setattr(module, "score", score)
+    monkeypatch.setattr(module, "wants_feedback", lambda metrics: followed)
+    found: Any = module.judge_trajectory(scene, Path("a.fmu"), plan, limits=None)
+    assert (found.replay, scored) == (("followed", ["opened", "followed"]) if followed else ("opened", ["opened"]))
+    assert found.score.number == len(scored)
 
 
 def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):

@@ -225,7 +225,7 @@ def instance_of(major: int = 2) -> Any:
 def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_needed(major: int):
     instance = instance_of(major)
     inputs, outputs, rates = References([3]), References([4, 5]), References([6, 7, 8])
-    found = library.describe(
+    found = loops.describe(
         instance, ["SetTime", "NewDiscreteStates", "GetReal"], inputs=inputs, outputs=outputs, rates=rates, states=9, indicators=10
     )
     assert (found.component, found.three, found.states, found.indicators, found.inputs, found.outputs, found.rates) == (
@@ -244,18 +244,18 @@ def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_need
         ["GetReal", "SetTime", "NewDiscreteStates"] if major == 2 else ["GetFloat64", "SetTime", "UpdateDiscreteStates"]
     )
     assert {place: call for place, call in enumerate(found.call) if call} == {0: 1001, 2: 1002, 9: 1003}
-    without = library.describe(instance, [], inputs=inputs, outputs=outputs)
+    without = loops.describe(instance, [], inputs=inputs, outputs=outputs)
     assert (without.rates, without.states, without.indicators) == (0, 0, 0)
     found.fault_call, found.fault_status = 9, 3
-    library.refuse(instance, found)
+    loops.refuse(instance, found)
     assert instance.refused == [("NewDiscreteStates" if major == 2 else "UpdateDiscreteStates", 3)]
 
 
 def test_an_event_that_does_not_end_is_a_request_or_a_misbehaviour():
     with pytest.raises(TerminationRequested, match=r"t = 2\.5 s"):
-        library.unsettled(library.Reason.WANTS_END, 2.5)
+        loops.unsettled(loops.Reason.WANTS_END, 2.5)
     with pytest.raises(Misbehaviour, match="did not end after"):
-        library.unsettled(library.Reason.NEVER_SETTLES, 2.5)
+        loops.unsettled(loops.Reason.NEVER_SETTLES, 2.5)
 
 
 class Loops:
@@ -265,9 +265,9 @@ class Loops:
         self.reason, self.made, self.calls = reason, done, []
 
     def step_through(self, place: Any, first: int, last: int) -> int:
-        loop = ctypes.cast(place, ctypes.POINTER(everyday._Loop)).contents
+        loop: Any = ctypes.cast(place, ctypes.POINTER(loops.structure("stepping"))).contents
         self.calls.append((first, last))
-        self.told = {name: getattr(loop, name) for name, *_ in everyday._Loop._fields_}
+        self.told = {name: getattr(loop, name) for name, *_ in loop._fields_}
         loop.done, loop.reached, loop.place = min(self.made, last), 0.3, 99
         for array, size, base in ((loop.outputs, 3 * 4, 10.0), (loop.local, 3 * 3, 50.0)):
             numbers = (ctypes.c_double * size).from_address(array)
@@ -282,13 +282,13 @@ def stepped(
     """Three steps of half a second of an FMU with three outputs."""
     states = np.zeros((4, 1))
     plan = Trajectory(t=0.5 * np.arange(4), q=states, v=states, u=np.ones((3, 1)), lam=np.zeros((3, 0)))
-    loops, run, forgotten = Loops(reason, done), Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]), []
+    answering, run, forgotten = Loops(reason, done), Run(knots=[0], t=[0.0], outputs=[np.array([1.0, 2.0, 3.0])]), []
     instance = instance_of()
     instance.forget = lambda place: forgotten.append(place.value)
-    monkeypatch.setattr(library, "load", lambda: loops)
-    described = library.describe(instance, [], inputs=References([3]), outputs=References([4, 5, 6]))
+    monkeypatch.setattr(loops, "load", lambda: answering)
+    described = loops.describe(instance, [], inputs=References([3]), outputs=References([4, 5, 6]))
     described.fault_status = fault
-    monkeypatch.setattr(library, "describe", lambda *given, **named: described)
+    monkeypatch.setattr(loops, "describe", lambda *given, **named: described)
     stepping = everyday.Stepping(
         fmu=instance, given=References([3]), outputs=References([4, 5, 6]), inputs=HeldInputs(plan, feedback), parts=1, slopes=False, states=2, rolls_back=rolls_back,
         own_step_of=References([]), own_step=0.1,
@@ -297,12 +297,12 @@ def stepped(
         everyday.step_through(stepping, run)
     finally:
         stepped.forgotten = forgotten  # type: ignore[attr-defined]
-    return run, loops, instance
+    return run, answering, instance
 
 
 def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPatch):
-    run, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
-    assert (run.t, run.knots, run.local, loops.calls) == ([0.0, 0.5, 1.0, 1.5], [0, 1, 2, 3], [], [(0, 3)])
+    run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch)
+    assert (run.t, run.knots, run.local, answering.calls) == ([0.0, 0.5, 1.0, 1.5], [0, 1, 2, 3], [], [(0, 3)])
     assert [row.tolist() for row in run.outputs[1:]] == [[13.0, 14.0, 15.0], [16.0, 17.0, 18.0], [19.0, 20.0, 21.0]]
     rolled, _, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=True)
     assert [row.tolist() for row in rolled.local] == [[50.0, 51.0, 52.0], [53.0, 54.0, 55.0], [56.0, 57.0, 58.0]]
@@ -325,9 +325,9 @@ def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
 def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(monkeypatch: pytest.MonkeyPatch):
     """Two of the outputs are states; nothing may be beyond 1e9; what is restored is the same within 1e-9 of its size."""
     for rolls_back in (True, False):
-        _, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
+        _, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, rolls_back=rolls_back)
         told = {
-            name: loops.told[name]
+            name: answering.told[name]
             for name in ("bounded", "bound", "same", "rolls_back", "linear", "gives_slopes", "parts", "own_step_count", "own_step")
         }
         assert told == {
@@ -353,11 +353,11 @@ def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypat
         upper=np.array([100.0]),
         scale=np.array([1.0]),
     )
-    run, loops, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
-    assert loops.calls == [(0, 1), (1, 2), (2, 3)]
+    run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
+    assert answering.calls == [(0, 1), (1, 2), (2, 3)]
     assert [row.tolist() for row in run.applied] == [[1.0 - 3.0], [1.0 - 27.0], [1.0 - 33.0]]
-    run, loops, _ = stepped(everyday.Reason.OUT_OF_BOUNDS, 1, monkeypatch, feedback=law)
-    assert (loops.calls, len(run.applied), run.t) == ([(0, 1), (1, 2)], 2, [0.0, 0.5])
+    run, answering, _ = stepped(everyday.Reason.OUT_OF_BOUNDS, 1, monkeypatch, feedback=law)
+    assert (answering.calls, len(run.applied), run.t) == ([(0, 1), (1, 2)], 2, [0.0, 0.5])
 
 
 @pytest.mark.parametrize(

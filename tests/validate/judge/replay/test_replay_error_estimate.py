@@ -25,7 +25,7 @@ from validate.judge.replay.error_estimate import (
     with_max_step,
     with_steps_of,
 )
-from validate.judge.replay.job import Job, ReplaySettings
+from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Run as Recorded
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import ENERGIES, Variables
@@ -253,10 +253,19 @@ def test_the_lowest_of_a_piece_is_where_its_cubic_is(side: int):
         assert value[0, 1 - side] == 5.0
 
 
-# Settings
+# A job made finer
 
 
-SETTINGS = ReplaySettings(tolerances=(1e-11, 1e-13), fineness=(50, 100, 200), event_budget=7)
+def job_of(t: Any, **more: Any) -> Job:
+    """A job whose plan has such nodes."""
+    given: dict[str, Any] = {
+        "package": "package",
+        "variables": "variables",
+        "plan": SimpleNamespace(t=np.array(t)),
+        "start": "start",
+        "limits": "limits",
+    }
+    return Job(**(given | {"tolerances": (1e-11, 1e-13), "fineness": (50, 100, 200), "event_budget": 7} | more))
 
 
 def task_of(step: float) -> Any:
@@ -265,40 +274,40 @@ def task_of(step: float) -> Any:
 
 def test_nothing_is_seen_less_often_than_on_the_tasks_own_grid():
     """Steps of 0.3 and 0.1 s: the longest is three of the task's 0.1 s, or two of 0.2; the shortest, but at least a tenth of the mean, counts for the rest."""
-    t = np.array([0.0, 0.3, 0.4])
-    found = module.with_steps_of(task_of(0.1), t, SETTINGS)
-    assert (found.parts, found.fineness) == (SETTINGS.parts * 3, (50, 100, 200))
-    found = module.with_steps_of(task_of(0.04), t, SETTINGS)
-    assert (found.parts, found.fineness, found.event_budget) == (SETTINGS.parts * 8, (150, 300, 600), 7)
-    assert module.with_steps_of(task_of(0.5), t, SETTINGS) == SETTINGS
-    assert module.with_steps_of(task_of(1e-6), t, SETTINGS).parts == 3000
-    assert module.with_steps_of(task_of(0.1 * (1 - 5e-7)), np.array([0.0, 0.1]), SETTINGS) == SETTINGS, "rounding makes no step longer"
+    job = job_of([0.0, 0.3, 0.4])
+    found = with_steps_of(task_of(0.1), job)
+    assert (found.parts, found.fineness) == (job.parts * 3, (50, 100, 200))
+    found = with_steps_of(task_of(0.04), job)
+    assert (found.parts, found.fineness, found.event_budget) == (job.parts * 8, (150, 300, 600), 7)
+    assert vars(with_steps_of(task_of(0.5), job)) == vars(job)
+    assert with_steps_of(task_of(1e-6), job).parts == 3000
+    even = job_of([0.0, 0.1])
+    assert vars(with_steps_of(task_of(0.1 * (1 - 5e-7)), even)) == vars(even), "rounding makes no step longer"
 
 
 def test_a_longest_step_holds_in_every_simulation():
-    t = np.array([0.0, 0.5, 1.0])
-    found = module.with_max_step(t, SETTINGS, 0.004)
+    job = job_of([0.0, 0.5, 1.0])
+    found = with_max_step(job, 0.004)
     assert found is not None
     assert (found.max_step, found.fineness) == (0.004, (150, 300, 600)), "half a second in 50 parts is 2.5 times too much"
-    assert module.with_max_step(t, SETTINGS, 0.02).fineness == SETTINGS.fineness  # type: ignore[union-attr]
-    assert module.with_max_step(t, replace(SETTINGS, fineness=()), 0.2).fineness == ()  # type: ignore[union-attr]
-    assert module.with_max_step(t, SETTINGS, 1.01e-6) is not None
-    assert module.with_max_step(t, SETTINGS, 0.99e-6) is None, "more than a million steps"
+    assert with_max_step(job, 0.02).fineness == job.fineness  # type: ignore[union-attr]
+    assert with_max_step(replace(job, fineness=()), 0.2).fineness == ()  # type: ignore[union-attr]
+    assert with_max_step(job, 1.01e-6) is not None
+    assert with_max_step(job, 0.99e-6) is None, "more than a million steps"
 
 
 def test_without_inertia_the_everyday_replay_is_fine_enough_for_its_lag():
     """Steps of 0.5 s with a lag of 1 ms: 250 parts of twice the lag, which are five times 50; two of the three runs will do."""
-    plan: Any = SimpleNamespace(t=np.array([0.0, 0.5, 1.0]))
 
-    def found(lag: float | None, settings: ReplaySettings = SETTINGS) -> tuple[int, ...]:
-        return module.fine_enough(SimpleNamespace(lag=lag), plan, settings).fineness  # type: ignore[arg-type]
+    def found(lag: float | None, **more: Any) -> tuple[int, ...]:
+        return module.fine_enough(SimpleNamespace(lag=lag), job_of([0.0, 0.5, 1.0], **more)).fineness  # type: ignore[arg-type]
 
     assert found(0.001) == (250, 500)
     assert found(0.0009) == (300, 600)
     assert found(0.1) == (50, 100)
-    assert found(0.001, replace(SETTINGS, fineness=(200, 100))) == (300, 600)
-    assert found(None) == SETTINGS.fineness
-    assert found(0.001, replace(SETTINGS, fineness=())) == ()
+    assert found(0.001, fineness=(200, 100)) == (300, 600)
+    assert found(None) == (50, 100, 200)
+    assert found(0.001, fineness=()) == ()
 
 
 # The lag of scenes without inertia
@@ -308,15 +317,16 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
     """A replay with the error of its lag, and what was simulated for it: the run at twice the lag is off by 0.25 in its one position."""
     asked: list[Any] = []
 
-    def job(package: Any, variables: Any, plan: Any, start: Any, settings: ReplaySettings, limits: Any, feedback: Any) -> Any:
-        asked.append((package, variables, start, settings.tolerances, settings.fineness, limits, feedback))
+    def simulate(job: Job, feedback: Any) -> Any:
+        asked.append((job.package, job.variables, job.start, job.tolerances, job.fineness, job.limits, feedback))
         run = Recorded(
             t=[0.0, 1.0], outputs=[np.array([1.0, 0.0, 5.0]), np.array([2.25, 0.0, 5.0])], knots=[0, 1], outcome=outcome, message="cut"
         )
         none: tuple[Recorded, ...] = ()
-        return SimpleNamespace(
-            reference=(Recorded(), run) if method == "reference" else none, everyday=(Recorded(), run) if method == "everyday" else none
-        )
+        return Simulated(
+            reference=(Recorded(), run) if method == "reference" else none, everyday=(Recorded(), run) if method == "everyday" else none,
+            refusal=None, seconds_reference=0.0, seconds_everyday=0.0,
+        )  # fmt: skip
 
     twice = Variables(
         q=(1,),
@@ -341,10 +351,9 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
         name="s", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(), contacts=(ForeignContact(name="c", force_name="l", gap_name="g"),),
         task=ForeignTask(start=(None, None), goal=(None, None), step=0.1),
     )  # fmt: skip
-    plan: Any = SimpleNamespace(start="start")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "run_job", job)
-        found = module.with_lag_error(model, "package", twice, plan, SETTINGS, "limits", "feedback", replayed)  # type: ignore[arg-type]
+        patch.setattr(Job, "run", simulate)
+        found = module.with_lag_error(model, job_of([0.0, 1.0]), twice, "feedback", replayed)  # type: ignore[arg-type]
     assert asked[0][:3] == ("package", twice, "start")
     assert asked[0][5:] == ("limits", "feedback")
     return found, asked[0][3:5]
@@ -364,9 +373,9 @@ def test_the_error_of_the_lag_is_added_to_the_replays_own(method: str, asked: An
 
 def test_what_has_no_lag_is_as_it_is():
     given: Any = SimpleNamespace(ok=False)
-    assert module.with_lag_error(None, None, "twice", None, SETTINGS, None, None, given) is given  # type: ignore[arg-type]
+    assert module.with_lag_error(None, None, "twice", None, given) is given  # type: ignore[arg-type]
     given.ok = True
-    assert module.with_lag_error(None, None, None, None, SETTINGS, None, None, given) is given  # type: ignore[arg-type]
+    assert module.with_lag_error(None, None, None, None, given) is given  # type: ignore[arg-type]
     assert module.twice_the_lag(None, SimpleNamespace(lag=None)) is None  # type: ignore[arg-type]
 
 

@@ -22,7 +22,7 @@ from validate.judge.replay import everyday as everyday_module
 from validate.judge.replay import job as module
 from validate.judge.replay import run as run_module
 from validate.judge.replay.everyday import RollbackError, base_step, everyday_refusal, offers_rollback, require_some_method
-from validate.judge.replay.job import ReplaySettings, Simulated, run_job
+from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Run
 from validate.judge.replay.run import Foreign
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, Outputs
@@ -31,10 +31,11 @@ from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
 VARIABLES = Variables(q=(1,), v=(2,), u=(5,), lam=(3,), gap=(4,), energies={}, powers={"input_power": 6, "dissipated_power": 7}, zero=frozenset(),
                       parameters=(), start=(1, 2), internal_step=None)  # fmt: skip
-SETTINGS = ReplaySettings(tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)
 PLAN = Trajectory(t=np.array([0.0, 0.5, 1.0]), q=np.zeros((3, 1)), v=np.zeros((3, 1)), u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)),
                   hold=Hold.LINEAR, u_end=np.array([3.0]))  # fmt: skip
 START = np.array([8.0, 9.0])
+NO_FMU: Any = SimpleNamespace(digest="sha")
+JOB = Job(package=NO_FMU, variables=VARIABLES, plan=PLAN, start=START, limits=None, tolerances=(1e-11, 1e-13), fineness=(50, 100), event_budget=7, parts=4, max_step=0.25)  # fmt: skip
 
 
 def package(*, exchange: bool = True, cosimulation: bool = True, once: bool = False, saves: bool = True) -> Any:
@@ -61,22 +62,24 @@ def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: i
     return ended(Ending.OK, value=value, arrays=arrays, strays=strays)
 
 
-def asked(monkeypatch: pytest.MonkeyPatch, answers: list[Any], fmu: Any, limits: Limits = Limits(), **more: Any) -> tuple[Any, list[Any]]:  # noqa: B008 - frozen
-    """What comes of a job whose children end so, and what each was asked."""
+def asked(
+    monkeypatch: pytest.MonkeyPatch, answers: list[Any], fmu: Any, feedback: Feedback | None = None, **more: Any
+) -> tuple[Any, list[Any]]:
+    """What comes of a job whose children end so, and what each was asked; more: what else the job is."""
     requests: list[Any] = []
     rest = iter(answers)
 
-    def isolated(function: str, request: Any, given: Any, *, limits: Any, what: str) -> Any:
-        requests.append((function, dict(request), dict(given), limits, what))
+    def isolated(function: str, request: Any, *, arrays: Any, limits: Any, what: str) -> Any:
+        requests.append((function, dict(request), dict(arrays), limits, what))
         return next(rest)
 
     monkeypatch.setattr(module, "run_isolated", isolated)
     monkeypatch.setattr(module, "library_path", lambda: Path("loops.so"))
-    return run_job(fmu, VARIABLES, more.get("plan", PLAN), START, more.get("settings", SETTINGS), limits, more.get("feedback")), requests
+    return replace(JOB, **({"package": fmu, "limits": Limits()} | more)).run(feedback), requests
 
 
 def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
-    found, requests = asked(monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), Limits(seconds=3.0))
+    found, requests = asked(monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), limits=Limits(seconds=3.0))
     ((function, request, given, limits, what),) = requests
     assert (function, limits.seconds, what) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu")
     assert request == {
@@ -99,7 +102,7 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
 def test_an_endless_step_and_a_plan_without_an_end_are_told_by_leaving_them_out(monkeypatch: pytest.MonkeyPatch):
     feedback = Feedback(gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4), scale=np.ones(5))
     constant = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
-    _, requests = asked(monkeypatch, [told([])], package(), plan=constant, settings=replace(SETTINGS, max_step=math.inf), feedback=feedback)
+    _, requests = asked(monkeypatch, [told([])], package(), feedback, plan=constant, max_step=math.inf)
     request, given = requests[0][1], requests[0][2]
     assert (request["max_step"], request["hold"], "u_end" in given) == (None, "zero_order", False)
     assert {name: len(array) for name, array in given.items() if name.startswith("feedback_")} == {
@@ -144,7 +147,7 @@ def test_what_ended_a_child_is_the_outcome_of_its_one_run(
     runs, others = (found.reference, found.everyday) if exchange else (found.everyday, found.reference)
     assert ([(run.outcome, run.message) for run in runs], others) == ([(outcome, f"it was {ending.name}.")], ())
     assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note, len(requests)) == (None, 2.5, 0.0, "", 1)
-    without, _ = asked(monkeypatch, [ended(ending)], package(saves=False), settings=replace(SETTINGS, tolerances=()))
+    without, _ = asked(monkeypatch, [ended(ending)], package(saves=False), tolerances=())
     assert (len(without.reference), len(without.everyday)) == (0, 1)
 
 
@@ -354,7 +357,7 @@ def simulated(reference: list[float], everyday: list[float], **more: Any) -> Sim
 
 
 def assembled(found: Simulated, **more: Any) -> Any:
-    return run_module._assemble(MODEL, SimpleNamespace(digest="sha"), replace(VARIABLES, **more), found, 77)  # type: ignore[arg-type]
+    return run_module._assemble(MODEL, replace(JOB, variables=replace(VARIABLES, **more), event_budget=77), found)
 
 
 def at(position: float) -> Difference:
@@ -426,24 +429,23 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
     law = Feedback(gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=np.array([[1.0], [2.0]]), lower=np.array([-9.0]), upper=np.array([9.0]), scale=np.array([9.0]))  # fmt: skip
     jobs: list[Any] = []
 
-    def job(package: Any, variables: Any, plan: Any, start: Any, settings: Any, limits: Any, feedback: Any = None) -> Simulated:
-        jobs.append((plan.u.tolist(), start, limits, feedback))
+    def simulate(job: Job, feedback: Feedback | None = None) -> Simulated:
+        jobs.append((job.plan.u.tolist(), job.start, job.limits, feedback))
         found = simulated([1.25, 1.0], [1.5])
         for run in found.reference:
             run.applied = [np.array([31.0]), np.array([41.0])]
         return found
 
     designed: list[Any] = []
-    monkeypatch.setattr(run_module, "run_job", job)
+    monkeypatch.setattr(Job, "run", simulate)
     monkeypatch.setattr(run_module, "design_foreign", lambda *given: designed.append(given) or (law, "growth"))
-    fmu: Any = SimpleNamespace(digest="sha")
     plan = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
     limits = Limits(seconds=9.0)
-    opened = run_module.replay_foreign(foreign(), fmu, plan, limits=limits)
+    opened = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits)
     assert (opened.tracked, opened.growth, jobs) == (None, None, [([[11.0], [21.0]], START, limits, None)])
     assert opened.q[-1].tolist() == [2.0 * 1.0 + 0.1]
     for track in (True, lambda replay: True):
-        found = run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=track)  # type: ignore[arg-type]
+        found = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=track)  # type: ignore[arg-type]
         assert found.tracked is not None
         assert found.tracked.applied is not None
         assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
@@ -453,16 +455,16 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
     (model, _, variables, given, units, start, _) = designed[0]
     assert (model, variables, given, start) == (MODEL, VARIABLES, plan, START)
     assert [[part.tolist() for part in pair] for pair in units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
-    assert run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=lambda replay: False).tracked is None
+    assert run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: False).tracked is None
 
     def refuses(*given: Any) -> Any:
         raise run_module.TrackingError("no inputs")
 
     monkeypatch.setattr(run_module, "design_foreign", refuses)
-    refused = run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=lambda replay: True)
+    refused = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: True)
     assert refused.message.endswith("No tracked replay: no inputs")
     with pytest.raises(run_module.TrackingError):
-        run_module.replay_foreign(foreign(), fmu, plan, limits=limits, track=True)
+        run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=True)
 
 
 @pytest.mark.parametrize(("status", "outcome"), [(4, ReplayOutcome.FATAL), (3, ReplayOutcome.FMU_FAILED)])
@@ -487,20 +489,22 @@ def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it
     looks: int, too_many: bool, monkeypatch: pytest.MonkeyPatch
 ):
     """Each time with at most what would have seen it, and at most half of what it had; six times, or until that takes too many steps."""
-    asked: list[ReplaySettings] = []
+    asked: list[float] = []
     seen = iter([0.1] * looks + [None] * 20)
-    monkeypatch.setattr(
-        run_module,
-        "run_job",
-        lambda package, variables, plan, start, settings, *given: asked.append(settings) or simulated([1.25, 1.0], [1.5]),
-    )
+
+    def simulate(job: Job, feedback: Feedback | None) -> Simulated:
+        asked.append(job.max_step)
+        runs = simulated([1.25, 1.0], [1.5])
+        runs.judged.applied = [np.array([float(len(asked))])]
+        return runs
+
+    monkeypatch.setattr(Job, "run", simulate)
     monkeypatch.setattr(run_module, "overlooked", lambda kernel, found: next(seen))
-    monkeypatch.setattr(run_module, "with_max_step", lambda t, settings, longest: None if too_many else replace(settings, max_step=longest))
-    fmu: Any = SimpleNamespace(digest="sha")
-    found, last = run_module._seeing_all(MODEL, None, fmu, VARIABLES, PLAN, replace(SETTINGS, max_step=0.15), None, None)  # type: ignore[arg-type]
+    monkeypatch.setattr(run_module, "with_max_step", lambda job, longest: None if too_many else replace(job, max_step=longest))
+    found, applied = run_module._seeing_all(MODEL, None, replace(JOB, max_step=0.15), None)  # type: ignore[arg-type]
     runs = 1 if too_many else min(looks + 1, 6)
-    assert [one.max_step for one in asked] == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
-    assert len(last.reference) == 2
+    assert asked == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
+    assert applied.tolist() == [[runs]], "of the last"
     lost = looks >= 6 or (looks > 0 and too_many)
     assert (found.error.estimate is None, "steps over a contact that is shorter than any of its steps" in found.message) == (lost, lost)
 
@@ -519,15 +523,11 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     )
     jobs: list[Any] = []
 
-    def seeing(scene: Any, kernel: Any, package: Any, variables: Any, plan: Any, settings: Any, limits: Any, feedback: Any) -> Any:
-        jobs.append((settings, limits, feedback))
-        runs = simulated([1.25, 1.0], [1.5])
-        for run in runs.reference:
-            run.applied = [np.array([3.0]), np.array([4.0])]
-        return assembled(runs), runs
+    def seeing(scene: Any, kernel: Any, job: Job, feedback: Feedback | None) -> Any:
+        jobs.append((job, feedback))
+        return assembled(simulated([1.25, 1.0], [1.5])), np.array([[3.0], [4.0]])
 
-    fmu: Any = SimpleNamespace(digest="sha")
-    monkeypatch.setattr(run_module, "read_package", lambda path: fmu)
+    monkeypatch.setattr(run_module, "read_package", lambda path: NO_FMU)
     monkeypatch.setattr(run_module, "unpacked", nullcontext)
     monkeypatch.setattr(run_module, "find_variables", lambda package, scene: VARIABLES)
     monkeypatch.setattr(run_module, "_seeing_all", seeing)
@@ -535,20 +535,22 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     monkeypatch.setattr(run_module, "design_feedback", lambda kernel, scene, plan: law)
     opened = run_module.replay(scene, Path("a.fmu"), plan)
     assert (opened.growth, opened.tracked) == ("growth", None)
-    settings, limits, feedback = jobs[0]
-    assert (settings.tolerances, settings.fineness, settings.event_budget, settings.parts, settings.max_step) == (
+    job, feedback = jobs[0]
+    assert (job.package, job.variables, job.plan, job.start.tolist()) == (NO_FMU, VARIABLES, plan, [0.0, 0.0])
+    assert (job.tolerances, job.fineness, job.event_budget, job.parts, job.max_step) == (
         (1e-11, 1e-13),
         (50, 100, 200),
         10_000,
         3,
         math.inf,
     )
-    assert (limits, feedback) == (None, None)
+    assert (job.limits, feedback) == (None, None)
     for track in (True, lambda replay: replay.growth == "growth"):
         found = run_module.replay(scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0))  # type: ignore[arg-type]
         assert found.tracked is not None
         assert found.tracked.applied is not None
-        assert (found.tracked.applied.tolist(), found.tracked.feedback, jobs[-1][1:]) == ([[3.0], [4.0]], law, (Limits(seconds=3.0), law))
+        assert (found.tracked.applied.tolist(), found.tracked.feedback) == ([[3.0], [4.0]], law)
+        assert [(job.limits, feedback) for job, feedback in jobs[-2:]] == [(Limits(seconds=3.0), None), (Limits(seconds=3.0), law)]
         assert found.tracked.effort is not None
         assert found.tracked.effort.peak == (2.0,)
     blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: False)

@@ -246,7 +246,7 @@ def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
 def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired: Wire):
     blind = replayed(folder, wired(FULL_MAP, fmu="only_cs.fmu"), "only_cs.fmu")
     assert (blind.error.estimate, blind.error.stated) == (None, None)
-    assert blind.would_decide.startswith("state how good its results are in the map ([accuracy] position = ..)")
+    assert blind.error.would_decide.startswith("state how good its results are in the map ([accuracy] position = ..)")
     given = FULL_MAP + "[accuracy]\nposition = 1e-4\nvelocity = 2e-3\ngap = 1e-4\n"
     stated = replayed(folder, wired(given, fmu="only_cs.fmu"), "only_cs.fmu")
     assert stated.error.step_source == "stated"
@@ -255,7 +255,7 @@ def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired
     part = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-4\n", fmu="only_cs.fmu"), "only_cs.fmu")
     assert part.error.estimate is not None
     assert (part.error.estimate.position, part.error.estimate.gap) == (1e-4, math.inf)
-    assert part.would_decide.startswith("state [accuracy] velocity and gap in the map too")
+    assert part.error.would_decide.startswith("state [accuracy] velocity and gap in the map too")
     told = json.dumps(part.error.as_json(), allow_nan=False)
     assert json.loads(told)["estimate"]["gap"] is None
 

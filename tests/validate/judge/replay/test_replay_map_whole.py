@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
-from validate.judge.replay.equal_names import Dimensions, Named, by_equal_names, hint, may_be_rate
 
 from models.errors import TouchstoneError
 from models.plan_table import PlanTable
 from models.trajectory import Trajectory
 from validate.fmi.description import read_package
-from validate.judge.replay.map_schema import MapError, read_map
+from validate.judge.replay.map_schema import Dimensions, MapError, Named, by_equal_names, hint, may_be_rate, read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import Foreign
 

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 import python_loops
-from validate.judge.replay.compiled.library import Reason
 
 from models.errors import MachineError
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.instance import Misbehaviour, References, TerminationRequested
+from validate.fmi.loops import Reason
 from validate.judge.replay import reference
 from validate.judge.replay.reference import PARTS
 from validate.judge.replay.result import ReplayOutcome, Run, Stop
@@ -433,7 +433,7 @@ def test_each_reason_of_a_loop_has_its_words(reason: Reason, raised: Any, words:
         refused.append(given)
         raise KeyError
 
-    monkeypatch.setattr(reference.library, "refuse", refuse)
+    monkeypatch.setattr(reference.loops, "refuse", refuse)
     with pytest.raises(KeyError):
         one._check(int(Reason.CALL_REFUSED))
     assert refused == [(one.model.instance, "fmu")]
