@@ -71,15 +71,13 @@ def command(folder: Path) -> int:
     stored = load(folder)
     runs = [part for parts in stored.parts for part in parts]
     parts = {name: seconds for name, seconds in by_part(run.profile for run in runs).items() if seconds}
-    for kind in sorted({item.kind for item in stored.examinations}):
-        parts[f"examinations: {kind}"] = sum(item.wall_seconds for item in stored.examinations if item.kind == kind)
+    for kind in sorted({item.kind for item in stored.checks}):
+        parts[f"checks: {kind}"] = sum(item.wall_seconds for item in stored.checks if item.kind == kind)
     total = sum(parts.values())
     rows = [[name, f"{seconds:.0f}", f"{100.0 * seconds / total:.1f} %"] for name, seconds in parts.items()]
     click.echo(table(["part", "s", "share"], [*rows, ["all", f"{total:.0f}", ""]]))
-    cpu = sum(item.cpu_seconds for item in (*runs, *stored.examinations))
-    click.echo(
-        f"\n{len(runs)} runs and {len(stored.examinations)} examinations used {cpu:.0f} CPU s in their own processes, compilers not counted.\n"
-    )
+    cpu = sum(item.cpu_seconds for item in (*runs, *stored.checks))
+    click.echo(f"\n{len(runs)} runs and {len(stored.checks)} checks used {cpu:.0f} CPU s in their own processes, compilers not counted.\n")
     columns = ("stages", "iterations", *SECONDS)
     methods = sorted(by_method(runs).items(), key=lambda item: -item[1]["stage"])
     click.echo(table(["method", *columns], [[name, *(f"{figures[column]:.0f}" for column in columns)] for name, figures in methods]))

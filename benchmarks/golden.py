@@ -4,7 +4,7 @@
     python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
     python -m benchmarks golden table                                # of it, the table of docs/results.md
 
-A row is a stage of a run, or an examination (stress case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
+A row is a stage of a run, or a check (stress case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
 the main figures to nine digits, and `bits`, a hash of every number of the record at full precision. Two rows of equal bits are equal; of the
 others the figures say by how much they differ.
 """
@@ -23,7 +23,7 @@ import click
 from benchmarks.options import campaign_argument
 from formulations.pipelines import PIPELINES
 from reports.paper import SCENE
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import load
 from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rule import failures
@@ -45,7 +45,7 @@ LADDER = ("no plan", "undecided", "violates", "holds with feedback", "holds")
 Row = dict[str, str]
 
 
-def bits(record: StageRecord | ExaminationRecord) -> str:
+def bits(record: StageRecord | CheckRecord) -> str:
     """A hash of all that a record says but its seconds, where it was made, and which of two equal stages ran first."""
     left_out = {
         "shared_from": True, "seconds": True, "starts": {"__all__": {"seconds"}}, "replay": {"seconds_reference", "seconds_everyday"},
@@ -58,7 +58,7 @@ def bits(record: StageRecord | ExaminationRecord) -> str:
 
 
 def rows(folder: Path) -> Iterator[Row]:
-    """One row for each stage and examination of a campaign, in the order of their names."""
+    """One row for each stage and check of a campaign, in the order of their names."""
     stored = load(folder)
     if stored.unreadable or stored.missing:
         raise click.UsageError(
@@ -70,7 +70,7 @@ def rows(folder: Path) -> Iterator[Row]:
             yield _stage(run, stage)
         if not run.stages:
             yield _row(run, stage="0", outcome=run.outcome, verdict=run.verdict)
-    for item in sorted(stored.examinations, key=lambda item: (item.kind, item.name, item.scene or "")):
+    for item in sorted(stored.checks, key=lambda item: (item.kind, item.name, item.scene or "")):
         digest = item.fmu.sha256[:16] if item.fmu is not None else ""
         verdict = "passed" if item.passed else "failed"
         words = dict.fromkeys(COLUMNS, "") | {
@@ -120,7 +120,7 @@ def _rounded(name: str, before: str, after: str) -> bool:
 
 
 def worse(before: Row, after: Row) -> bool:
-    """A worse verdict, a plan of the same verdict that costs more, or an examination that fails now."""
+    """A worse verdict, a plan of the same verdict that costs more, or a check that fails now."""
     if before["verdict"] != after["verdict"]:
         if after["verdict"] == "failed":
             return True
@@ -184,7 +184,7 @@ def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
     if exit_code is not None and str(exit_code) != code:
         told["worse"] += 1
         click.echo(f"worse   the campaign ended with exit code {exit_code}, {code} before")
-    for sentence in failures(load(folder).runs, load(folder).examinations):
+    for sentence in failures(load(folder).runs, load(folder).checks):
         click.echo(f"failure {sentence}")
     click.echo(", ".join(f"{count} {word}" for word, count in told.most_common()))
     return 1 if told["worse"] or told["gone"] or (strict and set(told) != {"equal"}) else 0

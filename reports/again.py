@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shlex
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord
 
 # Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
@@ -15,7 +15,7 @@ _KEPT = ("--scene", "--plugin", "--tools", "--time-limit")  # --tools: in record
 _WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
 
 
-def again(record: RunRecord | ExaminationRecord) -> str:
+def again(record: RunRecord | CheckRecord) -> str:
     """Into a folder of its own, because a campaign of one run would take the place of the whole one; the recorded command, if it is no campaign's."""
     try:
         words = shlex.split(record.provenance.command)
@@ -23,7 +23,7 @@ def again(record: RunRecord | ExaminationRecord) -> str:
         return record.provenance.command
     if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
         return record.provenance.command
-    title = record.title if isinstance(record, ExaminationRecord) else f"{record.scene.name} x {record.pipeline}"
+    title = record.title if isinstance(record, CheckRecord) else f"{record.scene.name} x {record.pipeline}"
     quoted = title.replace('"', '""')
     return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"])
 

@@ -46,7 +46,7 @@ from reports.pages import (
     tolerance,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 
@@ -160,7 +160,7 @@ def render_run(record: RunRecord, folder: Path) -> str:
     return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
 
 
-def render_checks(records: Sequence[ExaminationRecord]) -> str:
+def render_checks(records: Sequence[CheckRecord]) -> str:
     """The text of the page of FMUs that were checked outside of any campaign; at least one."""
     names = ", ".join(record.name for record in records)
     return page(Templates(), [fmus.of(records)], title="FMUs under the check", lead=names, again="")

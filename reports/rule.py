@@ -1,6 +1,6 @@
 """What makes a campaign fail, as a function of its records; in words it is in reports.rule_text. `validate all` and the report say and do the same.
 
-failures(runs, examinations)           # one sentence each; none: exit code 0
+failures(runs, checks)           # one sentence each; none: exit code 0
 findings(runs)                         # what the replay found of plans that are no failure
 """
 
@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from reports.records.check_record import ExaminationRecord, divided
+from reports.records.check_record import CheckRecord, divided
 from reports.records.record import HOLD, RunRecord, StageRecord
 
 # From this observed order on a misfit is said to shrink with the step: a scheme of order one shows 0.8 to 1.2 on grids that are fine enough.
 _SHRINKS = 0.5
 
 
-def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord] = ()) -> tuple[str, ...]:
+def failures(runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = ()) -> tuple[str, ...]:
     """Why the campaign of these records fails, by its rule; a sentence for each run or scene."""
     found = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
-    found += [_examined(record) for record in examinations if not record.passed]
+    found += [_checked(record) for record in checks if not record.passed]
     return tuple(found)
 
 
@@ -44,15 +44,15 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
     return order is not None and order.value is not None and order.value >= _SHRINKS and "no" in (answers.get(4), answers.get(5))
 
 
-def fails(record: RunRecord | ExaminationRecord) -> bool:
+def fails(record: RunRecord | CheckRecord) -> bool:
     """Whether a campaign fails because of this run alone."""
-    return not record.passed if isinstance(record, ExaminationRecord) else bool(_run_failure(record))
+    return not record.passed if isinstance(record, CheckRecord) else bool(_run_failure(record))
 
 
-def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
+def failed_keys(records: Iterable[RunRecord | CheckRecord]) -> frozenset[str]:
     """Keys of the runs because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
-    runs, examinations = divided(records)
-    failed = {record.key for record in (*runs, *examinations) if fails(record)}
+    runs, checks = divided(records)
+    failed = {record.key for record in (*runs, *checks) if fails(record)}
     for scene in dict.fromkeys(run.scene.name for run in runs):
         of_scene = [run for run in runs if run.scene.name == scene]
         if _scene_failure(scene, of_scene):
@@ -60,7 +60,7 @@ def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[s
     return frozenset(failed)
 
 
-def _examined(record: ExaminationRecord) -> str:
+def _checked(record: CheckRecord) -> str:
     ended = "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
     return f"{record.title}: {ended} - {record.found or record.message or 'the record gives no reason.'}"
 

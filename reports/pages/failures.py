@@ -39,8 +39,8 @@ class CauseView:
 def build(report: Report) -> Section:
     """The section; it says so where nothing failed."""
     stored = report.stored
-    broken = failures(stored.runs, stored.examinations)
-    must = failed_keys([*stored.runs, *stored.examinations])
+    broken = failures(stored.runs, stored.checks)
+    must = failed_keys([*stored.runs, *stored.checks])
     groups = [_view(report, cause, runs, must) for cause, runs in by_cause(stored.runs)]
     total = sum(group.amount for group in groups)
     return Section(
@@ -50,7 +50,7 @@ def build(report: Report) -> Section:
         {
             "groups": groups,
             "total": total,
-            "asked": bool(stored.runs or stored.examinations),
+            "asked": bool(stored.runs or stored.checks),
             "whole": not (stored.missing or stored.unreadable),
             "broken": broken,
             "few": _FEW,
@@ -98,7 +98,7 @@ def notices(report: Report) -> list[str]:
     stored, said = report.stored, []
     if stored.campaign is None:
         said.append("The campaign's own record is missing or unreadable: this page shows every run it finds, in the order of their names.")
-    if not stored.runs and not stored.examinations:
+    if not stored.runs and not stored.checks:
         said.append("No run is stored here yet; there is nothing to judge.")
     if stored.missing:
         has = "has" if len(stored.missing) == 1 else "have"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.records.check_record import ExaminationRecord, FmuRecord
+from reports.records.check_record import CheckRecord, FmuRecord
 from reports.wording import count, listing
 
 KIND = "FMU"
@@ -15,9 +15,9 @@ STATUSES = ("passed", "failed", "not offered")
 
 @dataclass(frozen=True)
 class FmuView:
-    """One examination; fmu: None where it ended before there was an answer. ended: the word for how it ended, if it did not pass."""
+    """One check; fmu: None where it ended before there was an answer. ended: the word for how it ended, if it did not pass."""
 
-    record: ExaminationRecord
+    record: CheckRecord
     fmu: FmuRecord | None
     name: str
     version: str
@@ -27,13 +27,13 @@ class FmuView:
 
 def build(report: Report) -> Section | None:
     """The section, or None where no FMU was checked."""
-    records = [record for record in report.stored.examinations if record.kind == KIND]
+    records = [record for record in report.stored.checks if record.kind == KIND]
     if not records:
         return None
     return of(records)
 
 
-def of(records: Sequence[ExaminationRecord]) -> Section:
+def of(records: Sequence[CheckRecord]) -> Section:
     """The section of these checks of FMUs; of anybody's, which are of no scene, it says how they were made."""
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
@@ -42,7 +42,7 @@ def of(records: Sequence[ExaminationRecord]) -> Section:
     return Section("fmus", "FMUs under the check", "checks.html#fmus", values, said=sentence)
 
 
-def _view(record: ExaminationRecord, place: int) -> FmuView:
+def _view(record: CheckRecord, place: int) -> FmuView:
     ended = "" if record.passed else "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
     name, _, version = record.name.partition(", FMI ")
     return FmuView(record, record.fmu, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord
+from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced
 
@@ -32,7 +32,7 @@ class CaseRow:
     anchor: str
     number: str
     title: str
-    record: ExaminationRecord
+    record: CheckRecord
     sign: Sign
     happened: str
     decisive: tuple[MetricRecord, ...]
@@ -41,7 +41,7 @@ class CaseRow:
 
 def build(report: Report) -> Section | None:
     """The section, or None where no stress case ran."""
-    records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
+    records = sorted((item for item in report.stored.checks if item.kind == KIND), key=lambda item: item.name)
     if not records:
         return None
     rows = [_row(record) for record in records]
@@ -62,7 +62,7 @@ def build(report: Report) -> Section | None:
     )
 
 
-def _row(record: ExaminationRecord) -> CaseRow:
+def _row(record: CheckRecord) -> CaseRow:
     place, _, title = record.name.partition(" ")
     sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
     judged = [figure for figure in record.figures if figure.ok is not None]

@@ -1,9 +1,9 @@
-"""ExaminationRecord: what is stored of a check, which is no scene x pipeline - a question with an expected answer, and what was found.
+"""CheckRecord: what is stored of a check, which is no scene x pipeline - a question with an expected answer, and what was found.
 
-record = record_of(path.read_bytes())      # a RunRecord or an ExaminationRecord
-runs, examinations = divided(records)
+record = record_of(path.read_bytes())      # a RunRecord or an CheckRecord
+runs, checks = divided(records)
 
-ChartRecord: the data of one plot that an examination draws itself - curves on two axes, and how to read them.
+ChartRecord: the data of one plot that a check draws itself - curves on two axes, and how to read them.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class FmuRecord(_Model):
         return tuple(row for row in self.rows if row.status == "failed")
 
 
-class ExaminationRecord(_Model):
-    """One examination. kind and name together are unique in a campaign; a kind has a page of its own.
+class CheckRecord(_Model):
+    """One check. kind and name together are unique in a campaign; a kind has a page of its own.
 
     outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was
     found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer;
@@ -114,25 +114,25 @@ class ExaminationRecord(_Model):
 
 
 def _which(data: Any) -> str:
-    """`run` has a pipeline; anything else is read as an examination, which says what it lacks."""
-    return "run" if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data) else "examination"
+    """`run` has a pipeline; anything else is read as a check, which says what it lacks."""
+    return "run" if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data) else "check"
 
 
 class StoredRecord(RootModel):
     """Any record.json of a campaign."""
 
-    root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[ExaminationRecord, Tag("examination")], Discriminator(_which)]
+    root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[CheckRecord, Tag("check")], Discriminator(_which)]
 
 
-def record_of(text: bytes) -> RunRecord | ExaminationRecord:
+def record_of(text: bytes) -> RunRecord | CheckRecord:
     """The record that a record.json holds. Raises pydantic's ValidationError."""
     return StoredRecord.model_validate_json(text).root
 
 
-def divided(records: Iterable[RunRecord | ExaminationRecord]) -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:
-    """Runs and examinations, each in their order."""
+def divided(records: Iterable[RunRecord | CheckRecord]) -> tuple[tuple[RunRecord, ...], tuple[CheckRecord, ...]]:
+    """Runs and checks, each in their order."""
     records = tuple(records)
     return (
         tuple(record for record in records if isinstance(record, RunRecord)),
-        tuple(record for record in records if isinstance(record, ExaminationRecord)),
+        tuple(record for record in records if isinstance(record, CheckRecord)),
     )

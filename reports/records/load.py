@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from reports.records.check_record import ExaminationRecord, divided, record_of
+from reports.records.check_record import CheckRecord, divided, record_of
 from reports.records.collected import collected, grouped
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
@@ -55,7 +55,7 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    examinations: checks, which are no scene x pipeline; parts: of each run, the records of its parts.
+    checks: what is no scene x pipeline; parts: of each run, the records of its parts.
     """
 
     folder: str
@@ -64,7 +64,7 @@ class Stored:
     unreadable: tuple[Unreadable, ...]
     missing: tuple[str, ...]
     foreign: int
-    examinations: tuple[ExaminationRecord, ...] = ()
+    checks: tuple[CheckRecord, ...] = ()
     parts: tuple[tuple[RunRecord, ...], ...] = ()
 
 
@@ -74,7 +74,7 @@ def load(folder: Path) -> Stored:
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
     campaign = read_record(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
-    found: dict[str, RunRecord | ExaminationRecord] = {}
+    found: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):
         run = read_record(path, folder, record_of, unreadable)
         if run is None:
@@ -85,12 +85,12 @@ def load(folder: Path) -> Stored:
             continue
         found[run.key] = run
     if campaign is None:
-        runs, examinations = divided(found.values())
+        runs, checks = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
-        examinations = tuple(sorted(examinations, key=lambda item: (item.kind, item.name)))
-        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, grouped(runs))
+        checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
+        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, checks, grouped(runs))
     keys = list(dict.fromkeys(campaign.keys))
-    runs, examinations = divided(found[key] for key in keys if key in found)
+    runs, checks = divided(found[key] for key in keys if key in found)
     # What another version left here is of another campaign: this one lists what it has run itself.
     named = {f"runs/{key}/record.json" for key in keys}
     earlier = [item for item in unreadable if item.sentence == _ANOTHER_SCHEMA and item.path.startswith("runs/") and item.path not in named]
@@ -103,7 +103,7 @@ def load(folder: Path) -> Stored:
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
         foreign=len(set(found) - set(keys)) + len(earlier),
-        examinations=examinations,
+        checks=checks,
         parts=grouped(runs),
     )
 

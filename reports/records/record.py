@@ -177,7 +177,7 @@ class SceneRecord(_Model):
 
 
 class MetricRecord(_Model):
-    """One metric of the score, or one figure of an examination. `value` is None where it was not asked or not measured (`reason` says why).
+    """One metric of the score, or one figure of a check. `value` is None where it was not asked or not measured (`reason` says why).
 
     question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error, None: not known;
     ok: None where there is no limit, or the error leaves it open; default: whether the limit is the metric's own, not the scene's; at_least: the limit is one from below.

@@ -12,7 +12,7 @@ from pydantic_core import PydanticUndefined
 MODULES = ("record", "check_record")
 # Not empty: what is meant where nothing is said.
 MEANT = {
-    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5, "ExaminationRecord.schema_version": 5,
+    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5, "CheckRecord.schema_version": 5,
     "RunRecord.part": 1, "RunRecord.parts": 1, "RunRecord.verdict": "no plan", "StageRecord.verdict": "no plan",
     "ReplayRecord.step_source": "none", "ReplayRecord.judged": "open", "ContactRecord.bodies": ("", ""), "SeriesRecord.line": True,
 }  # fmt: skip

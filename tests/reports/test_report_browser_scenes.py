@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.render import PAGES, write_report, write_single
 
 # A4 across, less the margins of 12 mm, in pixels of CSS.
@@ -19,7 +19,7 @@ def many(factory, tmp_path_factory):
         one.model_copy(update={"key": f"strict-{place:016d}", "scene": factory.scene(f"a_scene_of_number_{place}")}) for place in range(16)
     ]
     cases = [
-        ExaminationRecord(
+        CheckRecord(
             key=f"{place:064d}",
             kind="stress case",
             name=f"{place:02d} A case",

@@ -1,4 +1,4 @@
-"""The page of FMUs, from records: sound ones, failing ones, and examinations that ended without an answer."""
+"""The page of FMUs, from records: sound ones, failing ones, and checks that ended without an answer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, StoredRecord
+from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, StoredRecord
 from reports.records.load import load
 from reports.render import PAGES, write_report
 from reports.rule import failures
@@ -21,7 +21,7 @@ def _words(folder: Path) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", " ".join(texts))).split())
 
 
-def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes: object) -> ExaminationRecord:
+def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes: object) -> CheckRecord:
     rows = tuple(
         CheckRow(name=f"check {place}", type="ME", claim=f"claim <{place}>", status=status, sentence=f"found {place}.", seconds=0.25)
         for place, status in enumerate(statuses)
@@ -41,11 +41,11 @@ def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes
         "cpu_seconds": 6.0,
         "provenance": factory.provenance(),
     }
-    return ExaminationRecord.model_validate(values | changes)
+    return CheckRecord.model_validate(values | changes)
 
 
-def _campaign(factory, folder: Path, examinations: list[ExaminationRecord]) -> Path:
-    return factory.store(folder, [*factory.runs(), *examinations])
+def _campaign(factory, folder: Path, checks: list[CheckRecord]) -> Path:
+    return factory.store(folder, [*factory.runs(), *checks])
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_a_folder_with_nothing_but_examinations(factory, tmp_path):
     assert "every one passes" in words
     assert "No run is stored here yet" not in words
     stored = load(tmp_path)
-    assert (stored.runs, stored.examinations, stored.unreadable) == ((), (sound,), ())
+    assert (stored.runs, stored.checks, stored.unreadable) == ((), (sound,), ())
 
 
 @pytest.mark.slow
@@ -106,6 +106,6 @@ def test_no_page_without_examinations(factory, tmp_path):
 
 
 def test_each_record_is_read_as_what_it_is(factory):
-    run, examination = factory.runs()[0], _fmu(factory, "three_cart", "2.0", ("passed",))
-    for record in (run, examination):
+    run, check = factory.runs()[0], _fmu(factory, "three_cart", "2.0", ("passed",))
+    for record in (run, check):
         assert StoredRecord.model_validate_json(record.model_dump_json()).root == record

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
+from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
 from reports.records.record import MetricRecord, TimeStepRecord
 from reports.render import write_single
 
@@ -25,7 +25,7 @@ def chart(**changes) -> ChartRecord:
     return ChartRecord(**{**said, "series": (curve,), "level": 1e-2, "level_words": "limit", **changes})
 
 
-def case(factory, place: int, title: str, **changes) -> ExaminationRecord:
+def case(factory, place: int, title: str, **changes) -> CheckRecord:
     said = {
         "key": f"{place:064d}",
         "kind": "stress case",
@@ -39,14 +39,14 @@ def case(factory, place: int, title: str, **changes) -> ExaminationRecord:
         "cpu_seconds": 1.5,
         "provenance": factory.provenance(),
     }
-    return ExaminationRecord(**{**said, **changes})
+    return CheckRecord(**{**said, **changes})
 
 
 @pytest.fixture
 def page(factory, tmp_path):
     """The report's text over these stress cases, beside one run."""
 
-    def made(*cases: ExaminationRecord, **campaign) -> str:
+    def made(*cases: CheckRecord, **campaign) -> str:
         folder, run = tmp_path / "all", factory.runs()[0]
         record = factory.campaign([run], **campaign)
         factory.store(folder, [run], record.model_copy(update={"keys": (run.key, *(item.key for item in cases))}))

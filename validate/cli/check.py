@@ -144,7 +144,7 @@ def _name(row: FmuCheckRow) -> str:
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     """The page that a report has of its FMUs, of these."""
-    from reports.records.check_record import ExaminationRecord
+    from reports.records.check_record import CheckRecord
     from reports.render import render_checks
     from validate.store.provenance import command_line, gather
     from validate.tasks.fmu_checks import found_by
@@ -152,7 +152,7 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     origin, records = gather(command_line(arguments)), []
     for report, spent, cpu in checked:
         found = found_by(report, Path(report.path), 0.0, spent)
-        record = ExaminationRecord(
+        record = CheckRecord(
             key=report.path,
             kind="FMU",
             name=one_line(report.path),

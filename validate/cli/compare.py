@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import click
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import ReportError, Stored, load
 from reports.records.record import HOLD, RunRecord, StageRecord
 from validate.cli.table import one_line, print_table, say, wide_option
@@ -100,7 +100,7 @@ def _loaded(folder: Path) -> Stored:
         raise click.UsageError(one_line(f"{folder / 'campaign.json'}: {why}"))
     for item in stored.unreadable:
         say(f"warning: {folder / item.path}: {item.sentence}", err=True)
-    if not stored.runs and not stored.examinations:
+    if not stored.runs and not stored.checks:
         raise click.UsageError(f"{folder}: there is no readable record; give the folder of a campaign (it holds campaign.json and runs/).")
     return stored
 
@@ -132,7 +132,7 @@ class Comparison:
 def compare(before: Stored, after: Stored) -> Comparison:
     """Everything that differs between two campaigns."""
     stages = _pair(_stages(before.runs), _stages(after.runs), _stage_changes)
-    checks = _pair(_checks(before.examinations), _checks(after.examinations), _check_changes)
+    checks = _pair(_checks(before.checks), _checks(after.checks), _check_changes)
     changes = sorted([*stages[0], *checks[0]], key=lambda change: (change.kind, change.where))
     return Comparison(changes=tuple(changes), pairs=stages[1] + checks[1])
 
@@ -141,7 +141,7 @@ def _stages(runs: Iterable[RunRecord]) -> dict[Hashable, StageRecord]:
     return {(run.scene.name, run.pipeline, run.part, stage.index, stage.method, stage.eps): stage for run in runs for stage in run.stages}
 
 
-def _checks(records: Iterable[ExaminationRecord]) -> dict[Hashable, ExaminationRecord]:
+def _checks(records: Iterable[CheckRecord]) -> dict[Hashable, CheckRecord]:
     return {(record.kind, record.name, record.scene): record for record in records}
 
 
@@ -205,7 +205,7 @@ def _time_change(where: str, before: float, after: float) -> Iterable[Change]:
         yield Change(kind=kind, where=where, what="CPU seconds", before=f"{before:.3g}", after=f"{after:.3g}")
 
 
-def _check_changes(where: str, before: ExaminationRecord, after: ExaminationRecord) -> Iterable[Change]:
+def _check_changes(where: str, before: CheckRecord, after: CheckRecord) -> Iterable[Change]:
     if before.passed != after.passed:
         words = {True: "passed", False: "failed"}
         kind = ChangeKind.IMPROVEMENT if after.passed else ChangeKind.REGRESSION

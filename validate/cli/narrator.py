@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from reports.findings import NOT_ASKED, last_cost
 from reports.judged import end_of
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
 from validate.cli.table import in_words, one_line, say
 
@@ -64,7 +64,7 @@ class PlainNarrator:
     def runs(self, workers: Sequence[Running]) -> None:
         """Called many times a second with the running workers."""
 
-    def finished(self, record: RunRecord | ExaminationRecord) -> None:
+    def finished(self, record: RunRecord | CheckRecord) -> None:
         """A run or check ended with this record."""
         self.done += 1
         self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
@@ -118,7 +118,7 @@ class BarNarrator(PlainNarrator):
         each = (time.monotonic() - self._began) / self.done
         return f"about {in_words(each * (self.total - self.stored - self.done))} left"
 
-    def finished(self, record: RunRecord | ExaminationRecord) -> None:
+    def finished(self, record: RunRecord | CheckRecord) -> None:
         """A run or check ended with this record."""
         super().finished(record)
         self._progress.advance(self._task)
@@ -147,8 +147,8 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
     return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}{off}"
 
 
-def _summary(record: RunRecord | ExaminationRecord) -> str:
-    if isinstance(record, ExaminationRecord):
+def _summary(record: RunRecord | CheckRecord) -> str:
+    if isinstance(record, CheckRecord):
         return _checked(record)
     last = record.stages[-1]
     which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
@@ -163,10 +163,10 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
     return ", ".join(parts)
 
 
-def _checked(record: ExaminationRecord) -> str:
+def _checked(record: CheckRecord) -> str:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome.replace("_", " ")
     return f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}"
 
 
-def _times(record: RunRecord | ExaminationRecord) -> str:
+def _times(record: RunRecord | CheckRecord) -> str:
     return f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"

@@ -41,16 +41,16 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
         stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
     except ReportError:
         stored = Stored("", None, (), (), (), 0)
-    if not (stored.campaign or stored.runs or stored.examinations):
+    if not (stored.campaign or stored.runs or stored.checks):
         campaign_of(folder)  # which says why there is none
-    write_tables(folder, stored.runs, stored.examinations, stored.campaign.violation if stored.campaign else ())
+    write_tables(folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ())
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
     click.echo(_lacking(stored), nl=False, err=True)
     if as_json:
-        found = {"results": rows(stored.runs), "checks": check_rows(stored.examinations), "report": str(report)}
+        found = {"results": rows(stored.runs), "checks": check_rows(stored.checks), "report": str(report)}
         click.echo(json.dumps(found, indent=1, allow_nan=False))
     else:
         click.echo(f"report:  {report}")
@@ -60,7 +60,7 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
 
 def _lacking(stored: Stored) -> str:
     """What could not be told, a line; nothing where all is there."""
-    there, campaign = sum(map(len, stored.parts)) + len(stored.examinations), stored.campaign
+    there, campaign = sum(map(len, stored.parts)) + len(stored.checks), stored.campaign
     if campaign is None:
         return f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew.\n"
     if there == len(campaign.keys):

@@ -11,7 +11,7 @@ import click
 from validate.cli.table import one_line, print_table, say, short, wide_option
 
 if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
+    from reports.records.check_record import CheckRecord
     from reports.records.record import MetricRecord, RunRecord, StageRecord
 
 _EPILOG = """\b
@@ -42,14 +42,14 @@ _LOG_LINES = 15
 @wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
     """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
-    from reports.records.check_record import ExaminationRecord
+    from reports.records.check_record import CheckRecord
     from reports.rule import fails
 
     folder, record = _found(run, folder)
     if as_json:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
     else:
-        if isinstance(record, ExaminationRecord):
+        if isinstance(record, CheckRecord):
             _print_check(record)
         else:
             _tell_run(record)
@@ -57,7 +57,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
     return 1 if fails(record) else 0
 
 
-def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]:
+def _found(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
     """The campaign's folder and the record. Raises CampaignError."""
     from validate.store.store import RECORD, Store
     from validate.store.stored import CampaignError, campaign_of, stored_names
@@ -196,7 +196,7 @@ def _tell_scene(record: RunRecord) -> None:
         say(f"the scene is unstable in the open loop: {record.scene.unstable}")
 
 
-def _print_check(record: ExaminationRecord) -> None:
+def _print_check(record: CheckRecord) -> None:
     ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
     say(f"{record.title}: {ended}")
     say(f"expected: {record.expected}")
@@ -207,7 +207,7 @@ def _print_check(record: ExaminationRecord) -> None:
         print_table(["figure", "value", "unit", "limit"], rows, ("value", "limit"))
 
 
-def _tell_end(record: RunRecord | ExaminationRecord, folder: Path) -> None:
+def _tell_end(record: RunRecord | CheckRecord, folder: Path) -> None:
     from reports.again import again
 
     lines = record.log_tail.splitlines()[-_LOG_LINES:]

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from models.codegen.compiler import find_compiler
 from reports.findings import three_findings
-from reports.records.check_record import ExaminationRecord, divided
+from reports.records.check_record import CheckRecord, divided
 from reports.records.collected import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
 from reports.rule import fails, failures, findings
@@ -57,7 +57,7 @@ class CampaignResult:
     """
 
     records: tuple[RunRecord, ...]
-    checks: tuple[ExaminationRecord, ...]
+    checks: tuple[CheckRecord, ...]
     failures: tuple[str, ...]
     findings: tuple[str, ...]
     conclusions: tuple[str, ...]

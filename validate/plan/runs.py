@@ -17,7 +17,7 @@ from formulations.pipelines import parts_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
@@ -91,7 +91,7 @@ class PlannedRun:
 
     task: RunTask
     loaded: LoadedRun
-    stored: RunRecord | ExaminationRecord | None = None
+    stored: RunRecord | CheckRecord | None = None
     why: str = ""  # it is run, although something like it may be stored
 
     @property
@@ -105,7 +105,7 @@ class PlannedCheck:
     """A check, and its stored record if that can be used."""
 
     task: CheckTask
-    stored: RunRecord | ExaminationRecord | None = None
+    stored: RunRecord | CheckRecord | None = None
     why: str = ""
 
 
@@ -245,7 +245,7 @@ def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, sett
     return found
 
 
-def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRecord | CheckRecord | None, str]:
     record = store.read(task.key)
     if record is None:
         return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED

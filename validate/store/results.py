@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import CertificateRecord, RunRecord, StageRecord, ViolationPoint
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
@@ -72,7 +72,7 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
     }
 
 
-def check_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any]]:
+def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
     """One dictionary a check, by column name; message: what was found, or why there is no answer."""
     return [
         {
@@ -89,7 +89,7 @@ def check_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any]]:
     ]
 
 
-def tables(runs: Sequence[RunRecord], checks: Sequence[ExaminationRecord], violation: Sequence[ViolationPoint]) -> dict[str, str]:
+def tables(runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]) -> dict[str, str]:
     """The text of each table by its file's name; of one that says nothing an empty one."""
     return {
         RESULTS: _text(COLUMNS, rows(runs)),
@@ -100,7 +100,7 @@ def tables(runs: Sequence[RunRecord], checks: Sequence[ExaminationRecord], viola
     }
 
 
-def write_tables(folder: Path, runs: Sequence[RunRecord], checks: Sequence[ExaminationRecord], violation: Sequence[ViolationPoint]) -> None:
+def write_tables(folder: Path, runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]) -> None:
     """Write each table into a campaign's folder, and remove one that says nothing. Raises MachineError if the disk refuses."""
     for name, text in tables(runs, checks, violation).items():
         if text:

@@ -22,7 +22,7 @@ from typing import Any
 import psutil
 
 from models.errors import TouchstoneError
-from reports.records.check_record import ExaminationRecord, record_of
+from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
 from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
 
@@ -84,7 +84,7 @@ class Store:
             if key == Path(key).name and not key.startswith("."):
                 os.rename(old, self.runs / key)
 
-    def read(self, key: str) -> RunRecord | ExaminationRecord | None:
+    def read(self, key: str) -> RunRecord | CheckRecord | None:
         """The stored record of a task, or None if there is none that can be read."""
         try:
             record = record_of((self.runs / key / RECORD).read_bytes())

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from models.errors import TouchstoneError
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from validate.store.store import RECORD, Store
 
@@ -28,7 +28,7 @@ class CampaignError(TouchstoneError):
     """Nothing selected, or a folder that holds no campaign."""
 
 
-def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
+def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | CheckRecord, ...]]:
     """The campaign of a folder and those of its tasks that are stored, in order. Raises CampaignError."""
     campaign = campaign_of(folder)
     store = Store(folder)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, PROGRESS
@@ -59,7 +59,7 @@ class Course:
         return max(0.0, self.deadline - time.monotonic())
 
 
-def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float) -> ExaminationRecord:
+def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began: float) -> CheckRecord:
     """Ask, in the child. began: time.monotonic() at its start. Raises MachineError; whatever else goes wrong is in the record."""
     reserve = min(_WRITING_MOST, _WRITING_SHARE * task.time_limit)
     course = Course(folder, began + task.time_limit - reserve)
@@ -85,15 +85,15 @@ def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began
     return _record(task, provenance, found, outcome, message, time.monotonic() - began, cpu, text)
 
 
-def unfinished_check(task: CheckTask, provenance: ProvenanceRecord, child: ChildExit) -> ExaminationRecord:
+def unfinished_check(task: CheckTask, provenance: ProvenanceRecord, child: ChildExit) -> CheckRecord:
     """The record of a check whose child left none."""
     return _record(task, provenance, Found(False, ""), child.outcome, child.message, child.wall, child.cpu, child.log)
 
 
 def _record(
     task: CheckTask, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
-) -> ExaminationRecord:
-    return ExaminationRecord(
+) -> CheckRecord:
+    return CheckRecord(
         key=task.key,
         kind=task.kind,
         name=task.name,

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from pydantic import TypeAdapter
 
 from formulations.method import Pipeline
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord
 from validate.tasks.variant import Variant
 
@@ -90,7 +90,7 @@ class CheckTask:
 
 
 Task: TypeAlias = RunTask | CheckTask
-TaskRecord: TypeAlias = RunRecord | ExaminationRecord
+TaskRecord: TypeAlias = RunRecord | CheckRecord
 _TASK: TypeAdapter[Task] = TypeAdapter(Task)
 
 

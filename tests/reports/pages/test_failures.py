@@ -7,7 +7,7 @@ import re
 
 from reports.pages import failures
 from reports.pages.section import Report
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import Stored, Unreadable, load
 from reports.render import render
 from reports.rule_text import RESULTS, RULE
@@ -87,19 +87,19 @@ def test_many_files_of_one_reason_are_folded_and_few_are_named(factory, tmp_path
 def test_what_was_asked_and_whether_all_of_it_is_there(factory):
     run = ended(factory, "bank", "a", "holds")
 
-    def values(*runs, unreadable=(), missing=(), examinations=()):
-        return failures.build(Report(Stored("x", None, runs, unreadable, missing, 0, examinations))).values
+    def values(*runs, unreadable=(), missing=(), checks=()):
+        return failures.build(Report(Stored("x", None, runs, unreadable, missing, 0, checks))).values
 
-    check = ExaminationRecord(
+    check = CheckRecord(
         key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False, found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip
-    assert [values()["asked"], values(run)["asked"], values(examinations=(check,))["asked"]] == [False, True, True]
+    assert [values()["asked"], values(run)["asked"], values(checks=(check,))["asked"]] == [False, True, True]
     cut = (Unreadable("a", "it is cut."),)
     assert [values(run)["whole"], values(run, unreadable=cut)["whole"], values(run, missing=("gone",))["whole"]] == [True, False, False]
     assert values(run, missing=("gone",))["missing"] == ("gone",)
     assert values(run, unreadable=cut)["unreadable"] == [("it is cut.", ["a"])]
-    assert (values(run, examinations=(check,))["broken"], values(run)["few"], values(run)["campaign"]) == (
+    assert (values(run, checks=(check,))["broken"], values(run)["few"], values(run)["campaign"]) == (
         ("FMU: n: failed - it is wrong.",),
         12,
         None,

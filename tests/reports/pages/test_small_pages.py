@@ -9,7 +9,7 @@ import pytest
 from reports.pages import errata, fmus, overview, provenance, scene, section, time_spent
 from reports.pages import run as one_run
 from reports.pages.section import Report
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import Stored, Unreadable
 from reports.records.record import EquationRecord, RunRecord, SizeRecord, StartRecord, TimeStepRecord, ViolationPoint
 from reports.render import Templates
@@ -19,10 +19,10 @@ from tests.reports.record_factory import judged, ran
 
 
 def report(
-    *records: RunRecord, examinations: tuple[ExaminationRecord, ...] = (), single: bool = False, at: str = "pages/", **campaign: object
+    *records: RunRecord, checks: tuple[CheckRecord, ...] = (), single: bool = False, at: str = "pages/", **campaign: object
 ) -> Report:
     told = factory.campaign(list(records), **campaign) if campaign else None
-    return Report(Stored("x", told, records, (), (), 0, examinations), at=at, single=single)
+    return Report(Stored("x", told, records, (), (), 0, checks), at=at, single=single)
 
 
 def start(number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]) -> StartRecord:
@@ -169,7 +169,7 @@ def test_a_tenth_of_the_seconds_is_told(share: float):
     assert ("imports" in found.values["sentence"]) == (share > 0.1)
 
 
-def examined(name: str, passed: bool = True, outcome: str = "answered", **changes: object) -> ExaminationRecord:
+def examined(name: str, passed: bool = True, outcome: str = "answered", **changes: object) -> CheckRecord:
     said = {
         "key": name,
         "kind": "FMU",
@@ -181,11 +181,11 @@ def examined(name: str, passed: bool = True, outcome: str = "answered", **change
         "wall_seconds": 2.0,
         "cpu_seconds": 1.5,
     }
-    return ExaminationRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
+    return CheckRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
 
 
 def test_fmus_by_scene_and_version():
-    found = fmus.build(report(examinations=(
+    found = fmus.build(report(checks=(
         examined("bank, FMI 2.0", scene="bank"), examined("hill, FMI 3.0", False, scene="hill"), examined("bank, FMI 3.0", False, "time_limit", scene="bank"),
         examined("other", kind="stress case"),
     )))  # fmt: skip
@@ -198,14 +198,14 @@ def test_fmus_by_scene_and_version():
         == "3 FMUs of 2 scenes in FMI 2.0 and 3.0: 2 of them do not pass. Checks: 0 passed, 0 failed, 0 not offered; 4 CPU seconds."
     )
     assert found.values["ours"] is True
-    one = fmus.build(report(examinations=(examined("bank, FMI 2.0", False, scene="bank"),)))
+    one = fmus.build(report(checks=(examined("bank, FMI 2.0", False, scene="bank"),)))
     assert one is not None
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in one.said
-    good = fmus.build(report(examinations=(examined("bank, FMI 2.0"),)))
+    good = fmus.build(report(checks=(examined("bank, FMI 2.0"),)))
     assert good is not None
     assert good.said.startswith("1 FMU in FMI 2.0: every one passes."), "somebody's, of no scene"
     assert good.values["ours"] is False
-    assert fmus.build(report(examinations=(examined("other", kind="stress case"),))) is None
+    assert fmus.build(report(checks=(examined("other", kind="stress case"),))) is None
 
 
 def test_what_a_runs_origin_has_other_than_the_campaigns():

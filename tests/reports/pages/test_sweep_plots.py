@@ -9,7 +9,7 @@ import pytest
 from reports.pages import stress_cases, sweeps
 from reports.pages.section import Report
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
-from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
+from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, QuantityRecord, RunRecord
 from reports.render import Templates
@@ -164,7 +164,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         "y": AxisRecord(quantity="error", unit="m", log=log[1]),
     }
     chart = ChartRecord.model_validate({**said, "series": curves, **changes})
-    record = ExaminationRecord(
+    record = CheckRecord(
         key="1",
         kind="stress case",
         name="07 a case",
@@ -237,7 +237,7 @@ def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
     )
 
 
-def examined(name: str, **changes: object) -> ExaminationRecord:
+def examined(name: str, **changes: object) -> CheckRecord:
     said = {
         "key": name,
         "kind": "stress case",
@@ -248,7 +248,7 @@ def examined(name: str, **changes: object) -> ExaminationRecord:
         "wall_seconds": 1.0,
         "cpu_seconds": 1.5,
     }
-    return ExaminationRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
+    return CheckRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
 
 
 def test_a_stress_case_is_a_row_with_its_decisive_figures():

@@ -13,7 +13,7 @@ import pytest
 from pydantic import ValidationError
 
 from reports.records import load as module
-from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, divided, record_of
+from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, divided, record_of
 from reports.records.load import LARGEST_BYTES, load, record_files
 from reports.records.record import LONGEST, SCHEMA_VERSION, LegRecord, MetricRecord, StageRecord, stage_files, thin
 from tests.reports import record_factory as factory
@@ -24,12 +24,12 @@ def stage(**changes) -> StageRecord:
     return StageRecord(**(said | changes))
 
 
-def check(name: str = "h01", kind: str = "stress", **changes) -> ExaminationRecord:
+def check(name: str = "h01", kind: str = "stress", **changes) -> CheckRecord:
     said = {
         "key": f"{kind}-{name}", "kind": kind, "name": name, "expected": "", "outcome": "answered", "passed": True, "wall_seconds": 1.0,
         "cpu_seconds": 1.0, "provenance": factory.provenance(),
     }  # fmt: skip
-    return ExaminationRecord(**(said | changes))
+    return CheckRecord(**(said | changes))
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_record_says_itself_what_it_is():
     assert divided([check("b"), run, check("a")]) == ((run,), (check("b"), check("a")))
     with pytest.raises(ValidationError) as caught:
         record_of(b"{}")
-    assert ("examination", "kind") in {error["loc"] for error in caught.value.errors()}
+    assert ("check", "kind") in {error["loc"] for error in caught.value.errors()}
 
 
 def test_checks_of_an_fmu_are_counted_by_how_they_ended():
@@ -125,7 +125,7 @@ def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
     (folder / "campaign.json").unlink()
     stored = load(folder)
     assert [item.key for item in stored.runs] == ["3", "4", "5", "1"]
-    assert [item.key for item in stored.examinations] == ["fmu-a", "fmu-b", "stress-a"]
+    assert [item.key for item in stored.checks] == ["fmu-a", "fmu-b", "stress-a"]
     assert (stored.folder, stored.campaign, stored.missing, stored.foreign) == ("all", None, (), 0)
     assert [[item.key for item in group] for group in stored.parts] == [["3"], ["4"], ["5"], ["1"]]
     (item,) = stored.unreadable
@@ -139,7 +139,7 @@ def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
     (folder / "runs" / runs[1].key / "record.json").write_text("{")
     stored = load(folder)
     assert [item.key for item in stored.runs] == [runs[2].key, runs[0].key]
-    assert [item.key for item in stored.examinations] == ["stress-h01"]
+    assert [item.key for item in stored.checks] == ["stress-h01"]
     assert stored.missing == ("lost",), "what is broken is not missing"
     assert stored.foreign == 2
     assert (stored.folder, stored.campaign) == ("all", factory.campaign(runs, keys=keys))
@@ -165,7 +165,7 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
     [
         (None, ["not there", "run the campaign again"]),
         ("{", ["not complete JSON", "run it again"]),
-        ("{}", ["record schema 5", "at examination.key: Field required", "and 8 more"]),
+        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]),
         ("1", ["record schema 5", "Input should be"]),
     ],
 )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.load import Stored
 from reports.records.record import MetricRecord, RunRecord, SecondsRecord, StageRecord
 from tests.reports import record_factory as factory
@@ -29,7 +29,7 @@ def changed_last(run: RunRecord, **changes) -> RunRecord:
     return run.model_copy(update={"stages": (*run.stages[:-1], last)})
 
 
-def stored(runs: Sequence[RunRecord] = (), checks: Sequence[ExaminationRecord] = ()) -> Stored:
+def stored(runs: Sequence[RunRecord] = (), checks: Sequence[CheckRecord] = ()) -> Stored:
     return Stored("all", None, tuple(runs), (), (), 0, tuple(checks))
 
 
@@ -175,8 +175,8 @@ def test_a_time_is_told_beyond_a_second_and_a_half_as_much_again(slow: float, fa
     assert (changes(second, first), changes(first, second)) == (([up], [down]) if told else ([], []))
 
 
-def check(passed: bool, name: str = "case", scene: str | None = None) -> ExaminationRecord:
-    return ExaminationRecord(
+def check(passed: bool, name: str = "case", scene: str | None = None) -> CheckRecord:
+    return CheckRecord(
         key=name, kind="stress", name=name, expected="", scene=scene, outcome="answered", passed=passed, wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip

@@ -115,7 +115,7 @@ def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     out = tmp_path / "old"
     out.mkdir()
     (out / "campaign.json").write_text('{"schema_version": 2}')
-    sentence = f"{out} holds the records of schema 2, which hold other things than those of schema 4"
+    sentence = f"{out} holds the records of schema 2, which hold other things than those of schema 5"
     planned = cli("plan", *FAKES, "--out", str(out), "-k", "only_good")
     assert sentence in planned.stderr
     assert cli("report", str(out)).stderr.startswith(f"error: {sentence}; run the campaign again.")

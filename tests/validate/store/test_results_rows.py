@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.records.record import (
     CertificateRecord,
     FrontPointRecord,
@@ -102,7 +102,7 @@ def test_what_is_not_known_is_empty(template: RunRecord):
 
 
 def test_a_check_is_told_by_what_it_found_or_by_why_it_did_not():
-    one = ExaminationRecord(
+    one = CheckRecord(
         key="k", kind="fmu", name="three_cart, FMI 2.0", scene="three_cart", outcome="passed", passed=True, found="41 passed", message="unsaid",
         wall_seconds=1.5, cpu_seconds=2.5, expected="a sound FMU passes", provenance=factory.provenance(),
     )  # fmt: skip
@@ -156,7 +156,7 @@ def test_a_violation_stands_beside_its_closed_form():
 
 
 def test_files_hold_the_texts(template: RunRecord, tmp_path: Path):
-    check = ExaminationRecord(
+    check = CheckRecord(
         key="k", kind="fmu", name="n", outcome="passed", passed=True, wall_seconds=1.5, cpu_seconds=2.5, expected="",
         provenance=factory.provenance(),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from tests.reports import record_factory as factory
 from validate.store import store as module
 from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
@@ -188,7 +188,7 @@ def test_names_come_from_what_was_asked_or_from_the_record(store: Store, monkeyp
 
 def test_a_campaign_has_its_tasks_in_its_order(tmp_path: Path):
     runs = factory.runs()[:3]
-    check = ExaminationRecord(
+    check = CheckRecord(
         key="check", kind="stress", name="h01", expected="", outcome="answered", passed=True, wall_seconds=1.0, cpu_seconds=1.0,
         provenance=factory.provenance(),
     )  # fmt: skip

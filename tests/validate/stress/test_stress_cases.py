@@ -15,7 +15,7 @@ import pytest
 from formulations.pipelines import method_names
 from models.catalog import scene_names
 from models.errors import TouchstoneError, UnknownNameError
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from reports.rule import failures
 from validate.store.provenance import gather
 from validate.stress.case import at_least, at_most, chart, checks, finding, none_of, refusal, unlimited
@@ -42,9 +42,9 @@ CHEAP: dict[str, dict[str, object]] = {
 }
 
 
-def record_of(name: str, found: Found) -> ExaminationRecord:
+def record_of(name: str, found: Found) -> CheckRecord:
     """The record that a campaign would store, through JSON and back."""
-    record = ExaminationRecord(
+    record = CheckRecord(
         key="0" * 64,
         kind="stress case",
         name=heading(name),
@@ -58,7 +58,7 @@ def record_of(name: str, found: Found) -> ExaminationRecord:
         provenance=gather("a test"),
         **found.details,
     )
-    return ExaminationRecord.model_validate_json(record.model_dump_json())
+    return CheckRecord.model_validate_json(record.model_dump_json())
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.scene.text import scene_text
-from reports.records.check_record import ExaminationRecord
+from reports.records.check_record import CheckRecord
 from validate.execution.campaign import CampaignError, CampaignSettings, select
 from validate.store.provenance import check_key
 from validate.tasks.plugins import DEFAULT
@@ -22,9 +22,9 @@ from validate.tasks.variant import SceneReference
 FAKES = ("--plugin", "check_fakes:PLUGIN", "--scene", "three_cart")
 
 
-def _records(out: Path) -> dict[str, ExaminationRecord]:
+def _records(out: Path) -> dict[str, CheckRecord]:
     texts = [path.read_bytes() for path in out.glob("runs/*/record.json")]
-    records = [ExaminationRecord.model_validate_json(text) for text in texts if b'"pipeline"' not in text]
+    records = [CheckRecord.model_validate_json(text) for text in texts if b'"pipeline"' not in text]
     return {record.name.partition(" ")[0]: record for record in records}
 
 
