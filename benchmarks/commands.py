@@ -19,7 +19,7 @@ _MEASURED = {
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
     "mpec-peers": ("mpec.peers", "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss."),
-    "mpec_sets": ("mpec.sets", "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima."),
+    "mpec-sets": ("mpec.sets", "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima."),
     "mpec-growth": ("mpec.growth", "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025."),
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "rigid-limit": ("rigid_limit", "Optima through soft contact against those of rigid bodies."),

@@ -1,6 +1,6 @@
-"""`mpec_sets`: a folder of MPECs, each solved in a child with limits, with what a certificate says of every answer and the best value published.
+"""`mpec-sets`: a folder of MPECs, each solved in a child with limits, with what a certificate says of every answer and the best value published.
 
-    python -m benchmarks mpec_sets --from DIR --optima optima.csv
+    python -m benchmarks mpec-sets --from DIR --optima optima.csv
 
 DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a CSV of `name, .., published_optimum`.
 The child's own answer is not believed: rows, bounds, pairs and stationarity are recomputed from the values of the model's variables, and where rows are

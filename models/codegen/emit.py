@@ -27,7 +27,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import SceneVectors, Vector, backward_function, c_function, forward_function, tangent
-from models.codegen.cache import cached_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Scene

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.codegen.cache import cached_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
 from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method

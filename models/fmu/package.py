@@ -22,9 +22,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from models.codegen.cache import cached, generators
+from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, Compiler, compile_shared, find_compiler, zig_compiler
 from models.codegen.emit import for_scene, force_sources, model_source
+from models.codegen.text_cache import generators
 from models.errors import MachineError, UnknownNameError
 from models.fmu.description import (
     Standard,

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import sympy as sp
 
 from models.codegen.c_function import SceneVectors, Vector, backward_function, forward_function, tangent
-from models.codegen.cache import cached_text
 from models.codegen.emit import penetration_rate, slip_rate
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.scene import Scene
 

@@ -12,7 +12,7 @@ from enum import Enum
 
 import sympy as sp
 
-from models.codegen.cache import cached_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import Dynamics, derive
 from models.fmu.variables import Variable, VariableKind, variable_table
 from models.scene import Scene

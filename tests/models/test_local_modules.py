@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from models.catalog import load_scene
-from models.codegen.cache import cached_text
 from models.codegen.emit import emit_model
+from models.codegen.text_cache import cached_text
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene.text import equations_text, scene_text

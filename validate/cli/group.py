@@ -88,7 +88,9 @@ class LazyGroup(click.Group):
         return importlib.import_module(self.told[cmd_name][0]).command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does, but a name that is none is refused with the nearest one."""
+        """As click does, but `_` is read as `-`, and a name that is none is refused with the nearest one."""
+        if args and args[0].replace("_", "-") in self.told:
+            args = [args[0].replace("_", "-"), *args[1:]]
         if args and args[0] not in self.told and not args[0].startswith("-") and not ctx.resilient_parsing:
             close = difflib.get_close_matches(args[0], self.told, n=1)
             hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(self.told)}."

@@ -8,9 +8,9 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.codegen import cache
-from models.codegen.cache import cached_text
+from models.codegen import text_cache
 from models.codegen.emit import emit_model, model_source
+from models.codegen.text_cache import cached_text
 from models.fmu import description as experiment
 from models.fmu.reference import true_motion_and_method
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
@@ -83,12 +83,12 @@ def test_other_equations_are_written_anew(change):
 
 
 def test_every_pattern_of_generators_finds_files():
-    for pattern in (*cache._GENERATORS, *cache._COMPUTED, *cache._ALL):
-        assert list(cache._MODELS.glob(pattern)), pattern
+    for pattern in (*text_cache._GENERATORS, *text_cache._COMPUTED, *text_cache._ALL):
+        assert list(text_cache._MODELS.glob(pattern)), pattern
 
 
 def test_other_generators_write_anew(monkeypatch):
     scene = load_scene("three_cart")
     asked(scene)
-    monkeypatch.setattr(cache, "_generators", lambda: "another version of the code")
+    monkeypatch.setattr(text_cache, "_generators", lambda: "another version of the code")
     assert asked(scene)

@@ -339,3 +339,8 @@ def hint(name: str, known: Iterable[str]) -> str:
         known = heapq.nlargest(_MANY, known, key=lambda item: sum(part in item.lower() for part in parts) / (len(item) + len(name)))
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""
+
+
+def positive(nominal: Any) -> float:
+    """A nominal that an FMU states, 1 where it states none, or one that is not positive."""
+    return float(nominal) if nominal is not None and float(nominal) > 0 else 1.0

@@ -17,19 +17,8 @@ from models.plan_table import Table
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.map_schema import (
-    CONTACT_UNITS,
-    QUANTITIES,
-    Dimensions,
-    InputSignal,
-    MapError,
-    MapFile,
-    Named,
-    Signal,
-    by_equal_names,
-    hint,
-    may_be_rate,
-)
+from validate.judge.replay import map_schema
+from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
 from validate.judge.replay.run import Foreign
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
@@ -45,7 +34,7 @@ def wire(package: Package, table: Table, given: MapFile | None, hold: str | None
     """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
     table.check_form()
     named = Named(package)
-    wiring = _Wiring(package, named, table, given or by_equal_names(named, table), where)
+    wiring = _Wiring(package, named, table, given or map_schema.by_equal_names(named, table), where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
@@ -68,7 +57,7 @@ class _Wiring:
     def _variable(self, path: str, name: str) -> Any:
         variable = self._by_name.get(name)
         if variable is None:
-            raise self._fail(path, f"the FMU has no variable {name!r}{hint(name, self._named.numbers())}.")
+            raise self._fail(path, f"the FMU has no variable {name!r}{map_schema.hint(name, self._named.numbers())}.")
         if name in self._named.twice:
             raise self._fail(path, f"the FMU has two variables {name!r}, so it is not clear which is meant.")
         if variable.type not in REAL or getattr(variable, "dimensions", None):
@@ -110,7 +99,7 @@ class _Wiring:
             self._check_unit(path, name, signal)
         for name in given.velocities:
             if name not in given.positions:
-                raise self._fail(f"velocities.{name}", f"there is no position of that name{hint(name, given.positions)}.")
+                raise self._fail(f"velocities.{name}", f"there is no position of that name{map_schema.hint(name, given.positions)}.")
         read: dict[int, str] = {}
         for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
             for name, signal in signals.items():
@@ -135,7 +124,7 @@ class _Wiring:
         known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
         for name in given.goal:
             if name not in known:
-                near = hint(name, known) or f"; there are {', '.join(known)}"
+                near = map_schema.hint(name, known) or f"; there are {', '.join(known)}"
                 raise self._fail(f"goal.{name}", f"there is no position or velocity of that name{near}.")
 
     def _check_unit(self, path: str, column: str, signal: Signal) -> None:
@@ -171,7 +160,7 @@ class _Wiring:
     def _check_rate(self, name: str) -> None:
         """A velocity is in its position's unit per second, where both units are known."""
         position, velocity = self._unit(name, self.map.positions[name]), self._unit(self._velocity_column(name), self.map.velocities[name])
-        if not may_be_rate(position, velocity):
+        if not map_schema.may_be_rate(position, velocity):
             raise self._fail(
                 f"velocities.{name}", f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'."
             )
@@ -210,13 +199,13 @@ class _Wiring:
         for name in needed:
             if name not in table.names:
                 raise TrajectoryError(
-                    f"{table.where}: the column {name!r} is missing{hint(name, table.names)}; it has {', '.join(table.names)}."
+                    f"{table.where}: the column {name!r} is missing{map_schema.hint(name, table.names)}; it has {', '.join(table.names)}."
                 )
         known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
         for name in table.names:
             if name not in known:
                 raise TrajectoryError(
-                    f"{table.where}: the column {name!r} is unknown{hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
+                    f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
                 )
         if given.plan.time in table.units:
             table.check_unit(given.plan.time, "s")
@@ -316,7 +305,7 @@ class _Wiring:
             self._check_once(taken, path, name)
             if isinstance(value, str):
                 if value not in self._table.names:
-                    raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
+                    raise self._fail(path, f"the plan has no column {value!r}{map_schema.hint(value, self._table.names)}.")
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         signals: list[tuple[str, Signal]] = [
@@ -338,7 +327,7 @@ class _Wiring:
                 velocity_name=self._velocity_column(name) if name in given.velocities else f"v_{name}",
                 unit=self._unit(name, signal),
                 velocity_unit=self._unit(self._velocity_column(name), given.velocities[name]) if name in given.velocities else "1/s",
-                nominal=_positive(self._by_name[signal.variable].nominal) * abs(signal.scale),
+                nominal=map_schema.positive(self._by_name[signal.variable].nominal) * abs(signal.scale),
             )
             for name, signal in given.positions.items()
         )
@@ -444,11 +433,8 @@ class _Wiring:
 
     def _notes(self) -> tuple[str, ...]:
         scheme = declared_scheme(self._table)
-        if scheme is None:
-            return ()
-        return (
-            f"The plan declares the scheme {scheme.value}, which is of a scene's equations; an FMU keeps its own, so nothing is asked of it.",
-        )
+        said = "The plan declares the scheme {}, which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
+        return () if scheme is None else (said.format(scheme.value),)
 
     def _unit(self, column: str, signal: Signal) -> str:
         own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
@@ -509,7 +495,3 @@ class _Wiring:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
         duration, times = self.map.task.duration, self._table.column(self.map.plan.time, False)
         return (duration, float(times[-1] - times[-2]) / 2.0) if duration is not None and "q" in missing else None
-
-
-def _positive(value: Any) -> float:
-    return float(value) if value is not None and float(value) > 0 else 1.0

@@ -1,0 +1,227 @@
+"""What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.schemes import Scheme
+from models.trajectory import Trajectory, uniform_grid
+from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
+from validate.judge.score import Metric, Question, Verdict, cause
+from validate.judge.score.cause import ScoredPlan, explain
+from validate.judge.score.verdict import (
+    EFFORT,
+    answers,
+)
+
+# What each cause needs to be said, and what keeps it unsaid
+
+
+def of_case(*metrics: Metric, replay: object = None, scene: object = SCENE, plan: Trajectory | None = None, **more: object) -> str:
+    """As `told`, of another scene, plan or replay."""
+    task = SCENE.task
+    states = np.zeros((task.steps + 1, 3))
+    given = plan or Trajectory(
+        t=uniform_grid(task.step, task.steps), q=states, v=states, u=np.zeros((task.steps, 2)), lam=np.zeros((task.steps, 2)),
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+    )  # fmt: skip
+    named = {"verdict": Verdict.VIOLATES, "questions": answers(metrics)} | more
+    return explain(ScoredPlan(scene=scene, trajectory=given, replay=replay, metrics={item.name: item for item in metrics}, **named))  # type: ignore[arg-type]
+
+
+def test_feedback_that_fails_too_says_by_what():
+    tracked: Any = SimpleNamespace(tracked="a replay", ok=True)
+    effort = metric(EFFORT, False, value=0.5, limit=0.25, unit="1")
+    said = " With feedback too: the RMS effort of the feedback is 50 % of the half-range of the inputs, limit 25 %."
+    assert of_case(MISS, effort, replay=tracked).endswith(said)
+    assert "With feedback" not in of_case(MISS, replay=tracked)
+    assert "With feedback" not in of_case(MISS, effort, replay=None)
+    assert "With feedback" not in of_case(MISS, effort, replay=SimpleNamespace(tracked=None, ok=True))
+    fine = metric("start_error", False, value=0.1, limit=1e-6)
+    assert "With feedback" not in of_case(fine, BELOW, effort, replay=tracked), "the inputs alone give the motion"
+    alone = of_case(effort, BELOW)
+    assert alone.startswith("the RMS effort of the feedback is 50 %"), "what fails with feedback alone is quoted"
+
+
+def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
+    """0.3 of a cart of 0.5 m, and 0.1: the deeper of the two in shares of their depths."""
+    deep = metric("max_penetration", False, value=0.6, limit=0.5)
+    gap = np.array([[0.1, 0.2], [-0.1, -0.3], [0.0, 0.1]])
+    left, right = SCENE.contacts
+    for replay_gap, contact in ((gap, right), (gap[:, ::-1], left)):
+        why = of_case(deep, replay=SimpleNamespace(ok=True, gap=replay_gap, tracked=None))
+        assert f"beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, " in why
+        assert contact.depth_reason in why
+    for replayed in (None, SimpleNamespace(ok=False, gap=gap, tracked=None)):
+        assert "beyond the depth" not in of_case(deep, replay=replayed)
+    assert "beyond the depth" not in of_case(deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace())
+
+
+@pytest.mark.parametrize(
+    ("first", "says"),
+    [
+        (metric("contact_law_error", False, unit="N s"), ": a relaxed contact law, or forces of another motion"),
+        (metric("defect", False), "; if another integrator made it, leave the declaration of the scheme out"),
+        (metric("law_error", False), ": a relaxed contact law; tighten eps"),
+        (metric("discrete_terminal_position_error", False), ": a relaxed contact law; tighten eps"),
+        (metric("discrete_terminal_velocity_error", False), ": a relaxed contact law; tighten eps"),
+        (metric("duration_error", False, unit="s"), " (it lasts 5 s, the task 5 s)"),
+        (metric("bound_violation", False, unit="N"), "limit 0.06 N."),
+        (metric("friction_violation", False, unit="N"), "limit 0.06 N."),
+    ],
+)
+def test_each_metric_that_fails_first_has_its_cause(first: Metric, says: str):
+    assert says in of_case(first)
+
+
+def test_a_law_that_the_motion_contradicts_is_not_blamed():
+    same = "; its inputs give its motion all the same: if another integrator made it"
+    for name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
+        assert same in of_case(metric(name, False), BELOW)
+
+
+def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_order():
+    missed = metric("missed_impulse", False, unit="N s")
+    order = metric("grid_order", None, value=1.0, limit=None, unit="1")
+    assert ": discretisation error 0.079 m" in of_case(missed, GRID, order)
+    for others in (
+        (GRID,),
+        (order,),
+        (order, metric("grid_error", None, value=None, limit=None)),
+        (GRID, metric("grid_order", None, value=None, limit=None)),
+    ):
+        assert "discretisation" not in of_case(missed, *others)
+    assert "discretisation" not in of_case(metric("friction_violation", False, unit="N"), GRID, order)
+
+
+STEP = SCENE.task.step
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        (
+            {},
+            f"the contact forces are correct. Try h = {0.8 * 0.06 / 0.08 * STEP:.2g} s (predicted from the order of the scheme), or `collocation`.",
+        ),
+        # A second order takes the root; beside a larger grid error that one counts.
+        ({"scheme": Scheme.RADAU_IIA_2}, f"Try h = {(0.8 * 0.06 / 0.08) ** 0.5 * STEP:.2g} s (predicted from the order of the scheme)."),
+        ({"grid": 0.16}, f"Try h = {0.8 * 0.06 / 0.16 * STEP:.2g} s"),
+        ({"grid": 0.0}, "the contact forces are correct."),
+        ({"value": 0.0601, "limit": 0.06, "grid": 1e-3}, f"Try h = {0.8 * 0.06 / 0.0601 * STEP:.2g} s"),
+        ({"limit": 0.0}, "the contact forces are correct."),
+        ({"law": 0.0799}, "discretisation error 0.08 m"),
+        ({"law": 0.0801}, "a relaxed contact law (0.0801 m on its own grid already)"),
+        ({"growth": 100.0}, "the contact forces are correct; unstable in the open loop (amplification 100)"),
+        ({"growth": 99.0}, "the contact forces are correct. Try"),
+    ],
+)
+def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], says: str):
+    given = {"value": 0.08, "limit": 0.06, "grid": 0.08, "scheme": Scheme.SEMI_IMPLICIT_EULER} | changes
+    task = SCENE.task
+    states = np.zeros((task.steps + 1, 3))
+    plan = Trajectory(
+        t=uniform_grid(task.step, task.steps),
+        q=states,
+        v=states,
+        u=np.zeros((task.steps, 2)),
+        lam=np.zeros((task.steps, 2)),
+        scheme=given["scheme"],
+    )
+    first = metric("replay_terminal_position_error", False, value=given["value"], limit=given["limit"])
+    metrics = [first, metric("grid_error", None, value=given["grid"], limit=None)]
+    metrics += [metric("law_error", None, value=given["law"], limit=None)] if "law" in given else []
+    metrics += [metric_of_growth(given["growth"])] if "growth" in given else []
+    assert says in of_case(*metrics, plan=plan)
+
+
+@pytest.mark.parametrize("name", ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"])
+def test_contact_forces_that_fail_are_not_called_correct(name: str):
+    why = of_case(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
+    assert "driven by" in why
+    cause = of_case(metric("replay_error", False), GRID, metric_of_growth(500.0), metric(name, False))
+    assert "the contact forces are correct" not in cause
+
+
+def test_a_grid_that_nobody_knows_leaves_instability_or_nothing():
+    unknown = metric("grid_error", None, value=None, limit=None)
+    for others in ((), (unknown,)):
+        assert of_case(STRAY, *others).endswith("limit 0.06 m.")
+        assert "; unstable in the open loop (amplification 500)." in of_case(STRAY, *others, metric_of_growth(500.0))
+    broken = of_case(STRAY, GRID, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
+    assert "limit 0.06 m: it does not satisfy its declared scheme (residual 0.002 m), limit 1e-06 m" in broken
+
+
+def test_undecided_for_the_last_reasons():
+    alone = told(MISS, verdict=Verdict.UNDECIDED)
+    assert (
+        alone
+        == "driven by its inputs the motion ends 0.27 m from the goal, limit 0.06 m; whether feedback would help could not be decided."
+    )
+    assert told(verdict=Verdict.UNDECIDED) == "no question could be decided."
+    unsure = metric("energy_residual_relative", None, value=1.5, limit=1.0, unit="1", error=0.25)
+    assert told(unsure, verdict=Verdict.UNDECIDED).endswith("limit 1, known to 0.25.")
+    unknown = metric("energy_residual_relative", None, value=None, limit=1.0, unit="1", reason="unseen.")
+    assert (
+        told(unknown, verdict=Verdict.UNDECIDED)
+        == "the judge is not well, so nothing is said of the plan: energy_residual_relative: unseen."
+    )
+    blurred = metric("replay_error", None, value=0.0599, error=1e-4)
+    decided = SimpleNamespace(error=SimpleNamespace(would_decide="a better FMU"), tracked=None)
+    assert of_case(blurred, verdict=Verdict.UNDECIDED, replay=decided).endswith("What would decide it: a better FMU.")
+    assert "What would decide it" not in of_case(metric("replay_error", None, value=None), verdict=Verdict.UNDECIDED, replay=decided)
+
+
+def test_what_an_fmu_shows_is_said_by_the_numbers_of_its_questions():
+    asked = {Question.TASK: "yes", Question.MOTION: "yes", Question.GOAL: "not asked", Question.JUDGE: "yes"}
+    fmu: Any = SimpleNamespace(task=SimpleNamespace(has_goal=False))
+    assert of_case(BELOW, scene=fmu, verdict=Verdict.HOLDS, questions=asked).startswith(
+        "holds for what this FMU shows (questions 1, 4); closest"
+    )
+    one = {Question.TASK: "yes"}
+    assert of_case(scene=fmu, verdict=Verdict.HOLDS, questions=one) == "holds for what this FMU shows (question 1)."
+    assert of_case(scene=fmu, verdict=Verdict.CONSISTENT, questions=one) == (
+        "consistent for what this FMU shows (question 1); the map asks for nothing: give it a [goal] with its limits."
+    )
+    assert of_case(verdict=Verdict.CONSISTENT, questions=one).startswith("consistent; the scene asks for nothing: no limit on its goal")
+    assert of_case(scene=fmu, verdict=Verdict.NOT_APPLICABLE) == "inputs alone claim nothing, and the map asks for nothing."
+
+
+def test_only_what_holds_by_a_replay_names_its_grid_and_a_limit_of_nothing_is_no_measure():
+    near = metric("defect", True, value=9e-7, limit=1e-6)
+    assert "discretisation" not in told(near, metric("replay_error", True, value=0.01), GRID, verdict=Verdict.HOLDS)
+    nothing = metric("start_error", True, value=0.0, limit=0.0)
+    assert "closest to its limit: driven by its inputs the motion departs" in told(
+        nothing, metric("replay_error", True, value=0.01), verdict=Verdict.HOLDS
+    )
+
+
+def test_with_feedback_the_end_is_quoted_and_what_it_took():
+    bare = told(metric("replay_error", None), metric(EFFORT, True, value=0.125, limit=0.25, unit="1"), verdict=Verdict.HOLDS_WITH_FEEDBACK)
+    assert (
+        bare
+        == "not for the inputs alone: driven by its inputs the motion departs from the plan by 0.07 m, limit 0.06 m; with LQR feedback, RMS effort 12 % of the half-range, it holds."
+    )
+    assert "unstable" not in told(MISS, metric_of_growth(100.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
+    tracked = metric("tracked_replay_error", True, value=0.01)
+    assert told(tracked, verdict=Verdict.HOLDS_WITH_FEEDBACK).endswith(
+        "it holds: with feedback the motion departs from the plan by 0.01 m, limit 0.06 m."
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.0, "0 %"), (0.1234, "12 %"), (9.99, "1e+03 %"), (10.0, "1000 %"), (123.4, "12000 %"), (-20.0, "-2000 %")]
+)
+def test_percents(value: float, said: str):
+    assert cause.percent(value) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(0.344, "0.34"), (9.96, "10"), (5649.0, "5600"), (994_000.0, "990000"), (1e6, "1e+06"), (3.0, "3")]
+)
+def test_rounded_numbers(value: float, said: str):
+    assert cause.rounded(value) == said
