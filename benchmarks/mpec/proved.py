@@ -107,7 +107,8 @@ class _Rows:
 
     def _pair(self, first: tuple[Any, Any, Any], second: tuple[Any, Any, Any]) -> None:
         if first[0] is not None and first[2] is None and second[0] is not None and second[2] is None:
-            self.pairs.append(tuple((a, b - float(pyo.value(low))) for (a, b), low in ((self.linear(s[1]), s[0]) for s in (first, second))))  # type: ignore[arg-type]
+            (a, b), (c, d) = self.linear(first[1]), self.linear(second[1])
+            self.pairs.append(((a, b - float(pyo.value(first[0]))), (c, d - float(pyo.value(second[0])))))
             self.least += [(a, -b) for a, b in self.pairs[-1]]
             return
         raise _OtherKindError  # boxes are two choices of three: not needed for the sets at hand

@@ -1,21 +1,11 @@
-"""AMPL's `.sol` files: how a solve ended, duals, values and suffixes, in the order of the `.nl` file."""
+"""AMPL's `.sol` files: how a solve ended, duals and values, in the order of the `.nl` file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from formulations.ampl.nl import Header
-
-
-@dataclass(frozen=True, kw_only=True)
-class Suffix:
-    """Values that go back beside the solution; kind: 0 of variables, 1 of rows, 2 of objectives, 3 of the problem; entries: (number, value)."""
-
-    name: str
-    kind: int
-    entries: Sequence[tuple[int, float]]
 
 
 def write_sol(
@@ -27,7 +17,6 @@ def write_sol(
     duals: Sequence[float] = (),
     values: Sequence[float] = (),
     objective: int = 1,
-    suffixes: Sequence[Suffix] = (),
 ) -> None:
     """Write a solution.
 
@@ -40,7 +29,6 @@ def write_sol(
     duals : (rows,) change of the objective by the right-hand side; empty if there are none
     values : (variables,) empty if there is no point
     objective : the objective that was solved, from 1
-    suffixes : what else goes back
 
     Raises
     ------
@@ -54,9 +42,6 @@ def write_sol(
     lines += ["", "Options", str(int(count) + 2 * has_tolerance), *options]
     lines += [str(number) for number in (header.rows, len(duals), header.variables, len(values))]
     lines += [*tolerance, *map(_number, duals), *map(_number, values), f"objno {max(objective - 1, 0)} {code}"]
-    for suffix in suffixes:
-        lines += [f"suffix {suffix.kind | 4} {len(suffix.entries)} {len(suffix.name) + 1} 0 0", suffix.name]
-        lines += [f"{number} {_number(value)}" for number, value in suffix.entries]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
