@@ -24,7 +24,7 @@ from formulations.mpec.certificate.multipliers import (
     signed_least_squares,
     steepest_direction,
 )
-from formulations.mpec.certificate.stationarity import classify, steepest_piece
+from formulations.mpec.certificate.stationarity import _none_leave_less, classify, steepest_piece
 
 S, M, C, A, W, NONE = Stationarity
 INF = math.inf
@@ -408,3 +408,12 @@ def test_what_a_column_has_across_is_told_by_its_size(seed: int):
     found = signed_least_squares(matrix, gradient, np.full(4, -INF), np.full(4, INF), 1e-9)
     assert found is not None
     assert found.across == np.max(np.abs(matrix.T @ found.least)) > 0
+
+
+@pytest.mark.parametrize(("slope", "shown"), [(3.9e-6, False), (4.1e-6, True), (-4.1e-6, False)])
+def test_what_is_left_is_measured_by_the_scale_of_the_gradient(slope: float, shown: bool):
+    """A gradient of so much, of a scale of 4, against a tolerance of 1e-6."""
+    found = _none_leave_less(active((slope, 0.0), scale=4.0), np.array([0.5, 0.0]), 0.0, 1e-6)
+    assert (found is not None) is shown
+    if found is not None:
+        assert (found.kind, found.residual, found.descent) == (NONE, 0.5, -0.5)
