@@ -174,6 +174,15 @@ def test_a_cost_below_nought_has_its_ceiling_above_and_its_gap_below(proved, kno
     assert found.ceilings == [pytest.approx(cost + 1e-5 * abs(cost), rel=1e-9)]
 
 
+@pytest.mark.parametrize(("part", "status"), [(0.9, ProofStatus.OPTIMAL), (1.5, ProofStatus.BOUND)])
+def test_a_cost_below_one_has_the_gap_of_one(proved, known: float, part: float, status: ProofStatus):
+    """Nine steps are paid for; the cost is shifted to 0.4."""
+    scene = SHORT.with_task(running_cost=SHORT.task.running_cost - (known - 0.4) / 9)
+    found = proved(result(0.4 - part * GAP), scene=scene, incumbent=COASTING)
+    assert found.proof.cost == pytest.approx(0.4, abs=1e-9)
+    assert found.proof.status is status
+
+
 EXACT_NAMES = ("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign", "complementarity")
 
 

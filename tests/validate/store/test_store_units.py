@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from models.errors import MachineError
 from reports.records.check_record import CheckRecord
 from tests.reports import record_factory as factory
 from validate.store import store as module
@@ -129,6 +131,26 @@ def test_a_task_is_stored_under_its_key_with_the_sizes_of_its_files(store: Store
         assert json.loads((target / FILES).read_text()) == {"plan.nc": len(text)}
         assert (target / "plan.nc").read_text() == text
         assert [path.name for path in store.runs.iterdir()] == ["0123456789abcdef"]
+
+
+def test_an_older_run_that_cannot_be_put_back_stays_aside(store: Store, monkeypatch: pytest.MonkeyPatch):
+    """It is moved aside, its successor is refused its name, and so is its own way back: it is all there is, and is not removed."""
+    key = "0123456789abcdef"
+    older = store.open_partial(key, "older")
+    (older / "plan.nc").write_text("the older one")
+    target = store.commit(older, key)
+    rename = os.rename
+
+    def refused(source: Path, place: Path) -> None:
+        if Path(place) == target and not target.exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        rename(source, place)
+
+    monkeypatch.setattr(os, "rename", refused)
+    newer = store.open_partial(key, "newer")
+    with pytest.raises(MachineError):
+        store.commit(newer, key)
+    assert (newer.with_name(f"{newer.name}-old") / "plan.nc").read_text() == "the older one"
 
 
 def test_preparing_removes_what_the_dead_left_and_nothing_else(store: Store, dead: int):
