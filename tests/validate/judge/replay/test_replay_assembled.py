@@ -305,3 +305,7 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     assert (refused.tracked, refused.message.endswith("No tracked replay: it overflows")) == (None, True)
     with pytest.raises(run_module.TrackingError):
         run_module.replay(scene, Path("a.fmu"), plan, track=True)
+
+
+def test_an_input_without_bounds_has_none():
+    assert (MODEL.inputs[0].lower, MODEL.inputs[0].upper) == (-math.inf, math.inf)
