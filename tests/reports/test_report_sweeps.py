@@ -105,6 +105,16 @@ def test_the_spread_says_how_many_and_how_far(factory) -> None:
     assert none.plot is None
 
 
+def test_starts_of_nearly_one_cost_stand_on_one_another(factory) -> None:
+    """From 100 to 200 a place is 2.5 wide."""
+    stacked, apart = (spread(part(factory, 1, [100.0, near, 102.6, 200.0]).stages[-1]) for near in (101.0, 106.0))
+    assert stacked is not None
+    assert apart is not None
+    assert stacked.plot is not None
+    assert apart.plot is not None
+    assert stacked.plot.height - apart.plot.height == 9
+
+
 def test_the_least_known_cost_lies_between_neighbours(factory) -> None:
     points = front_run(factory).stages[-1].front
     assert tolerance.least_within(points, 0.0) == (390.4, 490.55)

@@ -365,6 +365,14 @@ def test_a_tree_decides_pair_after_pair():
     assert steepest_piece(active((3.0, 0.0, 0.0, 2.0, 4.0, 4.0, *rest), pairs=pairs), 1e-6) == (0.0, None)
 
 
+def test_a_tree_of_two_sides_a_pair_is_looked_at_whole():
+    """Both sides of each of four pairs rise as one, which no piece allows: 31 nodes, of which all are needed."""
+    unit, rest = np.eye(900), [0.0] * 892
+    rows = [(unit[2 * k] - unit[2 * k + 1], STAYS) for k in range(4)]
+    pairs = [(unit[2 * k], unit[2 * k + 1], "both") for k in range(4)]
+    assert steepest_piece(active((*[-1.0] * 8, *rest), rows, pairs), 1e-6) == (0.0, None)
+
+
 def test_pairs_of_one_side_have_one_piece(monkeypatch: pytest.MonkeyPatch):
     """0 <= y complements y >= 0."""
     asked: list[list[bool]] = []
