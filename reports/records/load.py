@@ -135,9 +135,9 @@ def _validation_sentence(problem: ValidationError) -> str:
     more = problem.error_count() - 1
     place = ".".join(str(part) for part in first["loc"])[:120]
     if first["type"] == "json_invalid":
-        return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run it again."
+        return f"it is not complete JSON ({first['msg']}); the file was cut short or edited: run it again."
     if first["loc"][-1:] == ("schema_version",):
         return _ANOTHER_SCHEMA
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
-    return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run it again."
+    return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg']}{others}); written by another version, or edited: run it again."

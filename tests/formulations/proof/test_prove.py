@@ -215,8 +215,9 @@ def test_where_one_choice_of_modes_is_left_its_optimum_is_the_answer(proved):
     assert (found.proof.status, found.asked) == (ProofStatus.OPTIMAL, [])
     assert (found.proof.cost, found.proof.bound) == (pytest.approx(open_.cost, rel=1e-9), pytest.approx(open_.cost, rel=1e-9))
     assert (found.proof.pairs, found.proof.binaries) == (8, 0)
-    impossible = proved(pairs=bounds(low=0.01, scene=free), scene=free).proof  # it starts away from the wall
-    assert (impossible.status, impossible.bound) == (ProofStatus.INFEASIBLE, np.inf)
+    for low in (0.01, 0.0):  # it starts away from the wall, and cannot be open
+        impossible = proved(pairs=bounds(low=low, scene=free), scene=free).proof
+        assert (impossible.status, impossible.bound) == (ProofStatus.INFEASIBLE, np.inf)
 
 
 def test_decisions_are_those_after_the_start(proved):

@@ -108,6 +108,19 @@ def test_a_mark_stays_until_it_is_taken_back(store: Store):
     assert not store.needs_rerun(run.key)
 
 
+def test_a_disk_that_takes_no_mark_is_told_with_the_mark(store: Store, monkeypatch: pytest.MonkeyPatch):
+    run = factory.runs()[0]
+    put(store, run.key, run)
+
+    def full(path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(Path, "touch", full)
+    with pytest.raises(MachineError) as told:
+        store.mark_for_rerun([run.key])
+    assert [part for part in (f"cannot write {store.runs / run.key}", "the disk is full", "make room") if part not in str(told.value)] == []
+
+
 def test_what_was_asked_for_is_read_where_it_can_be(store: Store):
     put(store, "b", cell={"name": "second"})
     put(store, "a", cell={"name": "first"})
