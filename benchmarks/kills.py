@@ -88,7 +88,9 @@ def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Pa
             for kill, times in sorted(Counter(seen.kills).items(), key=lambda item: str(item[0]))
         ],
     )
-    click.echo(f"{len(seen.kills)} kills in {seen.campaigns} campaigns; {seen.kept} finished tasks were found again, {len(seen.faults)} faults")
+    click.echo(
+        f"{len(seen.kills)} kills in {seen.campaigns} campaigns; {seen.kept} finished tasks were found again, {len(seen.faults)} faults"
+    )
     for after, fault, what in seen.faults:
         click.echo(f"after kill {after} ({seen.kills[after - 1]}): {fault.value}: {what}", err=True)
     if file is not None:

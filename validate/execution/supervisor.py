@@ -52,8 +52,8 @@ def _process_control(option: int, value: int) -> None:
 def _supervise(channel: socket.socket) -> NoReturn:
     """Run the child that is asked for over the channel, or keep its folder without one; then wait until whoever asked has put away what it left."""
     _process_control(_CHILD_SUBREAPER, 1)
-    said = channel.recv(LENGTH.size, socket.MSG_WAITALL)
-    order = json.loads(channel.recv(*LENGTH.unpack(said), socket.MSG_WAITALL)) if said else {}
+    (length,) = LENGTH.unpack(channel.recv(LENGTH.size, socket.MSG_WAITALL) or LENGTH.pack(0))
+    order = json.loads(channel.recv(length, socket.MSG_WAITALL) or "{}")
     ended = _run(order, channel) if order.get("function") else b""
     with contextlib.suppress(OSError):
         channel.sendall(ended)
