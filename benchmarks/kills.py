@@ -69,7 +69,8 @@ def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Pa
             if not cluster or cluster[-1][1].poll() is not None:
                 place = folder / "cluster" / str(len(cluster))
                 place.mkdir()
-                cluster.append(standing.enter_context(standing_cluster(place, environment(folder / "cache"), jobs)))
+                about = {**environment(folder / "cache"), "TMPDIR": str(place)}
+                cluster.append(standing.enter_context(standing_cluster(place, about, jobs)))
             return f"dask:{cluster[-1][0]}"
 
         seen = kill_and_resume(
