@@ -151,7 +151,7 @@ def run_on_worker(
             (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()  # the task was begun once more
         except OSError as error:
             raise disk_error(folder, error) from error
-        if not hasattr(_OF_THREAD, "preloaded"):
+        if getattr(_OF_THREAD, "preloaded", None) is None:  # nor was it worth it until now
             _OF_THREAD.preloaded = preloaded_for(tasks)
         here = provenance.model_copy(update=machine())
         return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(wanted)

@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class JudgedPlan(Judgement):
     solution: SolvedPlan | None = None
 
     @classmethod
-    def of(cls, judgement: Judgement, plan: Any) -> JudgedPlan:
+    def of(cls, judgement: Judgement, plan: object) -> JudgedPlan:
         """The same Judgement, of a plan in any form that `judge` takes."""
         solution = plan if isinstance(plan, SolvedPlan) else None
         name = solution.title if solution is not None else Path(plan).name if isinstance(plan, (str, Path)) else "plan"
