@@ -44,7 +44,7 @@ __all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "Narrator", "r
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
 _LOOK = 0.2
-# How soon it is asked why no task has begun [s].
+# How often it is asked whether anybody is there to run tasks [s].
 _SILENCE = 5.0
 
 
@@ -282,18 +282,16 @@ def run_tasks(
     """
     waiting = deque(tasks)
     running: dict[Future[TaskRecord | None], Task] = {}
-    silent_since: float | None = time.monotonic()  # None once a task has begun, or its silence was reported
+    asked, said = time.monotonic(), ""
     while waiting or running:
         for task in _startable(waiting, list(running.values()), engine.jobs, waits):
             running[engine.submit(task)] = task
-        begun = _begun(running.values(), context)
-        narrator.runs(begun)
-        if begun:
-            silent_since = None
-        elif silent_since is not None and time.monotonic() - silent_since > _SILENCE:
-            silent_since = None
-            if why := engine.why_idle(len(running)):
+        narrator.runs(_begun(running.values(), context))
+        if time.monotonic() - asked > _SILENCE:
+            asked, why = time.monotonic(), engine.why_idle(len(running))
+            if why and why != said:
                 narrator.warns(why)
+            said = why
         for future in wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED).done:
             task = running[future]
             record = engine.result(task, future)

@@ -311,7 +311,7 @@ class DaskEngine:
         """See Engine."""
         if self._threads():
             return ""
-        return f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {submitted} tasks wait for one"
+        return f"the Dask cluster at {self._client.scheduler.address} has no workers now; {submitted} tasks wait for one"
 
     def _threads(self) -> int:
         """How many tasks the workers of the cluster can run at a time."""

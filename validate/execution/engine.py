@@ -87,7 +87,7 @@ class Engine(Protocol):
         ...
 
     def why_idle(self, submitted: int) -> str:
-        """A sentence why none of what was submitted has begun for a while; empty if nothing is the matter."""
+        """A sentence why nobody runs what was submitted; empty if nothing is the matter."""
         ...
 
 
