@@ -44,7 +44,7 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", plugin="refused_cells:WRITING"))
     provenance = gather("test")
     preloaded = Preloaded((*MODULES, "refused_cells"))
-    patch.undo()
+    patch.delenv("LD_PRELOAD")
     patch.setattr(worker, "_FUNCTION", "refused_cells:main")
 
     def cell(store: Store, first: int, last: int, error: int) -> tuple[RunRecord | MachineError, int]:
