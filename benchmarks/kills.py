@@ -25,6 +25,8 @@ _VICTIMS = {
     "dask": ("campaign", "child", "supervisor", "preloaded", "worker"),
     "standing": ("campaign", "child", "supervisor", "preloaded", "worker", "scheduler"),
 }
+# Where Linux keeps shared memory and semaphores.
+_SHARED = Path("/dev/shm")
 
 
 @click.command()
@@ -47,7 +49,7 @@ def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Pa
     take little time, so that many moments are of the store. A campaign that was killed is resumed until it comes to its end undisturbed.
     """
     find_modules_in("tests/validate/fakes")
-    from killed_campaigns import Fault, Kill, environment, kill_and_resume  # pyright: ignore[reportMissingImports]
+    from killed_campaigns import Fault, Kill, environment, kill_and_resume, see_gone  # pyright: ignore[reportMissingImports]
     from standing_cluster import standing_cluster  # pyright: ignore[reportMissingImports]
 
     every = [Kill(engine=name, victim=victim) for name in engines or _VICTIMS for victim in _VICTIMS[name]]
@@ -55,7 +57,7 @@ def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Pa
     draw, kills = random.Random(seed), []
     while len(kills) < count:
         kills += draw.sample(every, min(len(every), count - len(kills)))
-    began = time.perf_counter()
+    began, shared = time.perf_counter(), set(os.listdir(_SHARED))
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as standing:
         folder = Path(name)
         for part in ("cluster", "temporary"):
@@ -76,6 +78,7 @@ def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Pa
         seen = kill_and_resume(
             folder, folder / "cache", kills, seed, "-j", str(jobs), where=where, scheduler=lambda: cluster[-1][1].pid if cluster else 0
         )
+    see_gone(lambda: set(os.listdir(_SHARED)) - shared, seen, "shared memory")  # a cluster that stands has some while it does
     print_table(
         ["engine", "killed", "signal", "kills", *(fault.value for fault in Fault)],
         [

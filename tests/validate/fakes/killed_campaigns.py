@@ -27,7 +27,6 @@ _RUN_AGAIN = frozenset({"crashed"})
 _PATIENCE, _LOOK = 60.0, 0.01
 # In the environment of a campaign, and of all that it starts.
 _MARK = "KILLED_CAMPAIGN"
-_SHARED = "/dev/shm"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +148,7 @@ def kill_and_resume(
     When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
     between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
     """
-    draw, seen, waiting, shared = random.Random(seed), Kills(), list(kills), set(os.listdir(_SHARED))
+    draw, seen, waiting = random.Random(seed), Kills(), list(kills)
     first, pause = _paces(folder / "whole", start(folder / "whole", cache, cells, *more))
     expected, whole = untimed(folder / "whole"), set(finished(folder / "whole"))
     while waiting:
@@ -176,7 +175,6 @@ def kill_and_resume(
             seen.blame(Fault.LEFT, f"{out.name}: {left}")
         if set(finished(out)) != whole:
             seen.blame(Fault.LOST, f"{out.name}: other cells are stored")
-    _patiently(lambda: set(os.listdir(_SHARED)) - shared, seen, "shared memory")
     return seen
 
 
@@ -265,9 +263,9 @@ def _outcomes(content: bytes) -> set[str]:
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
     from reports.records.check_record import StoredRecord
 
-    _patiently(lambda: family(out), seen, "processes")
+    see_gone(lambda: family(out), seen, "processes")
     if "TMPDIR" in os.environ:
-        _patiently(lambda: os.listdir(os.environ["TMPDIR"]), seen, "temporary files")
+        see_gone(lambda: os.listdir(os.environ["TMPDIR"]), seen, "temporary files")
     now = finished(out)
     for key, content in now.items():
         try:
@@ -286,8 +284,8 @@ def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
             seen.blame(Fault.LOST, f"the finished cell {key} is {'another' if key in now else 'gone'}")
 
 
-def _patiently(left: Callable[[], Iterable[str]], seen: Kills, what: str) -> None:
-    """Wait until nothing is left."""
+def see_gone(left: Callable[[], Iterable[str]], seen: Kills, what: str) -> None:
+    """Wait until nothing is left; what is left for good is a fault."""
     until = time.monotonic() + _PATIENCE
     while (found := list(left())) and time.monotonic() < until:
         time.sleep(0.05)
