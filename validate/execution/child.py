@@ -11,7 +11,9 @@ import json
 import time
 from pathlib import Path
 
+from models.errors import MachineError
 from validate.execution.isolated_child import limit_resources
+from validate.store.disk import disk_error, disk_refuses, write_durably
 from validate.tasks.profile import Profile
 
 # A task that wrote MACHINE ends with this; the file, not the code, is what counts.
@@ -29,9 +31,7 @@ def main(folder: Path) -> int:
 
     import numpy as np
 
-    from models.errors import MachineError
     from reports.records.record import ProvenanceRecord
-    from validate.store.disk import disk_error, disk_refuses, write_durably
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.check import run_check
