@@ -30,7 +30,7 @@ _MEASURED = {
 _TRIALS = {
     "verdicts": ("verdicts.command", "Plans whose verdict is known without the judge, and a search for ones that cheat it."),
     "fuzz": ("fuzz", "Random MPECs against their branches; hostile files for every reader."),
-    "kill": ("kill", "A campaign killed at random moments and resumed: nothing is lost."),
+    "kills": ("kills", "Campaigns, and what runs for them, killed at random moments and resumed: nothing is lost."),
     "report": ("report", "What a campaign's report weighs, and how soon a browser shows it."),
     "golden": ("golden", "What a full campaign found, frozen as data, and what a change moved."),
     "account": ("account", "Where the seconds of a campaign went."),

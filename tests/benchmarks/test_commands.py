@@ -62,7 +62,7 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("cosim", "--step", "0.003"), "does not divide 0.01 s"),
         (("replay", "three_cart", "nobody"), "there is no scene"),
         (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
-        (("kill", "--kills", "0"), "x>=1"),
+        (("kills", "--count", "0"), "x>=1"),
         (("golden", "compare", "."), "there is no campaign in this folder"),
         (("rejudge", "."), "there is no campaign in this folder"),
         (("report", "no_such_folder"), "there is no campaign in this folder"),

@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from models.codegen.compiler import find_compiler
 from reports.findings import three_findings
@@ -44,7 +44,7 @@ __all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "Narrator", "r
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
 _LOOK = 0.2
-# How soon it is asked why no task has begun [s].
+# How often it is asked whether anybody is there to run tasks [s].
 _SILENCE = 5.0
 
 
@@ -115,30 +115,27 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     earlier, keys = _with_others(settings, store, entries)
     records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
     others = {key: record for key in set(keys).difference(selected) if (record := store.read(key)) is not None}
-    about = _about(settings, entries, left_out, earlier if others else None)
-    ran, before, other_schema = len(records) < len(entries), campaign_text(settings.out), earlier_schema(settings.out)
-
-    def campaign() -> CampaignRecord:
-        return CampaignRecord(**about, started=provenance.started, keys=keys, provenance=provenance)
+    campaign = _campaign(settings, entries, left_out, earlier if others else None, keys, provenance)
+    text, before, other_schema = campaign.model_dump_json(indent=1), campaign_text(settings.out), earlier_schema(settings.out)
+    ran = len(records) < len(entries)
 
     def write() -> tuple[RunRecord, ...]:
         """All that is told of the folder; the runs, those of one that was split into parts as one."""
         done, checks = divided({**others, **records}[key] for key in keys if key in others or key in records)
-        text = campaign().model_dump_json(indent=1)
         if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
-        write_tables(settings.out, merged, checks, about["violation"])
+        write_tables(settings.out, merged, checks, campaign.violation)
         return merged
 
     waiting = [entry.task.key for entry in entries if entry.stored is None]
     anew = store.mark_for_rerun(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.needs_rerun(key)]
     if ran:  # before the first task ends: what is stored can be shown while the others run, and if they never end
-        write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
+        write_durably(settings.out / CAMPAIGN, text)
     narrator.begins(len(entries), len(records), len(anew))
     if others:
         narrator.notes(f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report")
-    unstable = [item.warning for item in about["time_steps"] if item.warning and item.scene in scenes]
+    unstable = [item.warning for item in campaign.time_steps if item.warning and item.scene in scenes]
     for sentence in (*filter(None, [other_schema]), *unstable, *doubts(scenes.values())):
         narrator.warns(sentence)
     try:
@@ -179,10 +176,15 @@ def _with_others(
     return with_others(store, selected) if settings.is_part else (None, tuple(selected.values()))
 
 
-def _about(
-    settings: CampaignSettings, entries: Sequence[PlannedRun | PlannedCheck], left_out: tuple[str, ...], earlier: CampaignRecord | None
-) -> dict[str, Any]:
-    """What campaign.json says of the campaign as a whole. earlier: the campaign of the folder whose other runs stay, if there are any."""
+def _campaign(
+    settings: CampaignSettings,
+    entries: Sequence[PlannedRun | PlannedCheck],
+    left_out: tuple[str, ...],
+    earlier: CampaignRecord | None,
+    keys: tuple[str, ...],
+    provenance: ProvenanceRecord,
+) -> CampaignRecord:
+    """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
     steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
     title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
     if earlier is not None:
@@ -190,14 +192,17 @@ def _about(
         command = earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else command
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
-    return {
-        "title": title,
-        "command": command,
-        "quick": quick,
-        "left_out": left_out if quick == settings.quick else (),
-        "violation": violation or _violation(entries),
-        "time_steps": steps,
-    }
+    return CampaignRecord(
+        title=title,
+        command=command,
+        quick=quick,
+        left_out=left_out if quick == settings.quick else (),
+        violation=violation or _violation(entries),
+        time_steps=steps,
+        started=provenance.started,
+        keys=keys,
+        provenance=provenance,
+    )
 
 
 def _note_scene(
@@ -277,18 +282,16 @@ def run_tasks(
     """
     waiting = deque(tasks)
     running: dict[Future[TaskRecord | None], Task] = {}
-    silent_since: float | None = time.monotonic()  # None once a task has begun, or its silence was reported
+    asked, said = time.monotonic(), ""
     while waiting or running:
         for task in _startable(waiting, list(running.values()), engine.jobs, waits):
             running[engine.submit(task)] = task
-        begun = _begun(running.values(), context)
-        narrator.runs(begun)
-        if begun:
-            silent_since = None
-        elif silent_since is not None and time.monotonic() - silent_since > _SILENCE:
-            silent_since = None
-            if why := engine.why_idle(len(running)):
+        narrator.runs(_begun(running.values(), context))
+        if time.monotonic() - asked > _SILENCE:
+            asked, why = time.monotonic(), engine.why_idle(len(running))
+            if why and why != said:
                 narrator.warns(why)
+            said = why
         for future in wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED).done:
             task = running[future]
             record = engine.result(task, future)

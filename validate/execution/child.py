@@ -1,23 +1,19 @@
-"""The child process of one task: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/task.json says what to run; FOLDER/record.json is the answer.
+"""What the child of one task does (validate.execution.worker): FOLDER/task.json says what to run; FOLDER/record.json is the answer.
 
-The record is written last and whole, so that its presence alone says that the task came to its end. The process
-dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
-finished task. What a task needs is imported inside `main`, once the process dies with its parent and has its limits.
+The record is written last and whole, so that its presence alone says that the task came to its end. What a task needs is imported inside `main`, so
+that its profile says what that took.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
-import sys
 import time
-import traceback
-from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
 
-from validate.execution.isolated_child import die_with_parent, limit_resources
+from models.errors import MachineError
+from validate.execution.isolated_child import limit_resources
+from validate.store.disk import disk_error, disk_refuses, write_durably
 from validate.tasks.profile import Profile
 
 # A task that wrote MACHINE ends with this; the file, not the code, is what counts.
@@ -30,15 +26,12 @@ def main(folder: Path) -> int:
     """Run the task of a folder; the process's exit code."""
     profile = Profile.since_process_start()
     began = time.monotonic()
-    die_with_parent()
     limit_resources(file_bytes=_LARGEST_FILE)
     import random
 
     import numpy as np
 
-    from models.errors import MachineError
     from reports.records.record import ProvenanceRecord
-    from validate.store.disk import disk_error, disk_refuses, write_durably
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.check import run_check
@@ -73,19 +66,3 @@ def _machine(folder: Path, error: Exception) -> int:
     with contextlib.suppress(OSError):
         (folder / MACHINE).write_text(f"{error}\n", encoding="utf-8")
     return _EXIT_MACHINE
-
-
-def run_and_exit(task: Callable[[Path], int], folder: Path) -> NoReturn:
-    """Run the task of a folder and end this process; task: `main`, or what a test has in its place."""
-    try:
-        code = task(folder)
-    except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
-        traceback.print_exc()
-        code = 1
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
-if __name__ == "__main__":
-    run_and_exit(main, Path(sys.argv[1]))

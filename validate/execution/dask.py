@@ -17,8 +17,10 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import multiprocessing.resource_tracker
 import os
 import shutil
+import signal
 import socket
 import tempfile
 import threading
@@ -26,7 +28,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -34,9 +36,8 @@ from typing import Any, cast
 
 from models.errors import MachineError
 from reports.records.record import ProvenanceRecord
-from validate.execution.engine import CAMPAIGN, ExecutionContext
-from validate.execution.fork_server import WORTH, start_fork_server, terminal_blocked
-from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
+from validate.execution.engine import CAMPAIGN, ExecutionContext, preloaded_for
+from validate.execution.process import KeptFolder, interrupts_wait, usable_cores
 from validate.execution.worker import Worker, record_for_crash, write_request
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import fingerprint, machine
@@ -86,6 +87,17 @@ async def _ask(address: str) -> None:
 
 
 @contextmanager
+def _terminal_blocked() -> Iterator[None]:
+    """Threads and processes started meanwhile, and what these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
+    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
     """A client of a cluster of worker processes on this machine; its files are removed even if we are killed. Raises MachineError."""
     import dask.config as dask_config  # pyright: ignore[reportMissingImports]
@@ -94,10 +106,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
     with contextlib.ExitStack() as open_now:
         try:
             folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
-            open_now.callback(shutil.rmtree, folder, ignore_errors=True)
-            shared_watchdog().tell("start", uuid.uuid4().hex, str(folder))
+            open_now.enter_context(closing(KeptFolder(folder)))
             # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
-            with dask_config.set({"temporary-directory": str(folder)}), terminal_blocked():
+            with dask_config.set({"temporary-directory": str(folder)}), _terminal_blocked():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -121,7 +132,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
 _PATIENCE = 5.0
 # Pause between two looks at a folder [s].
 _LOOK = 0.05
-# `server`: the process that forks the tasks of this thread, with which it ends; a thread of a Dask worker runs one task after the other.
+# `preloaded`: what the tasks of this thread are forked from; it ends with the thread, and a thread of a Dask worker runs one task after the other.
 _OF_THREAD = threading.local()
 
 
@@ -131,8 +142,7 @@ def run_on_worker(
     """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError.
 
     name: by which the campaign counts how often the task was begun; folder: the campaign's; mark: the name of the folder in it by which the worker sees that
-    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks: how many will come to one thread, which may be worth
-    a fork server.
+    it has the same one before it; token: the campaign's; sources: their fingerprint there; tasks: how many will come to one thread.
     """
     wanted, store = _wanted(), Store(folder)
     try:
@@ -141,10 +151,10 @@ def run_on_worker(
             (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()  # the task was begun once more
         except OSError as error:
             raise disk_error(folder, error) from error
-        if tasks >= WORTH and not hasattr(_OF_THREAD, "server"):
-            _OF_THREAD.server = start_fork_server(tasks)
-        server = getattr(_OF_THREAD, "server", None)
-        return Worker(task, provenance.model_copy(update=machine()), store, server=server, token_begins=token).run(wanted)
+        if getattr(_OF_THREAD, "preloaded", None) is None:  # nor was it worth it until now
+            _OF_THREAD.preloaded = preloaded_for(tasks)
+        here = provenance.model_copy(update=machine())
+        return Worker(task, here, store, preloaded=_OF_THREAD.preloaded, token_begins=token).run(wanted)
     except MachineError as error:
         raise MachineError(f"{error} (said by the Dask worker on {socket.gethostname()}, process {os.getpid()})") from None
 
@@ -198,8 +208,7 @@ def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: in
     quieten()
     with contextlib.ExitStack() as open_now:
         mark = context.store.open_partial(CAMPAIGN, context.token + uuid.uuid4().hex[:16]).resolve()
-        open_now.callback(shutil.rmtree, mark, ignore_errors=True)
-        shared_watchdog().tell("start", uuid.uuid4().hex, str(mark))
+        open_now.enter_context(closing(KeptFolder(mark)))
         client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or usable_cores()))
         engine = DaskEngine(client, context, jobs if where else None, mark, tasks)
         try:
@@ -302,7 +311,7 @@ class DaskEngine:
         """See Engine."""
         if self._threads():
             return ""
-        return f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {submitted} tasks wait for one"
+        return f"the Dask cluster at {self._client.scheduler.address} has no workers now; {submitted} tasks wait for one"
 
     def _threads(self) -> int:
         """How many tasks the workers of the cluster can run at a time."""

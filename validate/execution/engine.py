@@ -9,8 +9,10 @@ Another engine is another class with these three: it has a Worker run where a ta
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
+import sys
 import threading
 import uuid
 from collections.abc import Iterator, Mapping
@@ -22,8 +24,7 @@ from typing import Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
-from validate.execution.fork_server import ForkServer, start_fork_server
-from validate.execution.process import interrupts_wait, shared_watchdog, usable_cores
+from validate.execution.process import Preloaded, interrupts_wait, usable_cores
 from validate.execution.worker import Worker, progress_in
 from validate.store.disk import PARTIAL
 from validate.store.store import Store
@@ -86,7 +87,7 @@ class Engine(Protocol):
         ...
 
     def why_idle(self, submitted: int) -> str:
-        """A sentence why none of what was submitted has begun for a while; empty if nothing is the matter."""
+        """A sentence why nobody runs what was submitted; empty if nothing is the matter."""
         ...
 
 
@@ -115,12 +116,42 @@ def _check_scheduler_file(path: Path) -> None:
         )
 
 
+# What most tasks import.
+MODULES = (
+    *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
+    *(
+        "validate.execution.child",
+        "validate.tasks.path",
+        "validate.judge.score",
+        "validate.judge.replay.run",
+    ),
+    *("models.catalog", "models.scene.checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
+    *("reports.records.check_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
+    *("formulations.contact_modes.session", "formulations.multiple_shooting.method"),
+)
+# What one task in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
+# use (1.1 s). Worth it from so many tasks on.
+TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
+# From so many tasks on, the process that imports has saved the time of its own start.
+WORTH = 4
+
+
+def preloaded_for(tasks: int) -> Preloaded | None:
+    """What the children of so many tasks are forked from, or None where there can be nothing, or it would cost more than it saves.
+
+    It has imported the sources as they are now: one for each campaign.
+    """
+    if tasks < WORTH or sys.platform != "linux":
+        return None
+    with contextlib.suppress(MachineError):
+        return Preloaded((*MODULES, *TORCH_MODULES) if tasks >= TORCH_WORTH else MODULES)
+    return None
+
+
 @contextmanager
 def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[Engine]:
     """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many there are. Raises MachineError."""
-    shared_watchdog()  # before there are threads that might each start one
-    server = start_fork_server(tasks)
-    engine = LocalEngine(jobs or usable_cores(), context, server)
+    engine = LocalEngine(jobs or usable_cores(), context, preloaded_for(tasks))
     try:
         yield engine
     finally:
@@ -129,10 +160,10 @@ def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Itera
 
 
 class LocalEngine:
-    """Children on this machine, each watched by the thread that started it: Linux kills a child when that thread ends."""
+    """Children on this machine, each watched by a thread."""
 
-    def __init__(self, jobs: int, context: ExecutionContext, server: ForkServer | None) -> None:
-        self.jobs, self._context, self._server = jobs, context, server
+    def __init__(self, jobs: int, context: ExecutionContext, preloaded: Preloaded | None) -> None:
+        self.jobs, self._context, self._preloaded = jobs, context, preloaded
         self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
@@ -142,7 +173,7 @@ class LocalEngine:
     def _run(self, task: Task) -> TaskRecord | None:
         context = self._context
         loaded = context.loaded.get(task.key)
-        worker = Worker(task, context.provenance, context.store, loaded=loaded, server=self._server, token_begins=context.token)
+        worker = Worker(task, context.provenance, context.store, loaded=loaded, preloaded=self._preloaded, token_begins=context.token)
         return worker.run(lambda: not self._closed.is_set())
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
@@ -157,5 +188,5 @@ class LocalEngine:
         """End what runs, and leave nothing of it."""
         self._closed.set()
         self._threads.shutdown(cancel_futures=True)
-        if self._server is not None:
-            self._server.close()
+        if self._preloaded is not None:
+            self._preloaded.close()

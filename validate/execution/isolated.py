@@ -12,15 +12,15 @@ import shutil
 import signal
 import tempfile
 import time
-import uuid
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
-from validate.execution.process import ChildProcess, Ended, exit_in_words, shared_watchdog
+from validate.execution.process import TEMPORARY, Child, Ended, exit_in_words
 from validate.store.disk import no_temporary_folder, raise_if_disk_ended
 
 if TYPE_CHECKING:
@@ -51,14 +51,13 @@ class ModelFault(Exception):  # noqa: N818 - a finding about the model, not an e
         self.ending = ending
 
 
-REQUEST, ANSWER, OUTPUT, TEMPORARY = "request.json", "answer.json", "output.txt", "tmp"
+REQUEST, ANSWER, OUTPUT = "request.json", "answer.json", "output.txt"
 GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
-# The reaper removes folders of this name, and no others.
 FOLDER_PREFIX = ".partial-isolated-"
 # Written to see whether there is room [bytes].
 _ROOM, _ROOM_BYTES = "room", 2**16
-# How often the memory of the child is looked at [s], and from which share of its limit on a crash is put down to it.
-_LOOK, _NEAR = 0.02, 0.8
+# From which share of its memory limit on a crash is put down to it.
+_NEAR = 0.8
 # What C++ says last where nobody catches a refused allocation, and how far from the end of the output it is looked for [bytes].
 _BAD_ALLOC, _LAST_WORDS = "std::bad_alloc", 4000
 
@@ -130,19 +129,19 @@ def run_isolated(
         If the temporary folder cannot be written.
     """
     limits = limits or Limits()
-    token = uuid.uuid4().hex
     try:
         folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
     except OSError as error:
         raise no_temporary_folder(error) from error
-    dog = shared_watchdog()
-    dog.tell("start", token, str(folder))
     try:
         _write_request(folder, function, request, arrays, limits)
-        return _run(folder, token, limits, what)
+        began = time.monotonic()
+        with closing(Child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)) as child:
+            over_time = not child.wait(limits.seconds)
+            ended = child.end()
+            return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        dog.tell("stop", token)
 
 
 def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
@@ -151,6 +150,7 @@ def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[st
     )
     try:
         (folder / TEMPORARY).mkdir()
+        (folder / OUTPUT).touch()
         (folder / REQUEST).write_text(text, encoding="utf-8")
         if arrays:
             import numpy as np
@@ -175,25 +175,9 @@ def _see_room(folder: Path) -> None:
         raise_if_disk_ended(folder, error)
 
 
-def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
-    began = time.monotonic()
-    peak, over_time = 0, False
-    try:
-        output = open(folder / OUTPUT, "wb")  # noqa: SIM115 - closed below, once the child has it
-    except OSError as error:
-        raise _refused_by_disk(folder, error) from error
-    with output:
-        child = ChildProcess("validate.execution.isolated_child", [str(folder)], token=token, temporary=folder / TEMPORARY, output=output)
-    try:
-        while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
-            peak = max(peak, child.address_space())
-            child.look()
-            if time.monotonic() - began > limits.seconds:
-                over_time = True
-                break
-    finally:
-        ended = child.end()
-    peak = max(peak, ended.memory)
+def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limits, what: str) -> Isolated:
+    """What came of a call whose child has ended."""
+    peak = max(ended.space, ended.memory)
     answer, arrays = left_by(folder)
     if not answer:
         _see_room(folder)
@@ -208,7 +192,7 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
         code=ended.code,
         strays=ended.strays,
         cpu=ended.cpu,
-        wall=time.monotonic() - began,
+        wall=wall,
         memory=peak,
     )
 

@@ -1,8 +1,8 @@
-"""The child process of one isolated call: `python -m validate.execution.isolated_child FOLDER`; see validate.execution.isolated.
+"""What the child of one isolated call does; see validate.execution.isolated.
 
 A fork of it that comes back through our code - an FMU may fork within doStep - ends silently: only the first process answers.
 
-What a child process does first: die with its parent, leave no core file, stay within its limits, and tell why it crashes if it was for memory.
+What it does first: leave no core file, stay within its limits, and tell why it crashes if it was for memory.
 """
 
 from __future__ import annotations
@@ -21,27 +21,7 @@ from typing import Any
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.isolated import ANSWER, GIVEN, REFUSED, REQUEST, TAKEN, Ending, ModelFault
-from validate.execution.process import PARENT_VARIABLE
 from validate.store.disk import raise_if_disk_ended
-
-# Of prctl.
-_PARENT_DEATH_SIGNAL, _CHILD_SUBREAPER = 1, 36
-
-
-def die_with_parent() -> None:
-    """Linux: be killed when the parent dies (PR_SET_PDEATHSIG); elsewhere the parent's watchdog does it."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
-    parent = os.environ.get(PARENT_VARIABLE)
-    if parent is not None and os.getppid() != int(parent):
-        os._exit(1)  # it died before we could ask
-
-
-def adopt_orphans() -> None:
-    """Linux: what this process starts stays below it, whatever sessions and environments it makes for itself, so that it can be found."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_CHILD_SUBREAPER, 1, 0, 0, 0)
-
 
 # New objects after which Python looks for cycles among them, instead of 700: those of NumPy and FMPy stay, and looking took a fifteenth of a replay.
 _OBJECTS = 200_000
@@ -116,8 +96,9 @@ def _answer(folder: Path, ending: Ending, *, value: Any = None, sentence: str = 
     os.replace(aside, folder / ANSWER)
 
 
-def main(folder: Path, first: int) -> None:
-    """Call the function and write the answer. first: the number of the process that may."""
+def main(folder: Path) -> None:
+    """Call the function and write the answer."""
+    first = os.getpid()
     gc.set_threshold(_OBJECTS)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     limit_resources(file_bytes=request["file"], memory_bytes=request["memory"], cpu_seconds=2 * request["seconds"])
@@ -157,17 +138,3 @@ def _ending(folder: Path, error: Exception) -> tuple[Ending, str]:
 def _end_copies(first: int) -> None:
     if os.getpid() != first:
         os._exit(0)
-
-
-if __name__ == "__main__":
-    own = os.getpid()
-    die_with_parent()
-    adopt_orphans()
-    try:
-        main(Path(sys.argv[1]), own)
-        code = 0
-    except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
-        traceback.print_exc()
-        code = 1
-    # Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil a finished call.
-    os._exit(code)

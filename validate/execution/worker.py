@@ -16,6 +16,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -23,9 +24,7 @@ from pydantic import ValidationError
 from models.errors import MachineError
 from reports.records.check_record import record_of
 from reports.records.record import ProvenanceRecord, RunRecord
-from validate.execution import reaper
-from validate.execution.fork_server import ForkServer
-from validate.execution.process import ChildProcess, Ended, ForkServerError, exit_in_words, shared_watchdog
+from validate.execution.process import TEMPORARY, Child, Ended, Preloaded, exit_in_words
 from validate.store.disk import disk_error, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
 from validate.tasks.check import unfinished_check
@@ -33,17 +32,18 @@ from validate.tasks.path import LoadedRun, load_run, unfinished_run
 from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
 
 _TAIL_BYTES = 20_000
-_TEMPORARY = "tmp"
 _TOKEN = 32
-# How often a child is looked at [s]: for its time limit, and for what it has cost; its end is seen at once.
+# How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at once.
 _LOOK = 0.05
+# What a child does.
+_FUNCTION = "validate.execution.child:main"
 
 
 class Worker:
     """One task at work; see the module docstring.
 
-    loaded: the run, if it is loaded here already; server: forks the child, if there is one; token_begins: at most 16 letters and digits by which a
-    campaign knows its own. Starting it raises MachineError if the folder cannot be written, or no process can be started.
+    loaded: the run, if it is loaded here already; preloaded: what its child is forked from, if there is something; token_begins: at most 16 letters and
+    digits by which a campaign knows its own. Starting it raises MachineError if the folder cannot be written, or no process can be started.
     """
 
     def __init__(
@@ -53,59 +53,37 @@ class Worker:
         store: Store,
         *,
         loaded: LoadedRun | None = None,
-        server: ForkServer | None = None,
+        preloaded: Preloaded | None = None,
         token_begins: str = "",
     ) -> None:
-        self._task, self._provenance, self._store, self._loaded, self._server = task, provenance, store, loaded, server
-        self._token = (token_begins + uuid.uuid4().hex)[:_TOKEN]
-        self._folder = store.open_partial(task.key, self._token).resolve()
-        shared_watchdog().tell("start", self._token, str(self._folder))
-        self._began = time.monotonic()
+        self._task, self._provenance, self._store, self._loaded = task, provenance, store, loaded
+        self._folder = store.open_partial(task.key, (token_begins + uuid.uuid4().hex)[:_TOKEN]).resolve()
         try:
-            self._process = self._start()
-        except BaseException as error:
-            reaper.end_all(self._token)
-            self._forget()
-            if isinstance(error, OSError):
-                raise MachineError(f"a process for {task.title} cannot be started ({error.strerror}); end what is not needed.") from error
+            write_request(self._folder, task, provenance)
+            try:
+                (self._folder / TEMPORARY).mkdir()
+                (self._folder / LOG).touch()
+            except OSError as error:
+                raise disk_error(self._folder, error) from error
+            self._child = Child(_FUNCTION, self._folder, output=self._folder / LOG, preloaded=preloaded)
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
             raise
+        self._began = time.monotonic()
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:
         """Its record, which is stored; None if it was not wanted any more. Nothing else is left of it.
 
         Raises MachineError if the child, or this process, found that this machine cannot.
         """
-        try:
+        with closing(self._child) as child:
             while wanted():
-                has_ended = self._process.wait(_LOOK)
+                has_ended = child.wait(_LOOK)
                 if has_ended or time.monotonic() - self._began > self._task.time_limit:
-                    ended = self._process.end()
-                    record = self._record(ended, over_time=not has_ended)
+                    record = self._record(child.end(), over_time=not has_ended)
                     self._file(record)
                     return record
-                self._process.look()
             return None
-        finally:
-            self._process.end()
-            self._forget()
-
-    def _start(self) -> ChildProcess:
-        write_request(self._folder, self._task, self._provenance)
-        temporary = self._folder / _TEMPORARY
-        try:
-            temporary.mkdir()
-            log = open(self._folder / LOG, "wb")  # noqa: SIM115 - closed below, once the child has it
-        except OSError as error:
-            raise disk_error(self._folder, error) from error
-        with log:
-            if self._server is not None:
-                with contextlib.suppress(ForkServerError):
-                    return self._server.start(self._folder, token=self._token, temporary=temporary, log=self._folder / LOG)
-            return ChildProcess("validate.execution.child", [str(self._folder)], token=self._token, temporary=temporary, output=log)
-
-    def _forget(self) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-        shared_watchdog().tell("stop", self._token)
 
     def _file(self, record: TaskRecord) -> None:
         has_plan = isinstance(record, RunRecord) and any(stage.has_plan for stage in record.stages)

@@ -39,7 +39,6 @@ _NO_INFLUENCE = (
     "validate/execution/campaign.py",
     "validate/execution/dask.py",
     "validate/execution/engine.py",
-    "validate/execution/fork_server.py",
     "validate/store/results.py",
     "validate/store/stored.py",
 )

@@ -23,13 +23,12 @@ from models.errors import MachineError, TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
-from validate.store.store import LOG, PROGRESS
+from validate.store.store import LOG, progress
+from validate.tasks.records import LOG_LINES
 from validate.tasks.task import CheckTask, ChildExit
 
 # Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no more than 5 s.
 _WRITING_SHARE, _WRITING_MOST = 0.05, 5.0
-# Lines of the log that go into the record.
-_LOG_LINES = 40
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Course:
 
     def at(self, text: str) -> None:
         """Say where we are, for the parent to read if we never come back."""
-        (self.folder / PROGRESS).write_text(text, encoding="utf-8")
+        progress(self.folder, text)
 
     @property
     def seconds_left(self) -> float:
@@ -107,6 +106,6 @@ def _record(
         wall_seconds=wall,
         cpu_seconds=cpu,
         provenance=provenance,
-        log_tail="\n".join(log.splitlines()[-_LOG_LINES:]),
+        log_tail="\n".join(log.splitlines()[-LOG_LINES:]),
         **found.details,
     )

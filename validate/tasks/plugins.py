@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
+    from validate.judge.judgement import Judgement
+    from validate.judge.replay import Replay
     from validate.tasks.task import CheckTask
     from validate.tasks.variant import SceneReference
 
@@ -72,8 +74,8 @@ class Plugin:
     compile: Callable[[Scene], object] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
-    judge: Callable[[Scene, Path, Trajectory], Any] = _judge
-    write_replay: Callable[[Path, Any, Scene], None] = _write_replay
+    judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
+    write_replay: Callable[[Path, Replay, Scene], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:

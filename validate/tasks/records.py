@@ -38,10 +38,11 @@ from validate.tasks.paper import paper_row
 
 if TYPE_CHECKING:
     from formulations.mpec import Certificate
-    from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
+    from reports.records.record import LegRecord, ProvenanceRecord
+    from validate.judge.replay import Difference, Replay
+    from validate.judge.score import Score
     from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
     from validate.tasks.task import RunTask
@@ -112,8 +113,8 @@ LOG_LINES = 40
 class Judged:
     """What the judge said of one plan: a Replay and a Score, or the sentence why there are none."""
 
-    replay: Any = None
-    score: Any = None
+    replay: Replay | None = None
+    score: Score | None = None
     seconds: float = 0.0
     problem: str = ""
 
@@ -187,8 +188,8 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
     )
 
 
-def given_stage(name: str, judged: Judged, message: str = "") -> StageRecord:
-    """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called."""
+def given_stage(name: str, replay: Replay | None, score: Score, seconds: float, message: str = "") -> StageRecord:
+    """The record of a plan that no method of ours found, as of a run of one stage. name: what the plan is called; seconds [s]: of CPU time of its replays."""
     return StageRecord(
         index=0,
         method=name,
@@ -198,12 +199,12 @@ def given_stage(name: str, judged: Judged, message: str = "") -> StageRecord:
         outcome="given",
         advice="",
         message=message,
-        cost=judged.score.value("cost"),
-        seconds=SecondsRecord(replay=judged.seconds),
-        verdict=judged.score.verdict.value,
-        why=judged.score.why,
-        has_plan=judged.replay is not None,
-        **_of_score(judged),
+        cost=score.value("cost"),
+        seconds=SecondsRecord(replay=seconds),
+        verdict=score.verdict.value,
+        why=score.why,
+        has_plan=replay is not None,
+        **_of_score(Judged(replay=replay, score=score)),
     )
 
 
@@ -242,7 +243,7 @@ def run_record(
     )
 
 
-def finite(value: Any) -> float | None:
+def finite(value: float | None) -> float | None:
     """The number if it is one, else None."""
     return float(value) if value is not None and math.isfinite(value) else None
 
@@ -252,8 +253,7 @@ def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
         return "not applicable" if solution.outcome is Outcome.REFUSED else "no plan", solution.message or solution.outcome.value
     if judged.score is None:
         return "undecided", judged.problem
-    verdict = judged.score.verdict
-    return getattr(verdict, "value", verdict), judged.score.why
+    return judged.score.verdict.value, judged.score.why
 
 
 def _bound(bound: Bound | None) -> BoundRecord | None:
@@ -267,8 +267,8 @@ def _size(solution: Solution) -> SizeRecord | None:
     return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
 
 
-def _replay(replay: Any, score: Any) -> ReplayRecord:
-    error, growth, tracked = replay.error, getattr(replay, "growth", None), getattr(replay, "tracked", None)
+def _replay(replay: Replay, score: Score | None) -> ReplayRecord:
+    error, growth, tracked = replay.error, replay.growth, replay.tracked
     return ReplayRecord(
         **_of_replay(replay),
         tolerance_difference=_position(error.tolerance),
@@ -277,13 +277,13 @@ def _replay(replay: Any, score: Any) -> ReplayRecord:
         rollback_difference=_position(error.rollback),
         step_source=error.step_source,
         fmu=replay.fmu,
-        judged=getattr(score, "judged", "open"),
+        judged="open" if score is None else score.judged,
         growth_rate=None if growth is None else finite(growth.rate),
-        tracked=None if tracked is None else TrackedRecord(**_of_replay(tracked), **asdict(tracked.effort)),
+        tracked=None if tracked is None or tracked.effort is None else TrackedRecord(**_of_replay(tracked), **asdict(tracked.effort)),
     )
 
 
-def _of_replay(replay: Any) -> dict[str, Any]:
+def _of_replay(replay: Replay) -> dict[str, Any]:
     return {
         "error_estimate": _position(replay.error.estimate),
         "events": len(replay.events),
@@ -293,7 +293,7 @@ def _of_replay(replay: Any) -> dict[str, Any]:
     }
 
 
-def _position(difference: Any) -> float | None:
+def _position(difference: Difference | None) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
@@ -312,7 +312,7 @@ def _of_score(judged: Judged) -> dict[str, Any]:
                 QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in judged.score.questions
             ),
             "not_asked": judged.score.not_asked,
-            "cause": getattr(judged.score, "cause", ""),
+            "cause": judged.score.cause,
         }
     return found
 

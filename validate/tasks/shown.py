@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -76,17 +76,7 @@ class SolvedPlan(Solution):
         return self._found().to_dataframe(self.scene)
 
     def plot(self) -> np.ndarray:
-        """Draw the plan (`Trajectory.plot`).
-
-        Returns
-        -------
-        np.ndarray
-            (panels,) matplotlib Axes, time in [s].
-
-        Raises
-        ------
-        MachineError : matplotlib is not installed. TrajectoryError : no plan was found.
-        """
+        """Draw the plan: (panels,) matplotlib Axes over time [s], as `Trajectory.plot`. Raises MachineError, TrajectoryError where no plan was found."""
         return self._found().plot(self.scene)
 
     def _found(self) -> Trajectory:
@@ -118,7 +108,7 @@ class JudgedPlan(Judgement):
     solution: SolvedPlan | None = None
 
     @classmethod
-    def of(cls, judgement: Judgement, plan: Any) -> JudgedPlan:
+    def of(cls, judgement: Judgement, plan: object) -> JudgedPlan:
         """The same Judgement, of a plan in any form that `judge` takes."""
         solution = plan if isinstance(plan, SolvedPlan) else None
         name = solution.title if solution is not None else Path(plan).name if isinstance(plan, (str, Path)) else "plan"
@@ -146,17 +136,7 @@ class JudgedPlan(Judgement):
         )
 
     def plot(self) -> np.ndarray:
-        """Draw the plan beside its replay, that with feedback where the verdict is of it (`Trajectory.plot`).
-
-        Returns
-        -------
-        np.ndarray
-            (panels,) matplotlib Axes, time in [s].
-
-        Raises
-        ------
-        MachineError : matplotlib is not installed. TrajectoryError : there is no plan.
-        """
+        """Draw the plan beside its replay, that with feedback where the verdict is of it: (panels,) Axes over time [s]. Raises as `SolvedPlan.plot`."""
         if self.plan is None:
             raise TrajectoryError(f"{self.name} on {self.scene.name}: there is no plan to draw.")
         replay = self.replay.tracked if self.replay is not None and self.score.judged == "feedback" else self.replay
@@ -172,8 +152,10 @@ class JudgedPlan(Judgement):
         return _framed(_page(self.scene, self.plan, self.replay, _brief(self._stage()), self.name, command))
 
     def _stage(self, warnings: Sequence[str] = ()) -> StageRecord:
-        judged = Judged(replay=self.replay, score=self.score, seconds=_seconds(self.replay))
-        return given_stage(self.name, judged, " ".join(warnings)) if self.solution is None else self.solution.stage(judged)
+        seconds = _seconds(self.replay)
+        if self.solution is None:
+            return given_stage(self.name, self.replay, self.score, seconds, " ".join(warnings))
+        return self.solution.stage(Judged(replay=self.replay, score=self.score, seconds=seconds))
 
 
 # Of a metric in a data frame, beside its question and name.

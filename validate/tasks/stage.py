@@ -153,10 +153,11 @@ class Judge:
             profile.lap("replay")
             seconds = time.perf_counter() - began
             replay = judgement.replay
-            plugin.write_replay(folder / names["replay"], replay, scene)
-            tracked = getattr(replay, "tracked", None)
-            if tracked is not None:
-                plugin.write_replay(folder / names["tracked"], tracked, scene)
+            tracked = None if replay is None else replay.tracked
+            for name, motion in (("replay", replay), ("tracked", tracked)):
+                if motion is not None:
+                    plugin.write_replay(folder / names[name], motion, scene)
+            if tracked is not None and tracked.feedback is not None:
                 write_netcdf(folder / names["trajectory"], trajectory, scene, tracked.feedback.gains)
             profile.lap("writing")
         except MachineError:

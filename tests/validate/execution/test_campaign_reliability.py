@@ -1,6 +1,6 @@
 """Campaigns that are killed, that share a folder, or whose cells come in another order: the same numbers, nothing lost, nothing left behind.
 
-`python -m benchmarks kill` kills more often, and more kinds of cells.
+`python -m benchmarks kills` kills more often, others than the campaign, and more kinds of cells.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from killed_campaigns import FAKES_FOLDER, finished, kill_and_resume, processes, start, unfinished, untimed
+from killed_campaigns import FAKES_FOLDER, Kill, finished, kill_and_resume, processes, start, unfinished, untimed
 
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
@@ -21,6 +21,7 @@ pytestmark = pytest.mark.process
 
 # Most of them share their beginning; two of them crash, and are run again whenever the campaign is.
 CELLS = "soft or only_good"
+_KILLS = [Kill(), Kill(victim="supervisor")]
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +42,14 @@ def temporary(tmp_path_factory):
 def killed(cache, temporary, tmp_path_factory):
     """The folder of a campaign that nothing happened to, and what was seen of one that was killed."""
     folder = tmp_path_factory.mktemp("reliable")
-    return folder / "whole", kill_and_resume(folder, cache, 1, 1, "-j", "2", cells=CELLS)
+    return folder / "whole", kill_and_resume(folder, cache, _KILLS, 1, "-j", "2", cells=CELLS)
 
 
 @pytest.mark.slow
 def test_a_killed_campaign_loses_nothing_and_leaves_nothing(killed, temporary):
     _, seen = killed
     assert seen.faults == []
-    assert seen.kills == 1
+    assert seen.kills == _KILLS
     assert list(temporary.iterdir()) == []
 
 

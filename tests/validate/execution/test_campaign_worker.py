@@ -155,7 +155,7 @@ def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
 def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending):
     arguments = ("all", *FAKES, "--out", str(tmp_path), "-j", "1", "-k", "only_good or only_family")
     process = start_cli(*arguments)
-    come(lambda: len(processes(tmp_path)) >= 3)  # the cell and both its children
+    come(lambda: len(processes(tmp_path)) >= 4)  # the cell, its supervisor and both its children
     process.send_signal(ending)
     _, told = process.communicate()
     assert process.returncode == 130
@@ -208,7 +208,7 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
 @pytest.mark.slow
 def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
     process = start_cli("all", *FAKES, "--out", str(tmp_path), "-j", "1", "-k", "only_good or only_family")
-    come(lambda: len(processes(tmp_path)) >= 3)
+    come(lambda: len(processes(tmp_path)) >= 4)
     process.kill()
     process.communicate()
     come(lambda: processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)

@@ -17,13 +17,15 @@ import pytest
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from reports.records.record import RunRecord
+from validate.execution import worker
 from validate.execution.campaign import CampaignSettings, select
-from validate.execution.fork_server import MODULES, ForkServer
+from validate.execution.engine import MODULES
+from validate.execution.process import Preloaded
 from validate.execution.worker import Worker
 from validate.store.provenance import gather
 from validate.store.store import Store
 
-pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and fork servers are for Linux")]
+pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and forked supervisors are for Linux")]
 FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 _FOR_EVER = 2**62
 
@@ -41,19 +43,21 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     patch.setenv("REFUSED", str(told))
     (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", plugin="refused_cells:WRITING"))
     provenance = gather("test")
-    server = ForkServer(modules=(*MODULES, "refused_cells"), task="refused_cells:main")
-    patch.undo()
+    preloaded = Preloaded((*MODULES, "refused_cells"))
+    patch.delenv("LD_PRELOAD")
+    patch.setattr(worker, "_FUNCTION", "refused_cells:main")
 
     def cell(store: Store, first: int, last: int, error: int) -> tuple[RunRecord | MachineError, int]:
         told.write_text(json.dumps({"below": str(store.folder), "first": first, "last": last, "error": error}))
         try:
-            record = Worker(entry.task, provenance, store, loaded=entry.loaded, server=server).run(lambda: True)
+            record = Worker(entry.task, provenance, store, loaded=entry.loaded, preloaded=preloaded).run(lambda: True)
         except MachineError as refusal:
             record = refusal
         return record, int(told.with_suffix(".count").read_text())
 
     yield cell
-    server.close()
+    patch.undo()
+    preloaded.close()
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
     with monkeypatch.context() as patch:
         patch.setitem(cli_environment, "TMPDIR", str(temporary))
         process = start_cli("all", *HALF, "--engine", "dask", "--out", str(out))
-    come(lambda: len(processes(out)) >= 3)
+    come(lambda: len(processes(out)) >= 4)
     kept = finished(out)
     process.kill()
     process.communicate()
@@ -82,7 +82,7 @@ def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli,
     logs.mkdir()
     with standing_cluster(logs, cli_environment, workers=1) as (file, lost):
         process = start_cli("all", *HALF, "--engine", f"dask:{file}", "--out", str(out))
-        come(lambda: len(processes(out)) >= 3 and len(finished(out)) == 1)
+        come(lambda: len(processes(out)) >= 4 and len(finished(out)) == 1)
         lost.send_signal(signal.SIGKILL)
         _, told = process.communicate()
         come(lambda: processes(out) == [])

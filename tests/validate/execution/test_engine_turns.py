@@ -180,7 +180,7 @@ def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Camp
     with pytest.raises(BrokenPipeError):
         campaign.run(campaign.dask())
     (said,) = campaign.told
-    assert not unsaid(said, "Dask cluster at here", "no workers yet", "1 tasks wait")
+    assert not unsaid(said, "Dask cluster at here", "no workers now", "1 tasks wait")
 
 
 @NEEDS_DASK

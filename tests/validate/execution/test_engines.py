@@ -87,7 +87,7 @@ def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, t
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path), "-j", "1")
     process = start_cli(*arguments)
-    come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
+    come(lambda: len(processes(tmp_path)) >= 4 and len(finished(tmp_path)) == 1)  # the cell, its supervisor and both its children
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: everything in the foreground hears it
     _, told = process.communicate()
     assert process.returncode == 130, told

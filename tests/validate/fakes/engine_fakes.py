@@ -12,10 +12,10 @@ import uuid
 from dataclasses import replace
 from pathlib import Path
 
+from begun_by import begun_by
 from campaign_fakes import PLUGIN, FakeMethod
 
 from formulations.method import Leg, Pipeline
-from validate.execution.process import PARENT_VARIABLE
 
 
 def _counted(name: str) -> int:
@@ -27,7 +27,7 @@ def _counted(name: str) -> int:
 
 def _fatal() -> None:
     if _counted("fatal") <= int(os.environ["KILLS"]):
-        os.kill(int(os.environ[PARENT_VARIABLE]), signal.SIGKILL)
+        os.kill(begun_by(), signal.SIGKILL)
         time.sleep(1000)  # we die with it
 
 

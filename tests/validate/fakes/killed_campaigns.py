@@ -11,11 +11,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
-from validate.execution.reaper import TOKEN_VARIABLE
+import psutil
 
 FAKES_FOLDER = Path(__file__).parent
 # Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.
@@ -27,16 +29,40 @@ _PATIENCE, _LOOK = 60.0, 0.01
 _MARK = "KILLED_CAMPAIGN"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Kill:
+    """Who is ended, and how. engine: by which the campaign runs; victim: `campaign`, or of a cell at work its `child`, the `supervisor` of that, what
+    that was forked from (`preloaded`), the Dask `worker` that began it, or `scheduler`, that of a cluster that stands; number: the signal."""
+
+    engine: str = "local"
+    victim: str = "campaign"
+    number: signal.Signals = signal.SIGKILL
+
+
+class Fault(Enum):
+    """What a kill may do to a campaign."""
+
+    LOST = "lost"
+    CORRUPT = "corrupt"
+    UNEQUAL = "unequal tables"
+    LEFT = "left behind"
+    WORDS = "wrong words"
+
+
 @dataclass
 class Kills:
     """What was seen. kills: that hit a campaign at work; moments: of each, how many cells were stored and how many seconds that was ago at least;
-    kept: finished cells that were found again, unchanged, after a kill."""
+    kept: finished cells that were found again, unchanged, after a kill; faults: after how many kills, which, and what exactly."""
 
-    kills: int = 0
+    kills: list[Kill] = field(default_factory=list)
     campaigns: int = 0
     kept: int = 0
     moments: list[tuple[int, float]] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
+    faults: list[tuple[int, Fault, str]] = field(default_factory=list)
+
+    def blame(self, fault: Fault, what: str) -> None:
+        """Something went wrong, after the last kill."""
+        self.faults.append((len(self.kills), fault, what))
 
 
 def environment(cache: Path) -> dict[str, str]:
@@ -45,7 +71,7 @@ def environment(cache: Path) -> dict[str, str]:
 
 def family(out: Path) -> list[str]:
     """Living processes that a campaign of `start` brought about in whatever way, workers of its own cluster too, and its cells' processes."""
-    return _living(f"{_MARK}={out}\0".encode()) + processes(out)
+    return _named(_numbers(f"{_MARK}={out}\0".encode())) + processes(out)
 
 
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
@@ -80,65 +106,102 @@ def unfinished(out: Path) -> list[str]:
 
 
 def processes(out: Path) -> list[str]:
-    """Living processes that belong to cells of this folder, or were started by them."""
-    return _living(TOKEN_VARIABLE.encode(), str(out).encode())  # TMPDIR lies in the folder
+    """Living processes that belong to cells of this folder, or were started by them: they have their temporary files there, or are there."""
+    return _named(_numbers(f"TMPDIR={out}".encode(), out))
 
 
-def _living(*words: bytes) -> list[str]:
-    """Command lines of the living processes whose environment has all these words."""
+def _numbers(word: bytes, folder: Path | None = None) -> list[int]:
+    """The living processes whose environment shows this word, if there is one, or which are somewhere in this folder."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            shown = (entry / "environ").read_bytes()
-            if all(word in shown for word in words):
-                found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
+            is_there = folder is not None and Path(os.readlink(entry / "cwd")).is_relative_to(folder)
+            if is_there or (word and word in (entry / "environ").read_bytes()):
+                found.append(int(entry.name))
+    return sorted(found)
+
+
+def _named(numbers: Iterable[int]) -> list[str]:
+    """Their command lines."""
+    found = []
+    for number in numbers:
+        with contextlib.suppress(OSError):
+            found.append(Path(f"/proc/{number}/cmdline").read_bytes().decode(errors="replace"))
     return found
 
 
 def kill_and_resume(
-    folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS, number: signal.Signals = signal.SIGKILL
+    folder: Path,
+    cache: Path,
+    kills: Sequence[Kill],
+    seed: int,
+    *more: str,
+    cells: str = CELLS,
+    where: Callable[[str], str] = str,
+    scheduler: Callable[[], int] = int,
 ) -> Kills:
-    """Run campaigns in `folder`, killed with signal 9, until so many were; one that was killed is resumed in the same folder until it comes to its
-    end, and is then compared with one that nobody killed. number: another signal, as a terminal sends it; the campaign must then end in words.
+    """Run campaigns in `folder`, until each of the kills has hit one at work; one that was hit is resumed in the same folder, by the engine of the next
+    kill, until it comes to its end undisturbed, and is then compared with one that nobody killed.
+
+    where: what `--engine` is given for the name of an engine; scheduler: the number of the process of the cluster that stands.
 
     When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
     between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
     """
-    draw, seen = random.Random(seed), Kills()
+    draw, seen, waiting = random.Random(seed), Kills(), list(kills)
     first, pause = _paces(folder / "whole", start(folder / "whole", cache, cells, *more))
     expected, whole = untimed(folder / "whole"), set(finished(folder / "whole"))
-    while seen.kills < kills:
+    while waiting:
         seen.campaigns += 1
-        out = folder / f"killed{seen.campaigns}"
-        while True:
-            before = finished(out)
+        out, hit = folder / f"killed{seen.campaigns}", True
+        while hit:
+            kill, before, told = (waiting or kills)[0], finished(out), _log(out)
             wanted = draw.randint(0, len(whole - set(before)))
             moment = draw.uniform(0.0, pause if wanted else first)
-            told = _log(out)
-            process = start(out, cache, cells, *more)
-            ended = not _reaches(process, out, len(before) + wanted, moment) if seen.kills < kills else process.wait() >= 0
-            if not ended:
-                if number == signal.SIGKILL:
-                    process.kill()
-                else:
-                    os.killpg(process.pid, number)  # all in the foreground hear it
-                code = process.wait()
-                seen.kills += 1
+            process = start(out, cache, cells, *more, "--engine", where(kill.engine))
+            hit = bool(waiting) and _reaches(process, out, len(before) + wanted, moment) and _hits(kill, process, out, scheduler)
+            code = process.wait()
+            if hit:
+                seen.kills.append(waiting.pop(0))
                 seen.moments.append((len(before) + wanted, moment))
-                if number != signal.SIGKILL:
-                    _look_at_words(out, code, _log(out).removeprefix(told), before, seen)
-            elif seen.kills < kills:  # it was faster than the whole one: the machine was busy then
+            elif waiting:  # it was faster than the whole one: the machine was busy then
                 first, pause = 0.7 * first, 0.7 * pause
+            if hit and kill.number == signal.SIGINT:
+                _look_at_words(out, code, _log(out).removeprefix(told), before, seen)
             _look(out, before, seen)
-            if ended:
-                break
         if untimed(out) != expected:
-            seen.faults.append(f"campaign {seen.campaigns}: results.csv is not that of a campaign that nobody killed")
+            seen.blame(Fault.UNEQUAL, f"{out.name}: results.csv is not that of a campaign that nobody killed")
         if left := unfinished(out):
-            seen.faults.append(f"campaign {seen.campaigns}: left behind {left}")
+            seen.blame(Fault.LEFT, f"{out.name}: {left}")
         if set(finished(out)) != whole:
-            seen.faults.append(f"campaign {seen.campaigns}: other cells are stored")
+            seen.blame(Fault.LOST, f"{out.name}: other cells are stored")
     return seen
+
+
+def _hits(kill: Kill, campaign: subprocess.Popen[bytes], out: Path, scheduler: Callable[[], int]) -> bool:
+    """Whether the victim was there."""
+    if kill.number != signal.SIGKILL:
+        os.killpg(campaign.pid, kill.number)  # all in the foreground hear it
+        return True
+    while campaign.poll() is None:
+        with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
+            number = {"campaign": campaign.pid, "scheduler": scheduler()}.get(kill.victim) or _above_a_cell(out).get(kill.victim)
+            if number is not None:
+                os.kill(number, kill.number)
+                return True
+        time.sleep(_LOOK)
+    return False
+
+
+def _above_a_cell(out: Path) -> dict[str, int]:
+    """Numbers of the processes to which a cell at work in this folder is owed, by their names in Kill."""
+    for number in _numbers(b"", out):
+        above = [psutil.Process(number), *psutil.Process(number).parents()]
+        supervisors = [process.pid for process in above[1:] if "validate.execution.supervisor" in process.cmdline()]
+        if supervisors:
+            names = ("child", "supervisor", "preloaded")
+            return {**dict(zip(names, (number, *supervisors), strict=False)), "worker": above[len(supervisors) + 1].pid}
+    return {}
 
 
 def _paces(out: Path, process: subprocess.Popen[bytes]) -> tuple[float, float]:
@@ -179,16 +242,16 @@ def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], se
     # A shell says 130 of a death by the signal too; so ends Python where it came while text was compiled, whatever is done about it.
     code = 130 if code == -signal.SIGINT else code
     if code not in (130, *(() if "report:" not in told else (0, 1))) or "Traceback" in told or (begun and code == 130 and said is None):
-        seen.faults.append(f"interrupt {seen.kills}: exit code {code}, {told[-2000:]!r}")
+        seen.blame(Fault.WORDS, f"exit code {code}, {told[-2000:]!r}")
     if left := unfinished(out):
-        seen.faults.append(f"interrupt {seen.kills}: left behind {left}")
+        seen.blame(Fault.LEFT, str(left))
     if said is not None:
         again = {key for key, content in before.items() if _outcomes(content) & _RUN_AGAIN}
         now = finished(out)
         stored = len([key for key in now if key not in again or now[key] != before[key]])
         rows = {row["pipeline"] for row in untimed(out)}
         if not int(said[1]) == stored == len(rows):
-            seen.faults.append(f"interrupt {seen.kills}: {said[0]!r}, but {stored} are stored and {len(rows)} in results.csv")
+            seen.blame(Fault.WORDS, f"{said[0]!r}, but {stored} are stored and {len(rows)} in results.csv")
 
 
 def _outcomes(content: bytes) -> set[str]:
@@ -200,24 +263,31 @@ def _outcomes(content: bytes) -> set[str]:
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
     from reports.records.check_record import StoredRecord
 
-    until = time.monotonic() + _PATIENCE
-    while (left := family(out)) and time.monotonic() < until:
-        time.sleep(0.05)
-    if left:
-        seen.faults.append(f"after kill {seen.kills}: processes live: {left}")
+    see_gone(lambda: family(out), seen, "processes")
+    if "TMPDIR" in os.environ:
+        see_gone(lambda: os.listdir(os.environ["TMPDIR"]), seen, "temporary files")
     now = finished(out)
     for key, content in now.items():
         try:
             record = StoredRecord.model_validate_json(content).root
         except ValueError as error:
-            seen.faults.append(f"after kill {seen.kills}: the record of {key} is damaged: {error}")
+            seen.blame(Fault.CORRUPT, f"the record of {key}: {error}")
             continue
         if record.key != key:
-            seen.faults.append(f"after kill {seen.kills}: {key} holds the record of another cell")
+            seen.blame(Fault.CORRUPT, f"{key} holds the record of another cell")
     for key, content in before.items():
         if _outcomes(content) & _RUN_AGAIN:
             continue
         if now.get(key) == content:
             seen.kept += 1
         else:
-            seen.faults.append(f"after kill {seen.kills}: the finished cell {key} is {'another' if key in now else 'lost'}")
+            seen.blame(Fault.LOST, f"the finished cell {key} is {'another' if key in now else 'gone'}")
+
+
+def see_gone(left: Callable[[], Iterable[str]], seen: Kills, what: str) -> None:
+    """Wait until nothing is left; what is left for good is a fault."""
+    until = time.monotonic() + _PATIENCE
+    while (found := list(left())) and time.monotonic() < until:
+        time.sleep(0.05)
+    if found:
+        seen.blame(Fault.LEFT, f"{what}: {found}")

@@ -14,13 +14,13 @@ import uuid
 from dataclasses import replace
 from pathlib import Path
 
+from begun_by import begun_by
 from campaign_fakes import PLUGIN, FakeMethod, FakeOptions
 
 from formulations.method import Clock, Kind, Leg, Pipeline, Session
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.execution.process import PARENT_VARIABLE
 
 
 def _counted(name: str, outcome: Outcome = Outcome.SOLVED):
@@ -28,7 +28,7 @@ def _counted(name: str, outcome: Outcome = Outcome.SOLVED):
         folder = Path(os.environ["COUNTS"])
         (folder / f"{name}-{uuid.uuid4().hex}").touch()
         if os.environ.get("KILL") == name and len(list(folder.glob(f"{name}-*"))) == 1:
-            os.kill(int(os.environ[PARENT_VARIABLE]), signal.SIGKILL)
+            os.kill(begun_by(), signal.SIGKILL)
             time.sleep(1000)  # we die with it
         return outcome
 

@@ -1,4 +1,4 @@
-"""Cells whose disk refuses: the child of a fork server that has tests/validate/fakes/refusing_disk.c in LD_PRELOAD.
+"""Cells whose disk refuses: the child of a process that has tests/validate/fakes/refusing_disk.c in LD_PRELOAD.
 
 REFUSED names a file of JSON, {"below": folder, "first": number, "last": number, "error": errno}; the number of requests is written beside it.
 """

@@ -3,8 +3,8 @@
     {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file, "environment": {..}}
         ->  [exit code, number of requests]
 
-A line of JSON each. What the command says is in the file `told`. Cells do not run: what an earlier campaign stored of them, in the folder that CELLS
-names, is copied by their process.
+A line of JSON each. What the command says is in the file `told`. Cells do not run: what an earlier campaign stored of them is copied by their process
+(copied_cell.py).
 """
 
 from __future__ import annotations
@@ -13,39 +13,20 @@ import ctypes
 import importlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import campaign_fakes
 
 from models.catalog import load_scene
 from validate.cli import group
 from validate.execution import worker
-from validate.execution.fork_server import MODULES
-from validate.execution.process import ChildProcess, child_environment
+from validate.execution.engine import MODULES
 from validate.tasks.plugins import DEFAULT
 
 PLUGIN = replace(campaign_fakes.PLUGIN, write_report=DEFAULT.write_report)
-
-
-class _Copied(ChildProcess):
-    """A cell's process that comes to its end at once."""
-
-    def __init__(self, module: str, arguments: Sequence[str], *, token: str, temporary: Path, output: IO[bytes]) -> None:
-        (folder,) = arguments
-        stored = Path(os.environ["CELLS"]) / json.loads((Path(folder) / "task.json").read_text())["task"]["key"]
-        if not stored.is_dir():
-            super().__init__(module, arguments, token=token, temporary=temporary, output=output)
-            return
-        self.token, self._family = token, {}
-        command = ["cp", *map(str, stored.iterdir()), folder]
-        self._process = subprocess.Popen(command, env=child_environment(token, temporary), start_new_session=True)
-        self.pid = self._process.pid
 
 
 def _run(request: dict[str, Any]) -> list[int]:
@@ -74,7 +55,7 @@ def _serve() -> None:
     ):
         importlib.import_module(name)
     load_scene("three_cart")  # once
-    worker.ChildProcess = _Copied
+    worker._FUNCTION = "copied_cell:main"
     for line in sys.stdin:
         reader, writer = os.pipe()
         child = os.fork()

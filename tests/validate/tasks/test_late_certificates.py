@@ -12,7 +12,8 @@ import pytest
 
 from reports.records.record import RunRecord
 from validate.execution import worker as module
-from validate.execution.fork_server import ForkServer
+from validate.execution.engine import MODULES
+from validate.execution.process import Preloaded
 from validate.execution.worker import Worker, progress_in
 from validate.store.disk import PARTIAL
 from validate.store.provenance import gather
@@ -50,11 +51,11 @@ def _task(last: str) -> RunTask:
     )
 
 
-def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
+def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
     """The record of a run whose time is up once its last certificate has begun, and its folder in the store."""
     task, store = _task(last), Store(folder)
     store.prepare()
-    worker, late = Worker(task, gather("a test"), store, server=server), time.monotonic() + 2 * task.time_limit
+    worker, late = Worker(task, gather("a test"), store, preloaded=preloaded), time.monotonic() + 2 * task.time_limit
 
     def look() -> bool:
         (partial,) = store.runs.glob(f"{PARTIAL}*")
@@ -85,8 +86,8 @@ def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest
     ],
 )
 def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
-    with contextlib.closing(ForkServer()) if last == "endless" else contextlib.nullcontext() as server:
-        record, folder = _run(last, tmp_path, server, monkeypatch)
+    with contextlib.closing(Preloaded(MODULES)) if last == "endless" else contextlib.nullcontext() as preloaded:
+        record, folder = _run(last, tmp_path, preloaded, monkeypatch)
     assert (record.outcome, record.message, record.verdict) == (outcome, why, "holds")
     soft, quick, late = record.stages
     assert [stage.outcome for stage in record.stages] == ["solved"] * 3

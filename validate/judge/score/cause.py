@@ -18,7 +18,7 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, Metric, Question, Verdict, is_of_feedback
+from validate.judge.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, Answer, Metric, Question, Verdict, is_of_feedback
 
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
@@ -37,7 +37,7 @@ class ScoredPlan:
     replay: Replay | None
     metrics: Mapping[str, Metric]
     verdict: Verdict
-    questions: Mapping[Question, str]
+    questions: Mapping[Question, Answer]
     waived: tuple[str, ...] = ()
     other_hold: bool = False
 
@@ -151,7 +151,7 @@ def _undecided(scored: ScoredPlan) -> str:
         text = f"{_quote(first)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
-    needed = "" if scored.replay is None or first.value is None else getattr(scored.replay.error, "would_decide", "")
+    needed = "" if scored.replay is None or first.value is None else scored.replay.error.would_decide
     return f"{text} What would decide it: {needed}." if needed else text
 
 

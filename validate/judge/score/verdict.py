@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final, Literal, TypeAlias
 
 
 class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
@@ -102,6 +103,9 @@ class Metric:
         return self.limit is not None
 
 
+Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Score:
     """All metrics of one plan and the verdict.
@@ -116,8 +120,8 @@ class Score:
     verdict: Verdict
     why: str
     cause: str = ""
-    judged: str = "open"
-    questions: tuple[tuple[Question, str], ...] = ()
+    judged: Literal["open", "feedback"] = "open"
+    questions: tuple[tuple[Question, Answer], ...] = ()
     waived: tuple[str, ...] = ()
     not_asked: tuple[str, ...] = ()
 
@@ -139,7 +143,10 @@ MARGIN = 10.0
 EFFORT, SHARE = "feedback_effort", "feedback_share"
 # Metrics of the replay with feedback are called so.
 TRACKED = "tracked_"
-YES, NO, UNDECIDED, NOT_ASKED = "yes", "no", "undecided", "not asked"
+YES: Final = "yes"
+NO: Final = "no"
+UNDECIDED: Final = "undecided"
+NOT_ASKED: Final = "not asked"
 # Of the replay, and so only as sure as the judge is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 # Whether a plan's own motion is consistent, so that it can be followed: the one that was asked.
@@ -155,7 +162,7 @@ def compare(value: float, error: float, limit: float, margin: float = MARGIN) ->
     return None
 
 
-def answer(metrics: Iterable[Metric]) -> str:
+def answer(metrics: Iterable[Metric]) -> Answer:
     """Of the judged metrics of one question."""
     judged = [metric.ok for metric in metrics if metric.is_judged]
     if not judged:
@@ -163,13 +170,13 @@ def answer(metrics: Iterable[Metric]) -> str:
     return NO if False in judged else UNDECIDED if None in judged else YES
 
 
-def answers(metrics: Sequence[Metric]) -> dict[Question, str]:
+def answers(metrics: Sequence[Metric]) -> dict[Question, Answer]:
     """Of every question, by metrics of the plan and of the replay of its inputs alone; what feedback did is left out."""
     own = [metric for metric in metrics if not is_of_feedback(metric.name)]
     return _by_question(own)
 
 
-def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, str]:
+def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, Answer]:
     """The same with questions 4 and 5 asked of the replay with feedback; what it took belongs to question 4."""
     own = [metric for metric in metrics if not is_of_feedback(metric.name)]
     replaced = {metric.name.removeprefix(TRACKED) for metric in metrics if metric.name.startswith(TRACKED)}
@@ -177,8 +184,10 @@ def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, str]:
     return _by_question(followed)
 
 
-def _by_question(metrics: Sequence[Metric]) -> dict[Question, str]:
-    found = {question: answer(metric for metric in metrics if metric.question is question) for question in Question if question.value}
+def _by_question(metrics: Sequence[Metric]) -> dict[Question, Answer]:
+    found: dict[Question, Answer] = {
+        question: answer(metric for metric in metrics if metric.question is question) for question in Question if question.value
+    }
     if found[Question.JUDGE] in (NO, UNDECIDED):
         for question in _OF_REPLAY:
             if found[question] != NOT_ASKED:
@@ -209,7 +218,7 @@ def wants_feedback(metrics: Sequence[Metric]) -> bool:
     return bool(consistency) and all(ok is True for ok in consistency)
 
 
-def verdict_of(found: dict[Question, str]) -> Verdict:
+def verdict_of(found: dict[Question, Answer]) -> Verdict:
     """Of one set of answers."""
     asked = [word for question, word in found.items() if question is not Question.JUDGE]
     if NO in asked:
@@ -219,7 +228,7 @@ def verdict_of(found: dict[Question, str]) -> Verdict:
     return Verdict.HOLDS
 
 
-def verdict_with_feedback(alone: Verdict, followed: dict[Question, str]) -> Verdict:
+def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> Verdict:
     """Of the answers for the inputs alone and with feedback. An inputs-alone failure that is sure, and feedback that is not, leave it undecided."""
     with_feedback = verdict_of(followed)
     if with_feedback is Verdict.HOLDS:

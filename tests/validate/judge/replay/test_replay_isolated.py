@@ -17,7 +17,6 @@ from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign
 
 from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
-from validate.execution.reaper import TOKEN_VARIABLE
 from validate.fmi.archive import ArchiveError
 from validate.fmi.description import read_package
 from validate.judge.replay import Replay, ReplayOutcome
@@ -56,7 +55,7 @@ def left(place: Path) -> list[str]:
             environment = (entry / "environ").read_bytes().split(b"\0")
         except OSError:
             continue
-        if mark in environment and any(item.startswith(TOKEN_VARIABLE.encode()) for item in environment):
+        if mark in environment:
             found.append(entry.name)
     return found
 

@@ -1,0 +1,18 @@
+"""What a cell's child does instead of running it: it copies what an earlier campaign stored of it, in the folder that CELLS names."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+
+def main(folder: Path) -> int:
+    stored = Path(os.environ["CELLS"]) / json.loads((folder / "task.json").read_text())["task"]["key"]
+    if not stored.is_dir():
+        from validate.execution import child
+
+        return child.main(folder)
+    shutil.copytree(stored, folder, dirs_exist_ok=True)
+    return 0
