@@ -17,9 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from models.errors import MachineError
+from validate.execution.fork import Fork, can_fork
 from validate.execution.process import ChildProcess, Ended, exit_in_words, shared_watchdog
 from validate.store.disk import no_temporary_folder, raise_if_disk_ended
 
@@ -102,7 +103,13 @@ class Isolated:
 
 
 def run_isolated(
-    function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None, *, limits: Limits | None = None, what: str = "the run"
+    function: str,
+    request: Any,
+    arrays: Mapping[str, np.ndarray] | None = None,
+    *,
+    limits: Limits | None = None,
+    what: str = "the run",
+    ours: bool = False,
 ) -> Isolated:
     """Call a function in a child process as name(request, arrays) -> value or (value, arrays).
 
@@ -118,6 +125,8 @@ def run_isolated(
         What the call may use.
     what
         The subject of the sentence that says how it ended.
+    ours
+        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.fork).
 
     Returns
     -------
@@ -135,14 +144,16 @@ def run_isolated(
         folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
     except OSError as error:
         raise no_temporary_folder(error) from error
-    dog = shared_watchdog()
-    dog.tell("start", token, str(folder))
+    dog = None if ours and can_fork() else shared_watchdog()
+    if dog is not None:
+        dog.tell("start", token, str(folder))
     try:
         _write_request(folder, function, request, arrays, limits)
-        return _run(folder, token, limits, what)
+        return _run(folder, None if dog is None else token, limits, what)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        dog.tell("stop", token)
+        if dog is not None:
+            dog.tell("stop", token)
 
 
 def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
@@ -175,7 +186,8 @@ def _see_room(folder: Path) -> None:
         raise_if_disk_ended(folder, error)
 
 
-def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
+def _run(folder: Path, token: str | None, limits: Limits, what: str) -> Isolated:
+    """token: of the process; without one it is a fork."""
     began = time.monotonic()
     peak, over_time = 0, False
     try:
@@ -183,7 +195,7 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
     except OSError as error:
         raise _refused_by_disk(folder, error) from error
     with output:
-        child = ChildProcess("validate.execution.isolated_child", [str(folder)], token=token, temporary=folder / TEMPORARY, output=output)
+        child = _start(folder, token, output)
     try:
         while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
             peak = max(peak, child.address_space())
@@ -211,6 +223,15 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
         wall=time.monotonic() - began,
         memory=peak,
     )
+
+
+def _start(folder: Path, token: str | None, output: IO[bytes]) -> ChildProcess | Fork:
+    temporary = folder / TEMPORARY
+    if token is not None:
+        return ChildProcess("validate.execution.isolated_child", [str(folder)], token=token, temporary=temporary, output=output)
+    from validate.execution.isolated_child import run_and_exit  # which imports this module
+
+    return Fork(folder, run_and_exit, temporary=temporary, output=output)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -1,4 +1,4 @@
-"""The child process of one isolated call: `python -m validate.execution.isolated_child FOLDER`; see validate.execution.isolated.
+"""The child process of one isolated call: `python -m validate.execution.isolated_child FOLDER`, or a fork that calls `run_and_exit`; see validate.execution.isolated.
 
 A fork of it that comes back through our code - an FMU may fork within doStep - ends silently: only the first process answers.
 
@@ -17,7 +17,7 @@ import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.isolated import ANSWER, GIVEN, REFUSED, REQUEST, TAKEN, Ending, ModelFault
@@ -159,15 +159,20 @@ def _end_copies(first: int) -> None:
         os._exit(0)
 
 
-if __name__ == "__main__":
-    own = os.getpid()
-    die_with_parent()
-    adopt_orphans()
+def run_and_exit(folder: Path) -> NoReturn:
+    """The whole of the child: nobody's exit handlers are run, as a library that crashes while it is unloaded must not spoil a finished call."""
     try:
-        main(Path(sys.argv[1]), own)
+        main(folder, os.getpid())
         code = 0
     except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
         traceback.print_exc()
         code = 1
-    # Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil a finished call.
+    sys.stdout.flush()
+    sys.stderr.flush()
     os._exit(code)
+
+
+if __name__ == "__main__":
+    die_with_parent()
+    adopt_orphans()
+    run_and_exit(Path(sys.argv[1]))
