@@ -16,6 +16,7 @@ _MEASURED = {
     "scaling": ("scaling", "How time and memory grow with bodies and steps."),
     "order": ("order", "Which grid and scheme give an error at the least time."),
     "replay": ("replay", "How fast and how exact the replay is, beside FMPy's own simulation."),
+    "commands": ("command_times", "CPU seconds of the commands that one waits for."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
     "mpec-peers": ("mpec.peers", "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss."),

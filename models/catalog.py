@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import SceneError, TouchstoneError, UnknownNameError, did_you_mean
-from models.loading import Afresh, loading
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -43,6 +42,7 @@ def scene_path(reference: str) -> Path:
 
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
+    from models.loading import Afresh, loading
     from models.scene import Scene
     from models.scene.checks import check_expressions
     from models.scene.step_dependence import step_problem

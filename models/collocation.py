@@ -212,3 +212,35 @@ def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarra
     """
     reach = 1e-6 / (1.0 + np.abs(v).max(axis=1, keepdims=True))
     return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)
+
+
+def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least value, between two rows, of the cubic through the gaps with their rates at both ends.
+
+    Parameters
+    ----------
+    t : (n,) times of the rows [s].
+    gap : (n, nc) gaps [m].
+    rate : (n, nc) rates of the gaps [m/s].
+
+    Returns
+    -------
+    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it falls or rises throughout.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
+    """
+    h = np.diff(t)[:, None]
+    first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
+    # g(s) = first + b s + c s^2 + d s^3
+    b, c, d = slope_first, 3.0 * (last - first) - 2.0 * slope_first - slope_last, 2.0 * (first - last) + slope_first + slope_last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(c * c - 3.0 * d * b)
+        inner = np.stack([b / -(c + root), b / -(c - root)])  # of g'(s) = b + 2 c s + 3 d s^2, in the form that d = 0 does not harm
+    places = np.clip(
+        np.nan_to_num(np.concatenate([inner, [np.zeros_like(first), np.ones_like(first)]]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0
+    )
+    values = first + places * (b + places * (c + places * d))
+    best = values.argmin(axis=0)[None]
+    return np.take_along_axis(values, best, 0)[0], np.take_along_axis(places, best, 0)[0]

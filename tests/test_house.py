@@ -35,6 +35,7 @@ def test_import_contracts():
         ("validate", {"pyomo", "torch", "fmpy", "sympy"}),
         ("reports", {"pyomo", "torch", "sympy", "fmpy"}),
         ("validate.judge.replay.job", {"pyomo", "torch", "sympy", "scipy", "sksundae", "pydantic", "h5py"}),  # the child of every replay
+        ("validate.fmu_check.host", {"pyomo", "torch", "sympy", "scipy", "sksundae", "pydantic", "h5py"}),  # and of every check
     ],
 )
 def test_importing_a_room_is_cheap(module: str, heavy: set[str]):

@@ -12,12 +12,16 @@ long. A list of numbers is read as well.
 from __future__ import annotations
 
 import base64
+import sys
+from array import array
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PlainSerializer, model_validator
+
+if TYPE_CHECKING:  # a fifth of `show`, which needs no more of it
+    import numpy as np
+    from numpy.typing import NDArray
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -41,16 +45,20 @@ class TimeStepRecord(BaseModel):
     warning: str = ""
 
 
-_TYPE = "<f8"
+def _in_order(numbers: array[float]) -> array[float]:
+    """Of a machine with its bytes in the other order, as they are stored, and back."""
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    return numbers
 
 
 def _text(values: Sequence[Any]) -> str:
-    return base64.b64encode(np.asarray(values, _TYPE).tobytes()).decode("ascii")
+    return base64.b64encode(_in_order(array("d", values)).tobytes()).decode("ascii")
 
 
 def _floats(value: Any) -> Any:
     """The numbers of a text, which raises ValueError where it holds none; anything else as it is."""
-    return tuple(np.frombuffer(base64.b64decode(value, validate=True), _TYPE).tolist()) if isinstance(value, str) else value
+    return tuple(_in_order(array("d", base64.b64decode(value, validate=True)))) if isinstance(value, str) else value
 
 
 _written = PlainSerializer(_text, return_type=str, when_used="json")
@@ -69,6 +77,8 @@ def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
     -------
     indices : (min(points, longest),) [-], increasing
     """
+    import numpy as np
+
     return np.unique(np.linspace(0, points - 1, min(points, longest)).round().astype(int))
 
 

@@ -9,9 +9,11 @@ import signal
 import subprocess
 import sys
 
+import click
 import pytest
 
 from benchmarks import ROOT
+from benchmarks.command_times import Checkout
 from benchmarks.commands import _COMMANDS, group
 from benchmarks.measure import least, run_child, slope
 from benchmarks.page import render
@@ -31,6 +33,16 @@ def test_commands_in_docs_and_readme_exist():
     texts = [path.read_text(encoding="utf-8") for path in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md")]
     for name in {name for text in texts for name in re.findall(r"python -m benchmarks ([a-z-]+)", text)}:
         assert name in _COMMANDS, name
+
+
+def test_a_commands_seconds_are_those_of_all_its_processes(tmp_path):
+    burns = "import time\nwhile time.process_time() < 0.3: pass"
+    starts = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {burns!r}], check=True)"
+    checkout = Checkout(ROOT, tmp_path / "folder")
+    assert 0.3 <= checkout.run(["-c", starts]) < 3.0
+    assert checkout.run(["-c", "pass"]) < 0.3
+    with pytest.raises(click.ClickException, match="ended with 2: broken"):
+        checkout.run(["-c", "import sys; print('broken', file=sys.stderr); sys.exit(2)"])
 
 
 @pytest.mark.slow
@@ -54,6 +66,7 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("run", "golden"), "is not one of"),
         (("page", "no_such_folder"), "there is no such folder"),
         (("page", "."), "no benchmark has left figures there"),
+        (("commands", "--beside", "docs"), "docs is no checkout of touchstone"),
         (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"),
         (("rigid-limit", "--stiffness", "5000:0"), "write k [N/m], a colon, steps"),
         (("scaling", "--largest", "10"), "x>=1500"),

@@ -11,13 +11,10 @@ import importlib
 import io
 import os
 import sys
-import tempfile
-import traceback
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
-from click.shell_completion import shell_complete
 
 from models.errors import MachineError, TouchstoneError
 from validate.cli.table import say
@@ -121,6 +118,8 @@ def run(arguments: Sequence[str], command: click.Group = group, program: str = P
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
     if wanted := os.environ.get(_COMPLETE):
+        from click.shell_completion import shell_complete
+
         return shell_complete(group, {}, INSTALLED, _COMPLETE, wanted)
     try:
         return _run(arguments, command, program)
@@ -198,6 +197,9 @@ def _sentence(error: click.ClickException) -> str:
 
 
 def _unexpected(error: Exception) -> str:
+    import tempfile  # 6 ms, a tenth of `--help`
+    import traceback
+
     where = "TOUCHSTONE_DEBUG=1 shows where"
     try:
         with tempfile.NamedTemporaryFile("w", prefix="touchstone-", suffix=".log", delete=False, encoding="utf-8") as log:

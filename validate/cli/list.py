@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ast
 import json
-import tokenize
+import re
 from pathlib import Path
 
 import click
 
 from validate.cli.table import one_line, table, wide_option
+
+# The text that a file begins with, behind comments.
+_DOCSTRING = re.compile(r"""(?:\s|#[^\n]*\n)*([rRuU]?(\"{3}|'{3}|"|').*?(?<!\\)\2)""", re.DOTALL)
 
 
 @click.command(
@@ -69,12 +72,10 @@ def _stages(legs: list[dict]) -> str:
 
 
 def _title(path: Path) -> str:
-    """The first sentence of a file's docstring; only its first words are read, because parsing all files takes 20 ms."""
+    """The first sentence of a file's docstring, found in its text: parsing all files takes 20 ms, and importing what reads their tokens 6."""
     try:
-        with path.open(encoding="utf-8") as file:
-            tokens = tokenize.generate_tokens(file.readline)
-            first = next(token for token in tokens if token.type not in (tokenize.COMMENT, tokenize.NL))
-        words = ast.literal_eval(first.string) if first.type == tokenize.STRING else ""
-    except (OSError, SyntaxError, UnicodeDecodeError, tokenize.TokenError) as error:
+        found = _DOCSTRING.match(path.read_text(encoding="utf-8"))
+        words = ast.literal_eval(found[1]) if found else ""
+    except (OSError, SyntaxError, UnicodeDecodeError) as error:
         return f"(cannot be read: {type(error).__name__})"
     return one_line(words.split("\n\n")[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -102,6 +103,8 @@ def command(
     if map_path is not None and fmu is None:
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
+    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.fork).
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import judge_fmu
 

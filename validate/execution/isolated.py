@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
+from validate.execution.fork import Fork, can_fork
 from validate.execution.process import TEMPORARY, Child, Ended, exit_in_words
 from validate.store.disk import no_temporary_folder, raise_if_disk_ended
 
@@ -101,7 +102,13 @@ class Isolated:
 
 
 def run_isolated(
-    function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None, *, limits: Limits | None = None, what: str = "the run"
+    function: str,
+    request: Any,
+    arrays: Mapping[str, np.ndarray] | None = None,
+    *,
+    limits: Limits | None = None,
+    what: str = "the run",
+    ours: bool = False,
 ) -> Isolated:
     """Call a function in a child process as name(request, arrays) -> value or (value, arrays).
 
@@ -117,6 +124,8 @@ def run_isolated(
         What the call may use.
     what
         The subject of the sentence that says how it ended.
+    ours
+        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.fork).
 
     Returns
     -------
@@ -136,7 +145,7 @@ def run_isolated(
     try:
         _write_request(folder, function, request, arrays, limits)
         began = time.monotonic()
-        with closing(Child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)) as child:
+        with closing(_start(folder, ours)) as child:
             over_time = not child.wait(limits.seconds)
             ended = child.end()
             return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
@@ -195,6 +204,14 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
         wall=wall,
         memory=peak,
     )
+
+
+def _start(folder: Path, ours: bool) -> Child | Fork:
+    if not ours or not can_fork():
+        return Child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)
+    from validate.execution.isolated_child import main  # which imports this module
+
+    return Fork(main, folder, output=folder / OUTPUT)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

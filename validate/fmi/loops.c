@@ -93,14 +93,9 @@ static inline bool all_finite(const double *values, int64_t count)
     return true;
 }
 
-/* Model Exchange under CVODE, the library that scikit-sundae brings (SUNDIALS 7), by the addresses of its functions; in the order of SOLVER in loops.py. */
-enum solver_call {
-    CONTEXT_CREATE, CONTEXT_CLEAR_HANDLERS, CONTEXT_FREE, VECTOR_NEW, VECTOR_DATA, VECTOR_DESTROY, MATRIX_DENSE, MATRIX_DESTROY, LINEAR_DENSE,
-    LINEAR_FREE, CREATE, FREE, INIT, REINIT, TOLERANCES, SET_USER_DATA, SET_LINEAR, SET_NONLINEAR_ITERATIONS, SET_FAILURES, ROOT_INIT,
-    SET_ROOT_DIRECTION, SET_FIRST_STEP, SET_MIN_STEP, SET_MAX_STEP, SET_MAX_ORDER, SET_MAX_STEPS, SET_STOP, CLEAR_STOP, ADVANCE, GET_ROOTS,
-    SOLVER_CALLS
-};
-enum { ADAMS = 1, NORMAL = 1, ONE_STEP = 2, STOP_RETURN = 1, ROOT_RETURN = 2, MAX_ORDER = 12, NONLINEAR_ITERATIONS = 3, FAILURES = 10 };
+/* Model Exchange under CVODE (cvode.py), by the addresses of its functions; in the order of SOLVER in loops.py. */
+enum solver_call { VECTOR_DATA, REINIT, SET_STOP, CLEAR_STOP, ADVANCE, GET_ROOTS, SOLVER_CALLS };
+enum { NORMAL = 1, ONE_STEP = 2, STOP_RETURN = 1, ROOT_RETURN = 2 };
 /* Rounds of event iteration before an FMU is given up as never settling. */
 enum { EVENT_ROUNDS = 100 };
 
@@ -108,11 +103,10 @@ enum { EVENT_ROUNDS = 100 };
 struct integration {
     struct fmu fmu;
     function solver[SOLVER_CALLS];
-    double rtol, min_step, max_step;
-    int64_t max_steps, wants_steps, linear;
-    const double *absolute; /* (states + rates) tolerances */
-    const double *bound;    /* (states) */
-    int32_t *roots;         /* (indicators) of the last event; before, all zero: any direction */
+    void *memory, *vector; /* CVODE, and the vector that it moves */
+    int64_t wants_steps, linear;
+    const double *bound; /* (states) */
+    int32_t *roots;      /* (indicators) of the last event */
     /* The step of the plan that is in progress. */
     double begin;
     double *values, *slopes, *applied; /* (inputs) */
@@ -123,7 +117,6 @@ struct integration {
     int64_t flag, reached; /* CVODE's answer; points recorded */
     double fault_time;
     int64_t fault; /* a reason, of a function that CVODE called */
-    void *context, *memory, *vector, *tolerances, *matrix, *linear_solver;
 };
 
 struct fmi2_event_info {
@@ -141,7 +134,7 @@ static int held_inputs(struct integration *run, double time)
 }
 
 /* CVRhsFn: negative, and run->fault says why. */
-static int rates(double time, void *y, void *yp, void *data)
+EXPORT int integration_rates(double time, void *y, void *yp, void *data)
 {
     struct integration *run = data;
     struct fmu *fmu = &run->fmu;
@@ -157,72 +150,13 @@ static int rates(double time, void *y, void *yp, void *data)
 }
 
 /* CVRootFn. */
-static int indicators(double time, void *y, double *values, void *data)
+EXPORT int integration_indicators(double time, void *y, double *values, void *data)
 {
     struct integration *run = data;
     run->fault = CALL_REFUSED;
     if (move(&run->fmu, time, data_of(run, y)) || fill(&run->fmu, GET_INDICATORS, values, run->fmu.indicators)) return -1;
     run->fault = DONE;
     return 0;
-}
-
-EXPORT void integration_close(struct integration *run)
-{
-    if (run->memory) ((void (*)(void **))run->solver[FREE])(&run->memory);
-    if (run->linear_solver) ((int (*)(void *))run->solver[LINEAR_FREE])(run->linear_solver);
-    if (run->matrix) ((void (*)(void *))run->solver[MATRIX_DESTROY])(run->matrix);
-    if (run->tolerances) ((void (*)(void *))run->solver[VECTOR_DESTROY])(run->tolerances);
-    if (run->vector) ((void (*)(void *))run->solver[VECTOR_DESTROY])(run->vector);
-    if (run->context) ((int (*)(void **))run->solver[CONTEXT_FREE])(&run->context);
-    run->memory = run->linear_solver = run->matrix = run->tolerances = run->vector = run->context = NULL;
-}
-
-static int set_number(struct integration *run, enum solver_call call, double value)
-{
-    return ((int (*)(void *, double))run->solver[call])(run->memory, value) < 0;
-}
-
-static int set_count(struct integration *run, enum solver_call call, int value)
-{
-    return ((int (*)(void *, int))run->solver[call])(run->memory, value) < 0;
-}
-
-/* A new solver at (run->time, run->y), as scikit-sundae's CVODE(method="Adams") makes one. */
-EXPORT int64_t integration_renew(struct integration *run)
-{
-    struct fmu *fmu = &run->fmu;
-    int64_t n = fmu->states + fmu->rates;
-    function *solver = run->solver;
-    integration_close(run);
-    if (((int (*)(int, void **))solver[CONTEXT_CREATE])(0, &run->context) < 0) return SETUP_REFUSED;
-    ((int (*)(void *))solver[CONTEXT_CLEAR_HANDLERS])(run->context);
-    run->vector = ((void *(*)(int64_t, void *))solver[VECTOR_NEW])(n, run->context);
-    run->tolerances = ((void *(*)(int64_t, void *))solver[VECTOR_NEW])(n, run->context);
-    run->memory = ((void *(*)(int, void *))solver[CREATE])(ADAMS, run->context);
-    if (!run->vector || !run->tolerances || !run->memory) return SETUP_REFUSED;
-    memcpy(data_of(run, run->vector), run->y, (size_t)n * sizeof(double));
-    memcpy(data_of(run, run->tolerances), run->absolute, (size_t)n * sizeof(double));
-    if (((int (*)(void *, void *))solver[SET_USER_DATA])(run->memory, run) < 0) return SETUP_REFUSED;
-    if (((int (*)(void *, int (*)(double, void *, void *, void *), double, void *))solver[INIT])(run->memory, rates, run->time, run->vector) < 0)
-        return SETUP_REFUSED;
-    if (((int (*)(void *, double, void *))solver[TOLERANCES])(run->memory, run->rtol, run->tolerances) < 0) return SETUP_REFUSED;
-    run->matrix = ((void *(*)(int64_t, int64_t, void *))solver[MATRIX_DENSE])(n, n, run->context);
-    if (!run->matrix) return SETUP_REFUSED;
-    run->linear_solver = ((void *(*)(void *, void *, void *))solver[LINEAR_DENSE])(run->vector, run->matrix, run->context);
-    if (!run->linear_solver) return SETUP_REFUSED;
-    if (((int (*)(void *, void *, void *))solver[SET_LINEAR])(run->memory, run->linear_solver, run->matrix) < 0) return SETUP_REFUSED;
-    if (set_count(run, SET_NONLINEAR_ITERATIONS, NONLINEAR_ITERATIONS) || set_count(run, SET_FAILURES, FAILURES)) return SETUP_REFUSED;
-    if (fmu->indicators) {
-        memset(run->roots, 0, (size_t)fmu->indicators * sizeof *run->roots);
-        if (((int (*)(void *, int, int (*)(double, void *, double *, void *)))solver[ROOT_INIT])(run->memory, (int)fmu->indicators, indicators) < 0
-            || ((int (*)(void *, int32_t *))solver[SET_ROOT_DIRECTION])(run->memory, run->roots) < 0)
-            return SETUP_REFUSED;
-    }
-    if (set_number(run, SET_FIRST_STEP, 0.0) || set_number(run, SET_MIN_STEP, run->min_step) || set_number(run, SET_MAX_STEP, run->max_step)
-        || set_count(run, SET_MAX_ORDER, MAX_ORDER)
-        || ((int (*)(void *, long))solver[SET_MAX_STEPS])(run->memory, (long)run->max_steps) < 0)
-        return SETUP_REFUSED;
-    return DONE;
 }
 
 /* The same solver afresh from (run->time, run->y). */

@@ -45,14 +45,8 @@ CALLS = (
     ("SetFMUstate", "SetFMUState"),
 )
 
-# The functions of SUNDIALS, in the order of loops.c.
-SOLVER = (
-    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
-    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
-    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
-    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
-    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
-)  # fmt: skip
+# The functions of SUNDIALS that the loops call, in the order of loops.c; a solver is made in Python (cvode.py).
+SOLVER = ("N_VGetArrayPointer", "CVodeReInit", "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo")
 _COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
 
 
@@ -120,14 +114,12 @@ def load() -> Any:
         raise MachineError(f"{path} cannot be loaded ({error}); let TOUCHSTONE_CACHE name a folder that may hold programs.") from error
     for name, arguments in {
         "step_through": (_ADDRESS, _SIZE, _SIZE),
-        "integration_renew": (_ADDRESS,),
         "integration_restart": (_ADDRESS,),
         "integration_jump": (_ADDRESS,),
         "integration_advance": (_ADDRESS, _ADDRESS, _SIZE, ctypes.c_double, _ADDRESS, _ADDRESS),
-        "integration_close": (_ADDRESS,),
     }.items():
         function = getattr(library, name)
-        function.argtypes, function.restype = arguments, None if name == "integration_close" else _SIZE
+        function.argtypes, function.restype = arguments, _SIZE
     return library
 
 

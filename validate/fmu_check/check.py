@@ -86,13 +86,15 @@ class Check:
     run: Callable[..., Finding]
     needs: tuple[str, str] | None = None
 
+    def lacks(self, subject: Any, kind: str) -> str:
+        """Which ability the type does not claim, as a sentence; empty if none is missing."""
+        ability = self.needs[subject.major >= 3] if self.needs is not None else None
+        if ability is None or (ability and subject.can(kind, ability)):
+            return ""
+        return f"{ability} is false." if ability else f"FMI {subject.major}.0 has none."
+
     def __call__(self, *arguments: Any) -> Finding:
         """Run it: see `run`."""
-        if self.needs is not None:
-            subject, kind = arguments
-            ability = self.needs[subject.major >= 3]
-            if not ability or not subject.can(kind, ability):
-                return not_offered(f"{ability} is false." if ability else f"FMI {subject.major}.0 has none.")
         try:
             return self.run(*arguments)
         except Failed as failure:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, run
@@ -227,12 +228,12 @@ def _inputs(subject: Subject, step: int) -> dict[FmuVariable, np.ndarray]:
 def _exchange(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float) -> tuple[np.ndarray, int]:
     """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
     try:
-        return _integrate(subject, compared, steps, rtol, "Adams")
+        return _integrate(subject, compared, steps, rtol, ADAMS)
     except Misbehaviour:
-        return _integrate(subject, compared, steps, rtol, "BDF")
+        return _integrate(subject, compared, steps, rtol, BDF)
 
 
-def _integrate(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float, method: str) -> tuple[np.ndarray, int]:
+def _integrate(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
     with CheckedInstance(subject, "ME", "reference") as instance:
         _start(instance, subject)
         mover = Exchange(instance, rtol, method)

@@ -5,6 +5,7 @@ A run is a pure function of the instance's state, the steps and the inputs: two 
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from validate.fmi.cvode import BDF, FILLS, ROOT_RETURN, Cvode, array_of, why
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
@@ -115,7 +117,6 @@ _CROWDED = 1e-7
 _JUMP = 1e-8
 # Less than this, as a share of the time, is no time to integrate over.
 _NO_TIME = 1e-13
-_ROOT = 2
 
 
 @dataclass
@@ -129,6 +130,11 @@ class Record:
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
     crowded: float = math.inf
+
+
+def _still(rates: Any, _size: int) -> None:
+    """The right-hand side of the state that stands still, of an FMU that has none."""
+    rates[0] = 0.0
 
 
 class Crowded(Exception):  # noqa: N818 - ends a run
@@ -169,41 +175,52 @@ def run(
     mover = Exchange(instance, TOLERANCE) if instance.kind == "ME" else None
     if mover is not None and record is not None:
         mover.record = record
-    for step in range(first, last):
-        if step == first or step % HOLD == 0:
-            values = subject.inputs_at(step, seed)
-            if mover is not None:
-                mover.jump(subject.time(step), values)
+    try:
+        for step in range(first, last):
+            if step == first or step % HOLD == 0:
+                values = subject.inputs_at(step, seed)
+                if mover is not None:
+                    mover.jump(subject.time(step), values)
+                else:
+                    instance.set(subject.continuous_inputs, values)
+            if mover is None:
+                instance.do_step(subject.time(step), subject.step)
             else:
-                instance.set(subject.continuous_inputs, values)
-        if mover is None:
-            instance.do_step(subject.time(step), subject.step)
-        else:
-            try:
                 mover.advance(subject.time(step + 1))
-            except Crowded:
-                break
-        if observe == "each":
-            rows.append(instance.observe())
-        if after is not None:
-            after(step)
+            if observe == "each":
+                rows.append(instance.observe())
+            if after is not None:
+                after(step)
+    except Crowded:
+        pass
+    finally:
+        if mover is not None:
+            mover.close()
     return np.array(rows) if observe == "each" else instance.observe()[np.newaxis]
 
 
 class Exchange:
     """CVODE over an instance in Continuous-Time Mode."""
 
-    def __init__(self, instance: CheckedInstance, rtol: float, method: str = "BDF", max_step: float = 0.0) -> None:
-        self.instance, self.rtol, self.method, self.max_step = instance, rtol, method, max_step
+    def __init__(self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF) -> None:
+        self.instance = instance
         self.record = Record()
         self.problem: Exception | None = None
-        self.count = instance.state_count
+        self.count, indicators = instance.state_count, instance.indicator_count
         # An FMU without continuous states still has time and events: a state that stands still lets CVODE find them.
         self.nominal = np.abs(instance.nominals()) if self.count else np.ones(1)
         self.nominal[~(self.nominal > 0.0)] = 1.0
         self.time = math.nan
-        self.y = np.zeros(1)
-        self.solver: Any = None
+        self.y = np.zeros(len(self.nominal))
+        fmu, size = instance.fmu, len(self.y)
+        self._calls = (
+            self._filling(fmu.rates if self.count else _still, size, in_vector=True),
+            self._filling(fmu.getEventIndicators, indicators, in_vector=False),
+        )
+        self._solver = Cvode(
+            method, self.y, rates=self._calls[0], indicators=self._calls[1], count=indicators, rtol=rtol, absolute=0.1 * rtol * self.nominal,
+            min_step=0.0, max_step=10.0 * instance.subject.step, max_steps=_STEP_LIMIT,
+        )  # fmt: skip
 
     def jump(self, time: float, inputs: np.ndarray) -> None:
         """Begin at `time` [s] with inputs (nu,) [unit of each input], by an event if they change or the integrator has not begun.
@@ -211,7 +228,7 @@ class Exchange:
         Raises FMICallException, Fault.
         """
         instance = self.instance
-        if self.solver is not None or inputs.size:
+        if self._solver.memory is not None or inputs.size:
             instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)
@@ -220,26 +237,15 @@ class Exchange:
 
     def renew(self, time: float) -> None:
         """A new solver from the instance's own states."""
-        from sksundae.cvode import CVODE
-
         self.time = time
-        self.y = self.instance.states() if self.count else np.zeros(1)
-        options: dict[str, Any] = {}
-        if self.instance.indicator_count:
-            options = {"eventsfn": self._filling(self.instance.indicators), "num_events": self.instance.indicator_count}
-        step = self.instance.subject.step
-        self.solver = CVODE(
-            self._filling(self.instance.rates) if self.count else lambda time, y, rate: rate.fill(0.0),
-            method=self.method,
-            rtol=self.rtol,
-            atol=0.1 * self.rtol * self.nominal,
-            max_num_steps=_STEP_LIMIT,
-            min_step=4e-16 * max(1.0, abs(time)),
-            max_step=self.max_step or 10.0 * step,
-            **options,
-        )
-        self.solver.init_step(time, self.y)
-        self._check()
+        if self.count:
+            self.y[:] = self.instance.states()
+        self._solver.min_step = 4e-16 * max(1.0, abs(time))
+        self._solver.renew(time)
+
+    def close(self) -> None:
+        """Free what CVODE holds."""
+        self._solver.close()
 
     def advance(self, target: float) -> None:
         """Integrate to `target` through all events; the instance is left there. Raises Crowded where events do not end."""
@@ -254,17 +260,16 @@ class Exchange:
                     self._move(stop, self.y)
                     self._event(())
                 continue
-            result = self.solver.step(stop, "onestep" if instance.wants_steps else "normal", stop)
+            flag = self._solver.advance(stop, stop, one_step=instance.wants_steps)
             self._check()
-            if result.status < 0:
-                raise Misbehaviour(f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({result.message})")
-            self.time = float(result.t)
-            self.y = np.array(result.y)
+            if flag < 0:
+                raise Misbehaviour(f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({why(flag)})")
+            self.time = self._solver.time
             self._move(self.time, self.y)
-            root = result.status == _ROOT
+            root = flag == ROOT_RETURN
             wanted = instance.wants_steps and not root and instance.completed()
             if root or wanted or (self.time >= instance.next_event):
-                crossed = tuple(int(place) for place in np.flatnonzero(result.i_events[-1])) if root else ()
+                crossed = tuple(int(place) for place in np.flatnonzero(self._solver.roots)) if root else ()
                 self._event(crossed)
         self._move(target, self.y)
 
@@ -302,19 +307,25 @@ class Exchange:
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
 
-    def _filling(self, read: Callable[[], np.ndarray]) -> Callable[[float, np.ndarray, np.ndarray], None]:
-        """What CVODE calls for rates, or indicators, at a time and states."""
+    def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
+        """What CVODE calls for rates, or indicators, at a time and states; in_vector: whether into a vector of its own, not an array."""
+        states, values = ctypes.c_double * self.count, ctypes.c_double * size
+        unset = values(*[math.nan] * size)
 
-        def fill(time: float, y: np.ndarray, values: np.ndarray) -> None:
-            """Values (n,) [unit of each] at time [s] and states y (states,) [unit of each]. Raises nothing, but keeps what was raised."""
+        def fill(time: float, y: int, filled: int, _: None) -> int:
+            place = array_of(filled) if in_vector else filled
+            ctypes.memmove(place, unset, 8 * size)
             try:
-                self._move(time, y)
-                values[:] = read()
+                self.instance.set_time(time)
+                if self.count:
+                    self.instance.fmu.setContinuousStates(states.from_address(array_of(y)), self.count)
+                call(values.from_address(place), size)
             except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
                 self.problem = error
-                values[:] = np.nan
+                return -1
+            return 0
 
-        return fill
+        return FILLS(fill)
 
     def _check(self) -> None:
         if self.problem is not None:

@@ -19,8 +19,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
@@ -197,4 +195,6 @@ def _owner_lives(name: str) -> bool:
         return False
     if parts[4].removesuffix(_OLD) != socket.gethostname():
         return True
+    import psutil  # 8 ms, of 270 for `show`
+
     return psutil.pid_exists(int(parts[3]))

@@ -72,9 +72,10 @@ SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
     ("arguments", "spared"),
     [
         (("--help",), {"numpy", "sympy", "pydantic"}),
-        (("list",), {"numpy", "sympy", "pydantic"}),
-        (("show", "nothing", "--in", "nowhere/at_all"), {"sympy", "fmpy", "models.scene"}),
+        (("list",), {"numpy", "sympy", "pydantic", "tempfile", "hashlib"}),
+        (("show", "nothing", "--in", "nowhere/at_all"), {"numpy", "psutil", "sympy", "fmpy", "models.scene"}),
         (("plan", *GOOD, "--out", "nowhere/at_all"), {"numpy.f2py", "h5py", "rich"}),
+        (("plan", "--scene", "two_body_collision", "--out", "nowhere/at_all"), {"numpy.f2py", "h5py", "rich", "fmpy"}),
         (("replay", "plan.csv", "--scene", "two_body_collision"), {"pydantic", "reports", "h5py", "numpy.ma", "numpy.f2py", "unittest"}),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

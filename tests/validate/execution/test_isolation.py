@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import errno
+import faulthandler
+import importlib
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from models.errors import MachineError
+from validate.execution import fork, isolated
 from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
 
 pytestmark = pytest.mark.process
@@ -46,9 +51,24 @@ def processes_of(place: Path) -> list[int]:
     return found
 
 
-def call(name: str, request=None, **limits):
+def call(name: str, request=None, ours: bool = False, **limits):
     arrays = {"x": np.arange(3.0)} if name in ("double", "sums") else None
-    return run_isolated(f"isolated_functions:{name}", request, arrays, limits=Limits(**{"seconds": 60.0, **limits}), what="model.fmu")
+    given = Limits(**{"seconds": 60.0, **limits})
+    return run_isolated(f"isolated_functions:{name}", request, arrays, limits=given, what="model.fmu", ours=ours)
+
+
+@pytest.fixture
+def forking(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A process that may be forked, whatever else runs in this one, that has imported what its child is to do, and that tells no crash of it."""
+    monkeypatch.setattr(isolated, "can_fork", lambda: True)
+    monkeypatch.setattr(isolated, "Child", None)
+    monkeypatch.syspath_prepend(str(FAKES_FOLDER))
+    importlib.import_module("isolated_functions")
+    told = faulthandler.is_enabled()
+    faulthandler.disable()
+    yield
+    if told:
+        faulthandler.enable(sys.__stderr__)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits there")
@@ -72,8 +92,7 @@ def test_values_and_arrays_go_in_and_come_out():
     assert done.memory > 1024**2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+MISBEHAVIOUR = pytest.mark.parametrize(
     ("name", "request_", "limits", "ending", "words"),
     [
         ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
@@ -93,6 +112,10 @@ def test_values_and_arrays_go_in_and_come_out():
         ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
     ],
 )
+
+
+@pytest.mark.slow
+@MISBEHAVIOUR
 def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, words, own_place: Path):
     done = call(name, request_, **limits)
     assert (done.ending, done.value, dict(done.arrays)) == (ending, None, {})
@@ -100,6 +123,53 @@ def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, wo
     assert processes_of(own_place) == []
     assert list(own_place.iterdir()) == []
     assert call("sums").value == 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("forking")
+@MISBEHAVIOUR
+def test_a_fork_that_misbehaves_ends_like_a_process_of_its_own(name, request_, limits, ending, words, own_place: Path):
+    if "memory" in limits:  # of which this process has some already
+        limits = {"memory": limits["memory"] + int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")}
+        words = "memory limit of"
+    done = call(name, request_, ours=True, **limits)
+    assert (done.ending, done.value, dict(done.arrays)) == (ending, None, {})
+    assert words in done.sentence
+    assert list(own_place.iterdir()) == []
+    assert call("sums", ours=True).value == 3.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")
+@pytest.mark.usefixtures("forking")
+def test_a_fork_answers_for_a_call_of_our_own(own_place: Path, capsys: pytest.CaptureFixture[str]):
+    done = call("double", {"a": [1, None]}, ours=True)
+    assert (done.ending, done.value, done.arrays["twice"].tolist()) == (Ending.OK, {"given": {"a": [1, None]}}, [0.0, 2.0, 4.0])
+    assert 0 < done.cpu < 60
+    assert done.memory > 1024**2
+    told = call("where", ours=True)
+    assert told.ok, told.sentence
+    parent, leads, temporary, folder, read, imported = told.value
+    assert (parent, leads, read, imported) == (os.getpid(), True, "", True)
+    assert temporary == folder
+    assert Path(folder).is_relative_to(own_place)
+    assert tempfile.gettempdir() == str(own_place)
+    assert "not UTF-8" in call("says", ours=True).output
+    assert capsys.readouterr() == ("", "")
+    assert list(own_place.iterdir()) == []
+
+
+def test_what_is_foreign_or_has_threads_gets_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(isolated, "Fork", None)
+    assert call("sums").value == 3.0
+    monkeypatch.setattr(isolated, "can_fork", lambda: False)
+    assert call("sums", ours=True).value == 3.0
+    started, ended = threading.Event(), threading.Event()
+    thread = threading.Thread(target=lambda: (started.set(), ended.wait()))
+    thread.start()
+    started.wait()
+    assert not fork.can_fork()
+    ended.set()
+    thread.join()
 
 
 def test_no_result_on_a_full_disk_is_not_put_down_to_the_model(monkeypatch: pytest.MonkeyPatch, own_place: Path):
@@ -170,4 +240,25 @@ def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, ow
     while (processes_of(own_place) or list(own_place.glob(f"{FOLDER_PREFIX}*"))) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert processes_of(own_place) == []
+    assert list(own_place.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")
+def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own_place: Path):
+    marker = tmp_path / "marker"
+    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:waits', {str(marker)!r}, ours=True)"
+    environment = {**os.environ, "TMPDIR": str(own_place)}
+    parent = subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=FAKES_FOLDER.parents[2])
+    deadline = time.monotonic() + 120
+    while not (marker.exists() and marker.read_text()):
+        assert time.monotonic() < deadline
+        assert parent.poll() is None
+        time.sleep(0.02)
+    child = Path("/proc", marker.read_text())
+    assert f"PPid:\t{parent.pid}\n" in (child / "status").read_text()
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    while (child.exists() or list(own_place.iterdir())) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not child.exists()
     assert list(own_place.iterdir()) == []

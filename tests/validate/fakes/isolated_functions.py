@@ -128,6 +128,25 @@ def starts_and_hangs(request, arrays):
     time.sleep(600)
 
 
+def waits(request, arrays):
+    Path(request).write_text(str(os.getpid()), encoding="utf-8")
+    time.sleep(600)
+
+
+def where(request, arrays):
+    """What a fork shares with its parent, and what it does not."""
+    import tempfile
+
+    return [
+        os.getppid(),
+        os.getsid(0) == os.getpid(),
+        tempfile.gettempdir(),
+        os.getcwd(),
+        os.read(0, 1).decode(),
+        "isolated_functions" in sys.modules,
+    ]
+
+
 def sums(request, arrays):
     return float(np.sum(arrays["x"]))
 

@@ -148,7 +148,8 @@ def _reference(
 class Job:
     """What is simulated, and with what.
 
-    start: (n,) start values [unit of each variable], in the order of Variables.start; limits: of the child, None: in this process.
+    start: (n,) start values [unit of each variable], in the order of Variables.start; limits: of the child, None: in this process; ours: whether the FMU
+    is one that we made.
     tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
     parts, max_step: of the reference (validate.judge.replay.reference.integrate).
     """
@@ -161,6 +162,7 @@ class Job:
     tolerances: tuple[float, ...]
     fineness: tuple[int, ...]
     event_budget: int
+    ours: bool = False
     parts: int = PARTS
     max_step: float = math.inf
 
@@ -196,7 +198,30 @@ class Job:
                 for fineness in self.fineness
                 if package.cosimulation is not None
             ]
-        return _together([_in_child(package, self.variables, one, given, self.limits) for one in requests])
+        return _together([self._in_child(one, given, self.limits) for one in requests])
+
+    def _in_child(self, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits) -> Simulated:
+        package = self.package
+        run = partial(
+            run_isolated, "validate.judge.replay.job:simulate", arrays=given, limits=limits, what=f"FMU {package.path}", ours=self.ours
+        )
+        done, retried = run(request), ""
+        if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, self.variables):
+            again = run({**request, "rolls_back": False})
+            if again.ok:
+                done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
+        if done.ending in _ENDED:
+            ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
+            reference = ended if request["tolerances"] and package.exchange is not None else ()
+            return Simulated(
+                reference=reference, everyday=() if reference else ended, refusal=None, seconds_reference=done.cpu, seconds_everyday=0.0
+            )
+        if done.ending is Ending.MACHINE:
+            raise MachineError(done.sentence)
+        if not done.ok:
+            raise FmuError(done.sentence)
+        strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
+        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
 
 
 def _only_once(package: Package) -> bool:
@@ -214,29 +239,6 @@ def _together(parts: list[Simulated]) -> Simulated:
         seconds_everyday=sum(part.seconds_everyday for part in parts),
         note=" ".join(dict.fromkeys(part.note for part in parts if part.note)),
     )
-
-
-def _in_child(
-    package: Package, variables: Variables, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits
-) -> Simulated:
-    run = partial(run_isolated, "validate.judge.replay.job:simulate", arrays=given, limits=limits, what=f"FMU {package.path}")
-    done, retried = run(request), ""
-    if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, variables):
-        again = run({**request, "rolls_back": False})
-        if again.ok:
-            done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
-    if done.ending in _ENDED:
-        ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
-        reference = ended if request["tolerances"] and package.exchange is not None else ()
-        return Simulated(
-            reference=reference, everyday=() if reference else ended, refusal=None, seconds_reference=done.cpu, seconds_everyday=0.0
-        )
-    if done.ending is Ending.MACHINE:
-        raise MachineError(done.sentence)
-    if not done.ok:
-        raise FmuError(done.sentence)
-    strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
-    return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
 
 
 def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note: str) -> Simulated:

@@ -5,24 +5,20 @@
 Between two such points the right-hand side is smooth, so the integrator's order and its error control hold; across one they
 would not. Adams' method (orders 1 to 12) needs half the evaluations of BDF here: contacts are springs, hardly damped.
 
-The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is the library that scikit-sundae brings.
+The loop is that of loops.c: one call a step of the plan, and one an event. CVODE is that of validate.fmi.cvode.
 """
 
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from models.errors import MachineError
-from validate.fmi import loops
+from validate.fmi import cvode, loops
+from validate.fmi.cvode import ADAMS, ROOT_RETURN, Cvode
 from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
 from validate.fmi.loops import SOLVER, Reason, address_of, structure
@@ -35,9 +31,6 @@ PARTS = 3
 STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
 ABSOLUTE_FRACTION = 0.1
-_ROOT_RETURN = 2
-# The only major version of SUNDIALS whose arguments are known to be those of loops.c.
-_VERSION = 7
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
     "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode",
@@ -158,33 +151,6 @@ class ExchangeModel:
         self.instance.unload()
 
 
-@lru_cache(maxsize=1)
-def solver_addresses() -> tuple[int, ...]:
-    """Of the functions of CVODE in the libraries that scikit-sundae brings, without importing it. Raises MachineError."""
-    found = importlib.util.find_spec("sksundae")
-    for folder in (found.submodule_search_locations or []) if found is not None else []:
-        for path in sorted(Path(folder).glob("_cy_cvode*")):
-            if path.suffix in (".so", ".dylib"):
-                return _addresses(path)
-    raise MachineError("the replay's integrator, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
-
-
-def _addresses(path: Path) -> tuple[int, ...]:
-    version = [ctypes.c_int() for _ in range(3)]
-    label = ctypes.create_string_buffer(32)
-    try:
-        module = ctypes.CDLL(str(path))  # a lookup by this handle goes on to the libraries that the module needs
-        module.SUNDIALSGetVersionNumber(*map(ctypes.byref, version), label, len(label))
-        addresses = [ctypes.cast(module[name], ctypes.c_void_p).value or 0 for name in SOLVER]
-    except (OSError, AttributeError) as error:
-        raise MachineError(f"the replay's integrator, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
-    if version[0].value != _VERSION:
-        raise MachineError(
-            f"the replay's integrator, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
-        )
-    return tuple(addresses)
-
-
 def integrate(
     model: ExchangeModel,
     start: np.ndarray,
@@ -242,20 +208,24 @@ class _Integration:
             model.instance, _CALLED, inputs=given, outputs=outputs, rates=rates, states=model.states, indicators=model.indicators
         )
         size, (steps, points) = model.states + model.accumulated, self.targets.shape
-        self.y, self._roots = np.empty(size), np.zeros(max(1, model.indicators), dtype=np.int32)
+        self.y = np.empty(size)
         self._values, self._slopes, self._applied = (np.zeros(fmu.inputs) for _ in range(3))
         self._outputs, self._sums = np.empty((steps, points, model.outputs)), np.empty((steps, points, model.accumulated))
         self._targets_at, self._outputs_at, self._sums_at = map(address_of, (self.targets, self._outputs, self._sums))
         self._absolute, self._bound = np.empty(size), np.empty(model.states)
         self._loop = structure("integration")(
-            fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*solver_addresses()), rtol=rtol, max_steps=STEP_LIMIT,
-            # Smaller steps than this do not change the time any more.
-            min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
-            wants_steps=model.instance.wants_steps, linear=inputs.linear, absolute=address_of(self._absolute), bound=address_of(self._bound),
-            roots=address_of(self._roots), values=address_of(self._values), slopes=address_of(self._slopes),
+            fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*map(cvode.address, SOLVER)), wants_steps=model.instance.wants_steps,
+            linear=inputs.linear, bound=address_of(self._bound), values=address_of(self._values), slopes=address_of(self._slopes),
             applied=address_of(self._applied), y=address_of(self.y),
         )  # fmt: skip
         self._at = ctypes.addressof(self._loop)
+        self._solver = Cvode(
+            ADAMS, self.y, rates=self._loops.integration_rates, indicators=self._loops.integration_indicators, count=model.indicators,
+            data=self._at, rtol=rtol, absolute=self._absolute, max_steps=STEP_LIMIT,
+            # Smaller steps than this do not change the time any more.
+            min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
+        )  # fmt: skip
+        self._loop.roots = address_of(self._solver.roots)
 
     def over_all_steps(self, start: np.ndarray) -> None:
         """Integrate from start (n,) [unit of each variable] to the plan's end, into `run`.
@@ -286,7 +256,7 @@ class _Integration:
 
     def close(self) -> None:
         """Free what CVODE holds."""
-        self._loops.integration_close(self._at)
+        self._solver.close()
 
     def _jump(self, time: float, is_event: bool) -> None:
         """Go on afresh from `time` with the inputs of the step in progress: other values, or other slopes."""
@@ -313,7 +283,7 @@ class _Integration:
             first, done = done, done + self._loop.reached
             self._take(first, done)
             if reason == Reason.EVENT:
-                if self._loop.flag == _ROOT_RETURN:
+                if self._loop.flag == ROOT_RETURN:
                     self._note(self._loop.time)
                 done += self._after_event(self._loop.time, float(self.targets[self.step, done]), knot=done == count - 1)
             else:
@@ -330,8 +300,8 @@ class _Integration:
 
     def _note(self, time: float) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
-        for indicator in np.flatnonzero(self._roots):
-            self.run.events.append((time, int(indicator), bool(self._roots[indicator] < 0)))
+        for indicator in np.flatnonzero(self._solver.roots):
+            self.run.events.append((time, int(indicator), bool(self._solver.roots[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
             raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
 
@@ -359,7 +329,8 @@ class _Integration:
         """A new solver from `time` on: after an event."""
         self._loop.time, self._loop.next_event = time, self.model.instance.next_event
         self._set_inputs()
-        self._check(self._loops.integration_renew(self._at))
+        self._solver.renew(time)
+        self._loop.memory, self._loop.vector = self._solver.memory, self._solver.vector
 
     def _set_inputs(self) -> None:
         self._loop.begin = self.inputs.times[self.step]
@@ -387,11 +358,5 @@ class _Integration:
             raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
         if reason in (Reason.OUT_OF_BOUNDS, Reason.SUM_NOT_FINITE, Reason.SOLVER_FAILED):
             self._within_bounds(time)
-            self._stopped(time)
+            raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {cvode.why(int(self._loop.flag))}")
         raise RuntimeError(f"CVODE refused {'its stop time' if reason is Reason.STOP_TIME_REFUSED else 'to be set up'} at t = {time:.6g} s")
-
-    def _stopped(self, time: float) -> NoReturn:
-        from sksundae._cy_cvode import CVMESSAGES  # 0.9 s to import
-
-        flag = int(self._loop.flag)
-        raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {CVMESSAGES.get(flag, flag)}")

@@ -86,7 +86,7 @@ def replay(
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
         job = Job(
             package=package, variables=find_variables(package, scene), plan=trajectory, start=trajectory.start, limits=limits,
-            tolerances=tolerances, fineness=fineness, event_budget=event_budget,
+            tolerances=tolerances, fineness=fineness, event_budget=event_budget, ours=True,
         )  # fmt: skip
         job, twice = fine_enough(scene, with_steps_of(scene, job)), twice_the_lag(package, scene)
         kernel = load_kernel(scene)

@@ -18,7 +18,6 @@ from models.scene.contacts import DampingLaw
 from models.scene.goal import goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from validate.judge.replay.error_estimate import lowest_between
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
@@ -448,7 +447,7 @@ class Evidence:
         lowest = gap.min(axis=0, initial=0.0)
         if rate is None or len(gap) < 2:
             return np.maximum(-lowest, 0.0)
-        between, _ = lowest_between(self.replay.t, gap, rate)
+        between, _ = collocation.lowest_between(self.replay.t, gap, rate)
         for contact in range(self.scene.nc):
             looked_at: set[int] = set()  # a cubic is a guess: where it goes deepest the motion is run once more
             while between[:, contact].min() < lowest[contact] and (piece := int(between[:, contact].argmin())) not in looked_at:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from models.errors import MachineError
 from tests.validate.judge.replay.test_replay_reference import Point, PointInC, free, plan
 from validate.fmi.instance import Misbehaviour, References, TerminationRequested
 from validate.fmi.loops import Reason
@@ -91,10 +89,10 @@ def integration(**more: Any) -> Any:
     """An integration in progress: two states and one sum, of which a state is out of bounds at 10 and at 20."""
     found = object.__new__(reference._Integration)
     given = {
-        "run": Run(), "event_budget": 2, "y": np.array([1.0, -2.0, 3.0]), "_bound": np.array([10.0, 20.0]), "_roots": np.array([0, -1, 1]), "step": 0,
+        "run": Run(), "event_budget": 2, "y": np.array([1.0, -2.0, 3.0]), "_bound": np.array([10.0, 20.0]), "step": 0,
         "model": SimpleNamespace(states=2, event=lambda time, y, u: y + 0.5, read=lambda time, y: np.array([time, *y]), instance=SimpleNamespace(next_event=7.0)),
         "_loop": SimpleNamespace(time=2.5, fault_time=1.5, flag=-4, fmu="fmu"), "_set_inputs": lambda: None,
-        "_loops": SimpleNamespace(integration_renew=lambda at: 0), "_at": 0,
+        "_solver": SimpleNamespace(roots=np.array([0, -1, 1]), renew=lambda time: None, memory=1, vector=2),
     } | more  # fmt: skip
     found.__dict__.update(given)
     return found
@@ -192,47 +190,24 @@ def test_points_of_a_step_are_taken_as_the_loop_came_to_them():
     )
 
 
-def test_a_solver_that_is_missing_damaged_or_of_another_version_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for spec in (None, SimpleNamespace(submodule_search_locations=[str(tmp_path)]), SimpleNamespace(submodule_search_locations=None)):
-        monkeypatch.setattr(reference.importlib.util, "find_spec", lambda name, spec=spec: spec)
-        with pytest.raises(MachineError, match="CVODE, is missing"):
-            reference.solver_addresses.__wrapped__()
-    (tmp_path / "_cy_cvode.py").write_text("")
-    (tmp_path / "_cy_cvode.x.so").write_bytes(b"nothing")
-    monkeypatch.setattr(reference.importlib.util, "find_spec", lambda name: SimpleNamespace(submodule_search_locations=[str(tmp_path)]))
-    with pytest.raises(MachineError, match=r"cannot be reached in .*_cy_cvode\.x\.so \("):
-        reference.solver_addresses.__wrapped__()
-    monkeypatch.undo()
-    assert len(reference.solver_addresses()) == len(reference.SOLVER)
-    monkeypatch.setattr(reference, "_VERSION", 6)
-    with pytest.raises(MachineError, match=r"is of SUNDIALS 7 in .*, not 6"):
-        reference.solver_addresses.__wrapped__()
-
-
 def test_cvode_is_told_where_to_look_and_how_exactly():
     """Three points a step; no step longer than asked or than the plan, none that does not change the time any more; a tenth of the tolerance of each nominal."""
     held = plan([1.0, 2.0], 0.5)
     point = PointInC(Point(free))
     one = reference._Integration(point, held, 1e-9, 7, Run(), 3, math.inf)  # type: ignore[arg-type]
-    loop = one._loop
+    loop, solver = one._loop, one._solver
     assert one.targets.tolist() == [
         [pytest.approx(0.5 / 3), pytest.approx(1.0 / 3), 0.5],
         [pytest.approx(0.5 + 0.5 / 3), pytest.approx(0.5 + 1.0 / 3), 1.0],
     ]
-    assert (loop.rtol, loop.min_step, loop.max_step, loop.max_steps, loop.wants_steps, loop.linear) == (
-        1e-9,
-        4e-16,
-        1.0,
-        100_000,
-        False,
-        False,
-    )
+    assert (solver.rtol, solver.min_step, solver.max_step, solver.max_steps) == (1e-9, 4e-16, 1.0, 100_000)
+    assert (loop.wants_steps, loop.linear) == (False, False)
     point.nominal = np.array([1.0, 100.0])
     one.over_all_steps(np.array([5.0, 0.5]))
     one.close()
     assert one._bound.tolist() == [5e9, 1e11]
     assert one._absolute == pytest.approx([0.1 * 1e-9, 0.1 * 1e-9 * 100.0, 0.1 * 1e-9])
     short = reference._Integration(PointInC(Point(free)), held, 1e-9, 7, Run(), 1, 0.125)  # type: ignore[arg-type]
-    assert (short._loop.max_step, short.targets.tolist()) == (0.125, [[0.5], [1.0]])
+    assert (short._solver.max_step, short.targets.tolist()) == (0.125, [[0.5], [1.0]])
     short.close()
     assert PARTS == 3

@@ -5,11 +5,11 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
+from models.collocation import lowest_between
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task, goal_limits
 from models.trajectory import Trajectory
 from validate.judge.judgement import judge
-from validate.judge.replay.error_estimate import lowest_between
 from validate.judge.replay.run import replay
 
 SPEED, PLACE = 10.0, 1.091

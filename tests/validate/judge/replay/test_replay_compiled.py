@@ -173,11 +173,6 @@ def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables]
         loops.load.cache_clear()
 
 
-def test_cvode_that_cannot_be_reached_is_named(tmp_path: Path):
-    with pytest.raises(MachineError, match=r"CVODE, cannot be reached in .*_cy_cvode\.so.*install scikit-sundae"):
-        exchange._addresses(tmp_path / "_cy_cvode.so")
-
-
 @pytest.mark.parametrize("function", ["fmi2GetDerivatives", "fmi2DoStep"])
 def test_a_binary_that_lacks_a_function_is_refused(tmp_path: Path, function: str):
     """Before any loop is begun: FMPy wants all functions of the interface."""

@@ -64,7 +64,8 @@ def asked(
     requests: list[Any] = []
     rest = iter(answers)
 
-    def isolated(function: str, request: Any, *, arrays: Any, limits: Any, what: str) -> Any:
+    def isolated(function: str, request: Any, *, arrays: Any, limits: Any, what: str, ours: bool) -> Any:
+        assert ours is bool(more.get("ours"))
         requests.append((function, dict(request), dict(arrays), limits, what))
         return next(rest)
 
@@ -74,7 +75,9 @@ def asked(
 
 
 def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
-    found, requests = asked(monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), limits=Limits(seconds=3.0))
+    found, requests = asked(
+        monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), limits=Limits(seconds=3.0), ours=True
+    )
     ((function, request, given, limits, what),) = requests
     assert (function, limits.seconds, what) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu")
     assert request == {

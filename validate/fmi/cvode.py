@@ -1,0 +1,207 @@
+"""CVODE, the integrator of SUNDIALS 7, called by the addresses of its functions in the libraries that scikit-sundae brings.
+
+    solver = Cvode(ADAMS, y, rates=.., data=.., rtol=1e-9, absolute=.., min_step=0.0, max_step=0.1, max_steps=1000)
+    solver.renew(0.0)                                # from y at t = 0 on
+    solver.advance(0.5, 1.0, one_step=False)         # to t = 0.5, never beyond 1: a flag; solver.time, solver.y, solver.roots
+    solver.close()
+
+scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of every check of an FMU. A solver is what its CVODE(..) makes, call by call.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.errors import MachineError
+
+# The only major version whose arguments are known to be these.
+_VERSION = 7
+_TYPES = {"i": ctypes.c_int, "l": ctypes.c_long, "n": ctypes.c_int64, "d": ctypes.c_double, "p": ctypes.c_void_p}
+# Result and arguments of SUNDIALS' functions.
+_SIGNATURES = {
+    "SUNContext_Create": "i:ip", "SUNContext_ClearErrHandlers": "i:p", "SUNContext_Free": "i:p", "N_VNew_Serial": "p:np", "N_VGetArrayPointer": "p:p",
+    "N_VDestroy": "i:p", "SUNDenseMatrix": "p:nnp", "SUNMatDestroy": "i:p", "SUNLinSol_Dense": "p:ppp", "SUNLinSolFree": "i:p", "CVodeCreate": "p:ip",
+    "CVodeFree": "i:p", "CVodeInit": "i:ppdp", "CVodeReInit": "i:pdp", "CVodeSVtolerances": "i:pdp", "CVodeSetUserData": "i:pp",
+    "CVodeSetLinearSolver": "i:ppp", "CVodeSetMaxNonlinIters": "i:pi", "CVodeSetMaxConvFails": "i:pi", "CVodeRootInit": "i:pip",
+    "CVodeSetRootDirection": "i:pp", "CVodeSetInitStep": "i:pd", "CVodeSetMinStep": "i:pd", "CVodeSetMaxStep": "i:pd", "CVodeSetMaxOrd": "i:pi",
+    "CVodeSetMaxNumSteps": "i:pl", "CVodeSetStopTime": "i:pd", "CVodeClearStopTime": "i:p", "CVode": "i:pdppi", "CVodeGetRootInfo": "i:pp",
+}  # fmt: skip
+# Methods, with the highest order of each.
+ADAMS, BDF = (1, 12), (2, 5)
+_NONLINEAR_ITERATIONS, _FAILURES = 3, 10
+_NORMAL, _ONE_STEP = 1, 2
+ROOT_RETURN = 2
+# What a negative flag of `advance` means.
+_WHY = {
+    -1: "Could not reach endpoint after 'max_num_steps'.",
+    -2: "Could not satisfy demanded accuracy for an internal step.",
+    -3: "Error tests failed too many times, or reached min step size.",
+    -4: "Convergence tests failed too many times, or reached min step size.",
+    -5: "Linear solver initialization routine failed.",
+    -6: "Linear solver setup function unrecoverably failed.",
+    -7: "Linear solver solve function unrecoverably failed.",
+    -8: "The right-hand-side function had a non-recoverable error.",
+    -9: "The right-hand-side function failed on the first call.",
+    -12: "Event-detection routine unrecoverably failed.",
+    -22: "One of the function inputs is invalid.",
+    -27: "The output and initial times are too close to each other.",
+}
+# CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be filled, data.
+FILLS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def why(flag: int) -> str:
+    """What a negative flag of `Cvode.advance` means, as a sentence."""
+    return _WHY.get(flag, f"CVODE's flag {flag}.")
+
+
+@lru_cache(maxsize=1)
+def functions() -> Any:
+    """The library, whose functions are its attributes. Raises MachineError."""
+    found = importlib.util.find_spec("sksundae")
+    for folder in (found.submodule_search_locations or []) if found is not None else []:
+        for path in sorted(Path(folder).glob("_cy_cvode*")):
+            if path.suffix in (".so", ".dylib"):
+                return _loaded(path)
+    raise MachineError(
+        "the integrator of Model Exchange, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae."
+    )
+
+
+def _loaded(path: Path) -> Any:
+    version = [ctypes.c_int() for _ in range(3)]
+    label = ctypes.create_string_buffer(32)
+    try:
+        module = ctypes.CDLL(str(path))  # a lookup by this handle goes on to the libraries that the module needs
+        module.SUNDIALSGetVersionNumber(*map(ctypes.byref, version), label, len(label))
+        for name, signature in _SIGNATURES.items():
+            function, (result, arguments) = getattr(module, name), signature.split(":")
+            function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
+    except (OSError, AttributeError) as error:
+        raise MachineError(
+            f"the integrator of Model Exchange, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew."
+        ) from error
+    if version[0].value != _VERSION:
+        raise MachineError(
+            f"the integrator of Model Exchange, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
+        )
+    return module
+
+
+def address(name: str) -> int:
+    """Of a function of SUNDIALS. Raises MachineError."""
+    return ctypes.cast(functions()[name], ctypes.c_void_p).value or 0
+
+
+def array_of(vector: int) -> int:
+    """Address of the numbers of a vector of SUNDIALS."""
+    return functions().N_VGetArrayPointer(vector)
+
+
+class Cvode:
+    """A solver with dense Newton iterations; see the module docstring.
+
+    y: (n,) where it is, which `renew` begins at and `advance` moves [unit of each state]; rates: its right-hand side, indicators: what it looks for zeros
+    of, `count` of them (FILLS, or the addresses of such functions); data: their last argument; absolute: (n,) tolerances [unit of each state].
+    time [s]; roots: (count,) the sign of the slope of each indicator that `advance` stopped at, else 0.
+    """
+
+    def __init__(
+        self,
+        method: tuple[int, int],
+        y: np.ndarray,
+        *,
+        rates: Any,
+        indicators: Any = None,
+        count: int = 0,
+        data: int | None = None,
+        rtol: float,
+        absolute: np.ndarray,
+        min_step: float,
+        max_step: float,
+        max_steps: int,
+    ) -> None:
+        self.method, self.y, self.absolute = method, y, absolute
+        self.rtol, self.min_step, self.max_step, self.max_steps = rtol, min_step, max_step, max_steps
+        self.time, self.roots = 0.0, np.zeros(count, dtype=np.int32)
+        self.memory: int | None = None
+        self.vector: int | None = None
+        self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in (rates, indicators, data))
+        self._made: list[tuple[Callable[[Any], Any], Any]] = []  # what is to be freed, and by what
+
+    def renew(self, time: float) -> None:
+        """A new solver from y at `time` [s]. Raises RuntimeError where CVODE refuses what it is given."""
+        self.close()
+        self.time = time
+        call, size, context = functions(), len(self.y), ctypes.c_void_p()
+
+        def made(pointer: int | None, free: Callable[[Any], Any]) -> int:
+            if not pointer:
+                raise RuntimeError(f"CVODE refused to be set up at t = {time:.6g} s")
+            self._made.append((free, pointer))
+            return pointer
+
+        self._accepted(call.SUNContext_Create(0, ctypes.byref(context)))
+        self._made.append((lambda _: call.SUNContext_Free(ctypes.byref(context)), None))
+        call.SUNContext_ClearErrHandlers(context)
+        self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
+        tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
+        for vector, values in ((self.vector, self.y), (tolerances, self.absolute)):
+            ctypes.memmove(array_of(vector), values.ctypes.data, 8 * size)
+        matrix = made(call.SUNDenseMatrix(size, size, context), call.SUNMatDestroy)
+        linear = made(call.SUNLinSol_Dense(self.vector, matrix, context), call.SUNLinSolFree)
+        memory = self.memory = made(
+            call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place)))
+        )
+        self._accepted(
+            call.CVodeSetUserData(memory, self._data),
+            call.CVodeInit(memory, self._rates, time, self.vector),
+            call.CVodeSVtolerances(memory, self.rtol, tolerances),
+            call.CVodeSetLinearSolver(memory, linear, matrix),
+            call.CVodeSetMaxNonlinIters(memory, _NONLINEAR_ITERATIONS),
+            call.CVodeSetMaxConvFails(memory, _FAILURES),
+        )
+        if len(self.roots):
+            self.roots[:] = 0  # in whichever direction
+            self._accepted(
+                call.CVodeRootInit(memory, len(self.roots), self._indicators), call.CVodeSetRootDirection(memory, self.roots.ctypes.data)
+            )
+        self._accepted(
+            call.CVodeSetInitStep(memory, 0.0),
+            call.CVodeSetMinStep(memory, self.min_step),
+            call.CVodeSetMaxStep(memory, self.max_step),
+            call.CVodeSetMaxOrd(memory, self.method[1]),
+            call.CVodeSetMaxNumSteps(memory, self.max_steps),
+        )
+
+    def _accepted(self, *flags: int) -> None:
+        if min(flags) < 0:
+            raise RuntimeError(f"CVODE refused to be set up at t = {self.time:.6g} s")
+
+    def advance(self, target: float, stop: float, *, one_step: bool) -> int:
+        """To `target` [s], or one step towards it, never beyond `stop` [s]; CVODE's flag, negative for a failure. Raises RuntimeError for a stop that lies behind."""
+        call, time = functions(), ctypes.c_double()
+        if call.CVodeSetStopTime(self.memory, stop) < 0:
+            raise RuntimeError(f"CVODE refused its stop time at t = {self.time:.6g} s")
+        flag = call.CVode(self.memory, target, self.vector, ctypes.byref(time), _ONE_STEP if one_step else _NORMAL)
+        if flag == ROOT_RETURN:
+            call.CVodeGetRootInfo(self.memory, self.roots.ctypes.data)
+        call.CVodeClearStopTime(self.memory)
+        if flag >= 0:
+            self.time = time.value
+            ctypes.memmove(self.y.ctypes.data, array_of(self.vector), 8 * len(self.y))
+        return flag
+
+    def close(self) -> None:
+        """Free what CVODE holds."""
+        while self._made:
+            free, place = self._made.pop()
+            free(place)
+        self.memory = self.vector = None
