@@ -47,6 +47,8 @@ class ShareRecord(_Model):
     @property
     def words(self) -> str:
         """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
+        if not self.samples:
+            return "none, as no world was tried"
         low, high = self.interval
         return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
 
@@ -129,7 +131,7 @@ class FailureRecord(_Model):
 
 
 class RobustnessRecord(_Model):
-    """How much a plan can take; complete: False where the work was interrupted; shown: worlds whose motion is drawn, by number and largest share of a limit."""
+    """How much a plan can take; complete: False where the work was interrupted; followed: whether failures are those with feedback, because the plan holds only with it; shown: worlds whose motion is drawn, by number and largest share of a limit."""
 
     schema_version: int = 1
     scene: str
@@ -143,11 +145,12 @@ class RobustnessRecord(_Model):
     trials: int
     seconds: Finite
     complete: bool
+    followed: bool
     shown: tuple[tuple[int, _OrEnded], ...] = ()
 
     @property
     def summary(self) -> str:
         """In what share of the worlds the plan arrives, and what it takes least of."""
-        shares = " and in ".join(f"{way.share.words} {way.name}" for way in self.ways)
+        shares = "; ".join(f"{way.name} it arrives in {way.share.words}" for way in self.ways)
         weakest = "" if self.weakest is None else f" It takes least of: {self.weakest.words}."
-        return f"It arrives in {shares}.{weakest}{'' if self.complete else ' The work was interrupted.'}"
+        return f"{shares[:1].upper()}{shares[1:]}.{weakest}{'' if self.complete else ' The work was interrupted.'}"

@@ -51,8 +51,8 @@ class Share:
 
     @property
     def share(self) -> float:
-        """The part that arrives [-]; NaN of none."""
-        return self.arrived / self.samples if self.samples else math.nan
+        """The part that arrives [-]; 0 of none."""
+        return self.arrived / max(self.samples, 1)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -77,7 +77,7 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """One perturbation, one way, inputs alone: the size at which the plan first fails.
+    """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
 
     direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`; amount: the same in the perturbation's unit; by: what fails there;
     predicted: where the slopes at the scene's own world say that it does; same_modes: whether contacts close and open in the same order up to there.
@@ -157,6 +157,11 @@ class Robustness:
         return tuple((number, trial.ratio) for number, trial in self.motions)
 
     @property
+    def followed(self) -> bool:
+        """Whether first failures are those with feedback: the plan holds only with it."""
+        return self.verdict is Verdict.HOLDS_WITH_FEEDBACK
+
+    @property
     def alone(self) -> Way:
         """Inputs alone."""
         return self.ways[0]
@@ -229,6 +234,10 @@ def robustness(
     """
     if not _LEAST <= samples <= MOST:
         raise TrajectoryError(f"samples: {samples} must be from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
+    try:
+        asked_kinds = [Kind(kind) for kind in kinds]
+    except ValueError as error:
+        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in Kind)}.") from error
     subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
     trajectory = as_trajectory(plan, subject)
     if trajectory is None:
@@ -239,15 +248,12 @@ def robustness(
         raise TrajectoryError(
             f"plan: it does not hold to begin with ({judgement.verdict.value}: {judgement.score.why.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
         )
-    try:
-        asked_kinds = [Kind(kind) for kind in kinds]
-    except ValueError as error:
-        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in Kind)}.") from error
     causes, began = perturbations(subject, trajectory, asked_kinds), time.process_time()
     if not causes:
         raise TrajectoryError(f"scene {subject.name}: nothing of it can be perturbed by {', '.join(kind.value for kind in asked_kinds)}.")
     found, complete, worlds = _Progress(), True, draw(causes, samples, seed)
-    with Arena.of(subject, trajectory, judgement.score) as arena:
+    followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK
+    with Arena.of(subject, trajectory, judgement.score, followed=followed) as arena:
         try:
             _measure(arena, worlds, found, tell)
         except KeyboardInterrupt:
@@ -323,12 +329,13 @@ def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback:
 
 def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[Failure]:
     """Both ways along one perturbation."""
-    own = _tried(arena, arena.nominal, found)
+
+    def tried_at(sizes: float) -> Trial:
+        return _tried(arena, moved(arena.nominal, [cause], np.array([sizes])), found, arena.followed)
+
+    own = tried_at(0.0)
     one_sided = cause.below == 0.0
-    ends = [
-        _tried(arena, moved(arena.nominal, [cause], np.array([size])), found)
-        for size in ((_SLOPE, 0.0) if one_sided else (_SLOPE, -_SLOPE))
-    ]
+    ends = [tried_at(size) for size in ((_SLOPE, 0.0) if one_sided else (_SLOPE, -_SLOPE))]
     width = _SLOPE if one_sided else 2.0 * _SLOPE
     known = all(len(trial.states) == len(own.states) for trial in ends)
     slopes = ((ends[0].states[-1] - ends[1].states[-1]) / width, (ends[0].gaps - ends[1].gaps) / width) if known else None
@@ -338,7 +345,7 @@ def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[F
         cases: dict[float, Trial] = {}
 
         def real(size: float, direction: int = direction, cases: dict[float, Trial] = cases) -> float:
-            cases[size] = _tried(arena, moved(arena.nominal, [cause], np.array([direction * size])), found)
+            cases[size] = tried_at(direction * size)
             return cases[size].ratio
 
         def straight(size: float, direction: int = direction) -> float:

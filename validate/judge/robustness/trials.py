@@ -130,11 +130,14 @@ class Trial:
 
 
 class Arena:
-    """The FMU of a scene, in which a plan is tried in one world after the other; feedback: around the plan, None where it has no states."""
+    """The FMU of a scene, in which a plan is tried in one world after the other.
 
-    def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked) -> None:
+    feedback: around the plan, None where it has no states; followed: whether the plan holds only with it.
+    """
+
+    def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
         """Raises FmuError, TrackingError; TrajectoryError if the plan does not fit the scene."""
-        self.scene, self.plan, self.asked, self._package = scene, plan, asked, package
+        self.scene, self.plan, self.asked, self.followed, self._package = scene, plan, asked, followed, package
         self.nominal: World = nominal_world(scene, plan)
         every = find_variables(package, scene.continuous())
         # Only what is asked is read.
@@ -147,10 +150,10 @@ class Arena:
 
     @classmethod
     @contextmanager
-    def of(cls, scene: Scene, plan: Trajectory, score: Score) -> Iterator[Arena]:
+    def of(cls, scene: Scene, plan: Trajectory, score: Score, *, followed: bool = False) -> Iterator[Arena]:
         """An arena that is closed at the end. Raises FmuError, MachineError, TrajectoryError."""
         with unpacked(read_package(build_fmu(scene, results=False))) as package:
-            arena = cls(scene, package, plan, Asked.of(scene, score))
+            arena = cls(scene, package, plan, Asked.of(scene, score), followed)
             try:
                 yield arena
             finally:
@@ -226,9 +229,9 @@ class Arena:
         return Trial(states=states, gaps=gaps, shares=self.asked.shares(states[-1], gaps) if done else {}, outcome=run.outcome)
 
     def _fine_enough(self) -> int:
-        exact = self.checked(self.nominal)
+        exact, feedback = self.checked(self.nominal, feedback=self.followed), self.feedback if self.followed else None
         for fineness in FINENESS[:-1]:
-            found = self._stepped(self.nominal, fineness, None)
+            found = self._stepped(self.nominal, fineness, feedback)
             if found.shares and all(abs(found.shares[name] - share) <= _CLOSE for name, share in exact.shares.items()):
                 return fineness
         return FINENESS[-1]

@@ -216,7 +216,7 @@ class WorldInputs(HeldInputs):
         if self.feedback is not None:
             node = int(self._lies_in[step])
             if self.rows[node] == step:
-                self._commands.begin(node, state)
+                self._commands.begin(node, self._world.start if state is None else state)
             self.values[step] = self._commands.values[self._command[step]] * self._world.gain + self._added[step]
         return self.values[step]
 
