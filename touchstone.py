@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.execution.campaign import CampaignResult
     from validate.fmu_check import CheckReport
+    from validate.judge.robustness import Robustness
     from validate.judge.score import Verdict
     from validate.tasks.shown import JudgedPlan as Judgement
     from validate.tasks.shown import SolvedPlan as Solution
@@ -40,6 +41,7 @@ _HOME = {
     "CheckReport": ("validate.fmu_check", "CheckReport"),
     "Judgement": ("validate.tasks.shown", "JudgedPlan"),
     "Outcome": ("formulations.solution", "Outcome"),
+    "Robustness": ("validate.judge.robustness", "Robustness"),
     "Scene": ("models.scene", "Scene"),
     "Solution": ("validate.tasks.shown", "SolvedPlan"),
     "Trajectory": ("models.trajectory", "Trajectory"),
@@ -50,6 +52,7 @@ __all__ = [
     "CheckReport",
     "Judgement",
     "Outcome",
+    "Robustness",
     "Scene",
     "Solution",
     "Trajectory",
@@ -61,6 +64,7 @@ __all__ = [
     "methods",
     "pipelines",
     "read_plan",
+    "robustness",
     "scene",
     "scenes",
     "solve",
@@ -230,6 +234,38 @@ def judge(
 
         raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
     return JudgedPlan.of(judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan)
+
+
+def robustness(
+    scene: Scene | str | Path,
+    plan: Solution | Trajectory | Mapping[str, Any] | str | Path | Any,
+    *,
+    samples: int = 1000,
+    seed: int = 0,
+    kinds: Sequence[str] = ("parameters", "start", "gain", "noise", "delay"),
+    anyway: bool = False,
+) -> Robustness:
+    """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of (docs/robustness.md).
+
+    Parameters
+    ----------
+    scene, plan : as `judge` takes them; no FMU.
+    samples : worlds, from 10 to 10^6; a quarter of them with feedback too.
+    seed : of the worlds; the same numbers, to the bit, for the same seed.
+    kinds : what is perturbed.
+    anyway : measure a plan too that does not hold to begin with.
+
+    Returns
+    -------
+    Robustness : `alone` and `feedback` with their `share`, `curve`, `checked`; `failures`, `weakest`.
+
+    Raises
+    ------
+    SceneError, TrajectoryError, MachineError : in one sentence.
+    """
+    from validate.judge.robustness import robustness as measured
+
+    return measured(scene, plan, samples=samples, seed=seed, kinds=kinds, anyway=anyway)
 
 
 def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:

@@ -35,6 +35,7 @@ from reports.pages import (
     overview,
     pareto,
     provenance,
+    robustness,
     run,
     runs,
     scene,
@@ -49,6 +50,7 @@ from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scen
 from reports.records.check_record import CheckRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
+from reports.records.robustness_record import RobustnessRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
@@ -164,6 +166,12 @@ def render_checks(records: Sequence[CheckRecord]) -> str:
     """The text of the page of FMUs that were checked outside of any campaign; at least one."""
     names = ", ".join(record.name for record in records)
     return page(Templates(), [fmus.of(records)], title="FMUs under the check", lead=names, again="")
+
+
+def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None) -> str:
+    """The text of the page of how much a plan can take. plan: what it is called; run, folder: of what moves in the player (reports.pages.robustness)."""
+    title = f"How much {plan} can take on {record.scene}"
+    return page(Templates(), [robustness.build(record, run, folder)], title=title, lead=record.summary, again="")
 
 
 def page(

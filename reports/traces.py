@@ -80,12 +80,13 @@ def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
 
 def read_plan(folder: Path, run: RunRecord, stage: StageRecord) -> Trace | None:
     """The plan of a stage alone; None where there is none that can be read."""
+    return read_trace(folder / stage_files(stage.index, len(run.stages))["trajectory"], run.scene) if stage.has_plan else None
+
+
+def read_trace(path: Path, scene: SceneRecord) -> Trace | None:
+    """One motion from its file; None where there is none that can be read."""
     try:
-        return (
-            _plan(run.scene, _columns(folder / stage_files(stage.index, len(run.stages))["trajectory"], run.scene))
-            if stage.has_plan
-            else None
-        )
+        return _plan(scene, _columns(path, scene))
     except _DAMAGED:
         return None
 

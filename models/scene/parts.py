@@ -142,6 +142,7 @@ class Parameter(_Named):
     """A physical constant of the scene.
 
     symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
+    uncertainty: how far from `value` the world may be [unit], with the reason for that; None: a twentieth of the value (validate.judge.robustness).
     """
 
     symbol: sp.Symbol
@@ -150,6 +151,8 @@ class Parameter(_Named):
     lower: float = -math.inf
     upper: float = math.inf
     description: str = ""
+    uncertainty: float | None = None
+    uncertainty_reason: str = ""
 
     def __post_init__(self) -> None:
         where = f"parameter {self.symbol}"
@@ -161,6 +164,15 @@ class Parameter(_Named):
             settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
         if not self.lower <= self.value <= self.upper:
             raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
+        if self.uncertainty is not None:
+            settle(self, "uncertainty", as_number(f"{where}: uncertainty", self.uncertainty))
+            if not (
+                self.uncertainty >= 0.0 and self.lower <= self.value - self.uncertainty and self.value + self.uncertainty <= self.upper
+            ):
+                raise SceneError(
+                    f"{where}: the uncertainty {self.uncertainty:g} {self.unit} must be at least 0 and stay within the range [{self.lower:g}, {self.upper:g}] around {self.value:g}."
+                )
+        check_text(f"{where}: uncertainty_reason", self.uncertainty_reason, empty=self.uncertainty is None)
 
 
 @dataclass(frozen=True, kw_only=True)

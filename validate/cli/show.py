@@ -45,7 +45,7 @@ def command(run: str, folder: Path, as_json: bool) -> int:
     from reports.records.check_record import CheckRecord
     from reports.rule import fails
 
-    folder, record = _found(run, folder)
+    folder, record = find_run(run, folder)
     if as_json:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
     else:
@@ -57,8 +57,8 @@ def command(run: str, folder: Path, as_json: bool) -> int:
     return 1 if fails(record) else 0
 
 
-def _found(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
-    """The campaign's folder and the record. Raises CampaignError."""
+def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
+    """The campaign's folder and the record of a run, by its folder, key or name. Raises CampaignError."""
     from validate.store.store import RECORD, Store
     from validate.store.stored import CampaignError, campaign_of, stored_names
 

@@ -188,14 +188,14 @@ def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stag
         folder, files = Path(place) / "runs" / _KEY, stage_files(0, 1)
         folder.mkdir(parents=True)
         if plan is not None:
-            _write_plan(folder / files["trajectory"], plan, drawn)
+            write_drawn(folder / files["trajectory"], plan, drawn)
         for what, motion in (("replay", replay), ("tracked", None if replay is None else replay.tracked)):
             if motion is not None and len(motion.t):
                 write_replay(folder / files[what], motion, drawn)
         return render_run(run, Path(place))
 
 
-def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
+def write_drawn(path: Path, plan: Trajectory, subject: Subject) -> None:
     """What of a plan is drawn: what its author says, and where the bodies of a scene are then."""
     forces = [f"lam_{item.name}" for item in subject.contacts] + [item.force_name for item in subject.frictions]
     said = ["lam" not in plan.missing] * subject.nc + ["friction" not in plan.missing] * subject.nf

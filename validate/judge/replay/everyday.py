@@ -148,7 +148,7 @@ def simulate(
                 fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=parts, slopes=slopes,
                 states=len(variables.q) + len(variables.v), rolls_back=rolls_back, own_step_of=own_step_of, own_step=own_step,
             )  # fmt: skip
-            if _record_start(stepping, run):
+            if record_start(stepping, run):
                 step_through(stepping, run)
         finally:
             fmu.unload()
@@ -157,7 +157,7 @@ def simulate(
     return run
 
 
-def _record_start(stepping: Stepping, run: Run) -> bool:
+def record_start(stepping: Stepping, run: Run) -> bool:
     """Record the outputs at the first node; False if they end the run."""
     time, values = float(stepping.inputs.times[0]), stepping.fmu.read(stepping.outputs).copy()
     if not np.isfinite(values).all():

@@ -1,0 +1,156 @@
+"""RobustnessRecord: how much a plan can take, as `validate robust` writes it (docs/robustness.md).
+
+record = RobustnessRecord.model_validate(found, from_attributes=True)      # of validate.judge.robustness
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict
+
+from reports.records.record import Finite
+
+# How far first order and sampling may differ to be called the same.
+SAME = 0.1
+
+
+def _text(value: Any) -> Any:
+    return value.value if isinstance(value, Enum) else value
+
+
+def _known(value: Any) -> Any:
+    """None for the share of a motion that did not come to its end: JSON has no infinity."""
+    return None if isinstance(value, float) and math.isinf(value) else value
+
+
+_Word = Annotated[str, BeforeValidator(_text)]
+
+
+_OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
+
+
+class ShareRecord(_Model):
+    """How many of the worlds a plan arrives in; interval: Wilson's, of 95 %."""
+
+    arrived: int
+    samples: int
+    share: Finite
+    interval: tuple[Finite, Finite]
+
+    @property
+    def words(self) -> str:
+        """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
+        if not self.samples:
+            return "none, as no world was tried"
+        low, high = self.interval
+        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
+
+
+class CurveRecord(_Model):
+    """shares: at `scales` times all sizes; half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried."""
+
+    scales: tuple[Finite, ...]
+    shares: tuple[ShareRecord, ...]
+    half: Finite | None
+    beyond: str
+
+
+class CheckedRecord(_Model):
+    """How many worlds the reference was asked about too.
+
+    differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end.
+    """
+
+    count: int
+    differ: tuple[tuple[int, _OrEnded, _OrEnded], ...]
+    largest_difference: Finite
+
+
+class WayRecord(_Model):
+    """Inputs alone, or with feedback; fails_by: metric or end of the motion -> worlds."""
+
+    name: str
+    share: ShareRecord
+    fails_by: dict[str, int]
+    curve: CurveRecord | None
+    checked: CheckedRecord | None
+
+    @property
+    def fails(self) -> str:
+        """What fails in the worlds in which the plan does not arrive, the most frequent first; empty where it arrives in all."""
+        counts = sorted(self.fails_by.items(), key=lambda item: -item[1])
+        return "; ".join(f"{name.replace('_', ' ')} in {count:,}" for name, count in counts)
+
+
+class PerturbationRecord(_Model):
+    """What may be otherwise, and by how much [unit]."""
+
+    kind: _Word
+    name: str
+    nominal: Finite
+    size: Finite
+    unit: str
+    reason: str
+
+
+class FailureRecord(_Model):
+    """The first failure along one perturbation, one way; sizes, predicted: in its sizes, None: none up to `tried`; amount [unit]."""
+
+    cause: PerturbationRecord
+    direction: int
+    sizes: Finite | None
+    amount: Finite | None
+    tried: Finite
+    by: str
+    predicted: Finite | None
+    same_modes: bool
+
+    @property
+    def words(self) -> str:
+        """C by -0.0833 N s/m (0.83 of its size)."""
+        of = "" if self.cause.unit == "1" else f" {self.cause.unit}"
+        return f"{self.cause.name} by {self.amount:+.3g}{of} ({self.sizes:.2f} of its size)"
+
+    @property
+    def compared(self) -> str:
+        """How the size that the slopes predict stands to the one that was found."""
+        if self.predicted is None:
+            return "it predicts none" if self.sizes is not None else "none either"
+        if self.sizes is None:
+            return f"{self.predicted:.3g}, not found"
+        if abs(self.predicted - self.sizes) <= SAME * self.sizes:
+            return f"{self.predicted:.3g}, the same within {SAME:.0%}"
+        return f"{self.predicted:.3g}; {'the response bends' if self.same_modes else 'contacts close in another order by then'}"
+
+
+class RobustnessRecord(_Model):
+    """How much a plan can take; complete: False where the work was interrupted; followed: whether failures are those with feedback, because the plan holds only with it; shown: worlds whose motion is drawn, by number and largest share of a limit."""
+
+    schema_version: int = 1
+    scene: str
+    verdict: _Word
+    seed: int
+    fineness: int
+    causes: tuple[PerturbationRecord, ...]
+    ways: tuple[WayRecord, ...]
+    failures: tuple[FailureRecord, ...]
+    weakest: FailureRecord | None
+    trials: int
+    seconds: Finite
+    complete: bool
+    followed: bool
+    shown: tuple[tuple[int, _OrEnded], ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """In what share of the worlds the plan arrives, and what it takes least of."""
+        shares = "; ".join(f"{way.name} it arrives in {way.share.words}" for way in self.ways)
+        weakest = "" if self.weakest is None else f" It takes least of: {self.weakest.words}."
+        return f"{shares[:1].upper()}{shares[1:]}.{weakest}{'' if self.complete else ' The work was interrupted.'}"

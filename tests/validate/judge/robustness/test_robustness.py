@@ -1,0 +1,202 @@
+"""Shares, curves and first failures: by hand, on known functions, and on three carts as a whole."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from models.catalog import load_scene
+from models.errors import TouchstoneError
+from models.trajectory import Trajectory, write_csv
+from reports.records.robustness_record import FailureRecord, RobustnessRecord
+from validate.cli.robust import command
+from validate.judge.judgement import Judgement
+from validate.judge.robustness import Robustness, robustness
+from validate.judge.robustness.robustness import Share, first_failure
+from validate.judge.robustness.trials import Arena
+from validate.judge.robustness.worlds import moved, perturbations
+
+SCENE = load_scene("three_cart")
+RESTING = {"t": 0.01 * np.arange(501), "u1": np.zeros(500), "u3": np.zeros(500)}
+
+
+@pytest.mark.parametrize(
+    ("arrived", "samples", "low", "high"),
+    [(45, 50, 0.78640, 0.95652), (5, 50, 0.04348, 0.21360), (50, 50, 0.92865, 1.0), (0, 50, 0.0, 0.07135), (0, 0, 0.0, 1.0)],
+)
+def test_the_interval_is_wilsons(arrived: int, samples: int, low: float, high: float):
+    share = Share(arrived=arrived, samples=samples)
+    assert share.interval == pytest.approx((low, high), abs=1e-5)
+    assert share.share == (arrived / samples if samples else 0.0)
+
+
+@pytest.mark.parametrize(("at", "largest"), [(0.001, 64.0), (0.03, 64.0), (0.7, 64.0), (3.0, 64.0), (63.9, 64.0), (0.5, 0.6)])
+def test_the_first_failure_is_found_to_a_hundredth(at: float, largest: float):
+    assert first_failure(lambda size: size / at, largest) == pytest.approx(at, rel=0.01)
+
+
+def test_what_never_fails_and_what_fails_before_are_told():
+    asked: list[float] = []
+    assert first_failure(lambda size: asked.append(size) or 1.0, 5.0) is None
+    assert max(asked) == 5.0
+    assert first_failure(lambda size: 1.1, 5.0) == 0.0
+    assert first_failure(lambda size: 0.9 if size < 1.0 or size > 2.0 else 1.1, 64.0) == pytest.approx(1.0, rel=0.01), (
+        "the first, not the last"
+    )
+
+
+@pytest.fixture(scope="module")
+def found(judged: Judgement) -> Robustness:
+    return robustness(SCENE, judged.plan, samples=32)
+
+
+@pytest.mark.slow
+def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged: Judgement, found: Robustness):
+    again, other = (robustness(SCENE, judged.plan, samples=32, seed=seed) for seed in (0, 1))
+    records = [RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0}) for item in (found, again, other)]
+    assert records[0] == records[1]
+    assert (found.alone.ratios == again.alone.ratios).all()
+    assert (found.alone.ratios != other.alone.ratios).all()
+    assert records[0].failures == records[2].failures, "one perturbation by itself is no matter of luck"
+
+
+@pytest.mark.slow
+def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness):
+    assert judged.plan is not None
+    assert found.feedback is not None
+    assert found.complete
+    assert (found.alone.share.samples, found.feedback.share.samples) == (32, 10)
+    assert found.alone.share.arrived == int((found.alone.ratios <= 1.0).sum()) == 32 - sum(found.alone.fails_by.values())
+    assert found.feedback.share.share > found.alone.share.share
+    for way in found.ways:
+        assert way.checked is not None
+        assert (way.checked.count, way.checked.differ) == (10, ())
+        assert way.checked.largest_difference < 1e-3
+        assert way.curve is not None
+        shares = [item.share for item in way.curve.shares]
+        assert shares == sorted(shares, reverse=True)
+        assert way.curve.half is not None
+        assert shares[way.curve.scales.index(1.0)] == way.share.share
+    weakest = found.weakest
+    assert weakest is not None
+    assert (weakest.cause.name, weakest.direction, weakest.by) == ("c", -1, "replay_terminal_position_error")
+    with Arena.of(SCENE, judged.plan, judged.score) as arena:
+        for item in found.failures:
+            if item.sizes is not None:
+                for share, arrives in ((0.98, True), (1.02, False)):
+                    trial = arena.checked(moved(arena.nominal, [item.cause], np.array([item.direction * share * item.sizes])))
+                    assert trial.arrives is arrives, (item.cause.name, item.direction)
+    by_name = {(item.cause.name, item.direction): item for item in found.failures}
+    assert len(by_name) == 2 * 12 + 1, "noise has no direction, a delay has one"
+    for direction in (-1, 1):  # the right cart is pushed by itself, and its end is a straight line in its input's gain
+        alone = by_name["gain of u3", direction]
+        assert alone.predicted == pytest.approx(alone.sizes, rel=0.1)
+        assert alone.same_modes
+
+
+def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
+    said: list[str] = []
+
+    def tell(text: str) -> None:
+        said.append(text)
+        if text.startswith("c by itself"):
+            raise KeyboardInterrupt
+
+    found = robustness(SCENE, judged.plan, samples=10, tell=tell)
+    assert not found.complete
+    assert (found.alone.share.samples, found.alone.curve) == (10, None)
+    assert [(item.cause.name, item.direction) for item in found.failures] == [("m", -1), ("m", 1)]
+    assert "interrupted" in RobustnessRecord.model_validate(found).summary
+
+    def at_once(text: str) -> None:
+        raise KeyboardInterrupt
+
+    nothing = RobustnessRecord.model_validate(robustness(SCENE, judged.plan, samples=10, tell=at_once))
+    assert "no world was tried" in nothing.summary
+
+
+@pytest.mark.parametrize(
+    ("changes", "parts"),
+    [
+        ({"samples": 0}, ["samples", "0", "10 to 1000000"]),
+        ({"samples": 10**9}, ["samples", "1000000000"]),
+        ({"kinds": ["wind"]}, ["kinds", "wind", "parameters, start, gain, noise, delay"]),
+        ({}, ["does not hold to begin with", "violates", "--anyway"]),
+        ({"scene": "three_crat"}, ["three_cart"]),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_in_a_sentence(changes: dict, parts: list[str]):
+    with pytest.raises(TouchstoneError) as told:
+        robustness(**{"scene": SCENE, "plan": RESTING} | changes)
+    assert [part for part in parts if part not in str(told.value)] == [], told.value
+
+
+def test_a_plan_that_does_not_hold_is_measured_anyway():
+    found = robustness(SCENE, RESTING, samples=10, anyway=True, kinds=["gain"])
+    assert (found.alone.share.arrived, found.feedback) == (0, None)
+    assert [item.sizes for item in found.failures] == [0.0] * 4
+    assert found.alone.curve is not None
+    assert (found.alone.curve.half, found.alone.curve.beyond) == (None, "below")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "predicted", "same", "words"),
+    [
+        (2.0, 2.15, True, "2.15, the same within 10%"), (2.0, 2.25, True, "2.25; the response bends"), (2.0, 1.7, False, "1.7; contacts close in another order by then"),
+        (2.0, None, True, "it predicts none"), (None, 3.0, True, "3, not found"), (None, None, True, "none either"),
+    ],
+)  # fmt: skip
+def test_first_order_is_held_against_what_was_found(sizes: float | None, predicted: float | None, same: bool, words: str):
+    cause = perturbations(
+        SCENE, Trajectory(t=RESTING["t"], q=np.zeros((501, 3)), v=np.zeros((501, 3)), u=np.zeros((500, 2)), lam=np.zeros((500, 2)))
+    )[1]
+    amount = None if sizes is None else -0.1 * sizes
+    said = FailureRecord(
+        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, same_modes=same  # type: ignore[arg-type]
+    )  # fmt: skip
+    assert said.compared == words
+    if sizes is not None:
+        assert said.words == "c by -0.2 N s/m (2.00 of its size)"
+
+
+@pytest.mark.slow
+def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp_path: Path):
+    assert judged.plan is not None
+    write_csv(tmp_path / "plan.csv", judged.plan, SCENE)
+    given = [str(tmp_path / "plan.csv"), "--scene", "three_cart", "--samples", "12", "--perturb", "parameters"]
+    page, rows = tmp_path / "out" / "page.html", tmp_path / "worlds.csv"
+    told = CliRunner().invoke(command, [*given, "--json", "--html", str(page), "--csv", str(rows)], standalone_mode=False)
+    assert told.return_value == 0, told.output
+    record = RobustnessRecord.model_validate_json(told.stdout)
+    assert [item.name for item in record.causes] == ["m", "c", "k", "d"]
+    assert json.loads(told.stdout)["ways"][0]["share"]["samples"] == 12
+    table = list(csv.DictReader(io.StringIO(rows.read_text())))
+    assert len(table) == 12
+    assert sum(float(row["share of limit, inputs alone"]) <= 1.0 for row in table) == record.ways[0].share.arrived
+    text = page.read_text()
+    assert [
+        part
+        for part in ("How much plan.csv can take on three_cart", record.ways[0].share.words, "data-player", "World 2")
+        if part not in text
+    ] == []
+    plain = CliRunner().invoke(command, given, standalone_mode=False)
+    assert [
+        part
+        for part in (record.ways[0].share.words, "it takes least of: c", "10 worlds tried by the reference")
+        if part not in plain.stdout
+    ] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"), [(["plan.csv"], ["--scene"]), (["nothing x mpcc", "--in", "nowhere"], ["nowhere"]), (["no.csv", "--scene", "three_cart"], ["no.csv"])]
+)  # fmt: skip
+def test_a_plan_that_is_not_there_is_named(arguments: list[str], parts: list[str]):
+    told = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert told.exception is not None
+    assert [part for part in parts if part not in str(told.exception)] == [], told.exception

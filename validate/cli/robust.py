@@ -1,0 +1,171 @@
+"""`robust`: how much a plan can take."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from validate.cli.options import scenes
+from validate.cli.table import print_table, say, short, wide_option
+
+if TYPE_CHECKING:
+    from reports.records.robustness_record import RobustnessRecord
+    from validate.judge.robustness import Robustness
+
+_KINDS = ("parameters", "start", "gain", "noise", "delay")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate robust plan.csv --scene three_cart
+  python -m validate robust plan.csv --scene three_cart --samples 10000 --html page.html
+  python -m validate robust "three_cart x mpcc" --in runs/all
+  python -m validate robust plan.csv --scene three_cart --perturb parameters
+
+Exit codes: 0 it was measured; 2 a mistake, or a plan that does not hold to begin
+with; 3 a system requirement is missing; 130 interrupted: what was tried is told.
+"""
+)
+@click.argument("plan", metavar="PLAN.csv|RUN")
+@click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for; of a run, its own.")
+@click.option(
+    "--in", "folder", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The campaign of a run."
+)
+@click.option("--samples", type=int, default=1000, show_default=True, help="How many worlds; a quarter of them with feedback too.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds.")
+@click.option(
+    "--perturb", "kinds", multiple=True, type=click.Choice(_KINDS), help="What is perturbed; may be repeated. Everything without it."
+)
+@click.option("--anyway", is_flag=True, help="Measure a plan too that does not hold to begin with.")
+@click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
+@wide_option
+@click.option(
+    "--html",
+    "html_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="Write a page with curves and player there.",
+)
+@click.option(
+    "--csv",
+    "csv_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.csv",
+    help="Write every world there: what was otherwise in it, and how near to its limit the plan came.",
+)
+def command(
+    plan: str,
+    scene: str | None,
+    folder: Path,
+    samples: int,
+    seed: int,
+    kinds: tuple[str, ...],
+    anyway: bool,
+    as_json: bool,
+    html_file: Path | None,
+    csv_file: Path | None,
+) -> int:
+    """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of.
+
+    Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of docs/robustness.md, all at once; then each by itself until
+    the plan fails. Inputs alone and with feedback apart.
+    """
+    from reports.records.robustness_record import RobustnessRecord
+    from validate.cli.group import INTERRUPTED
+    from validate.judge.robustness import robustness
+    from validate.store.disk import make_folder, write_durably
+
+    subject, trajectory, name = _plan_of(plan, scene, folder)
+    found = robustness(
+        subject,
+        trajectory,
+        samples=samples,
+        seed=seed,
+        kinds=kinds or _KINDS,
+        anyway=anyway,
+        tell=lambda text: click.echo(f"{text} ..", err=True),
+    )
+    record = RobustnessRecord.model_validate(found)
+    if csv_file is not None:
+        make_folder(csv_file.parent)
+        write_durably(csv_file, _worlds(found))
+    if html_file is not None:
+        from validate.tasks.robustness import robustness_page
+
+        make_folder(html_file.parent)
+        write_durably(html_file, robustness_page(found, record, subject, trajectory, name))
+    if as_json:
+        click.echo(record.model_dump_json(indent=1))
+    else:
+        _print(record)
+    return 0 if found.complete else INTERRUPTED
+
+
+def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]:
+    """The scene, the plan as a Trajectory, and what it is called: of a file, or of a run."""
+    from models.catalog import load_scene
+    from models.trajectory_netcdf import read_netcdf
+    from reports.records.record import RunRecord, stage_files
+    from validate.cli.show import find_run
+    from validate.judge.judgement import as_trajectory
+    from validate.store.stored import CampaignError
+
+    if Path(plan).is_file() or Path(plan).suffix in (".csv", ".nc"):
+        if scene is None:
+            raise click.UsageError("a plan from a file needs --scene NAME.")
+        subject = load_scene(scene)
+        return subject, as_trajectory(plan, subject), Path(plan).name
+    found, record = find_run(plan, folder)
+    last = record.stages[-1] if isinstance(record, RunRecord) and record.stages else None
+    if not isinstance(record, RunRecord) or last is None or not last.has_plan:
+        raise CampaignError(f"{plan}: this run left no plan, so there is nothing to try.")
+    subject = load_scene(scene or record.scene.name)
+    stored = found / "runs" / record.key / stage_files(last.index, len(record.stages))["trajectory"]
+    return subject, read_netcdf(stored, subject), record.title
+
+
+def _worlds(found: Robustness) -> str:
+    """A row a world: its number, what is otherwise in sizes, the largest share of a limit inputs alone, and with feedback."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["world", *(cause.name for cause in found.causes), *(f"share of limit, {way.name}" for way in found.ways)])
+    for number in range(len(found.alone.ratios)):
+        shares = (repr(float(way.ratios[number])) if number < len(way.ratios) else "" for way in found.ways)
+        rows.writerow([number, *(repr(float(size)) for size in found.points[number]), *shares])
+    return text.getvalue()
+
+
+def _print(record: RobustnessRecord) -> None:
+    rows = []
+    for item in sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)):
+        at = (
+            f"not up to {short(item.tried, '.3g')} sizes"
+            if item.amount is None
+            else short(item.amount, ".3g") + ("" if item.cause.unit == "1" else f" {item.cause.unit}")
+        )
+        rows.append([item.cause.name, "+" if item.direction > 0 else "-", short(item.sizes, ".3g"), at, item.by, item.compared])
+    if rows:
+        print_table(["perturbation", "", "sizes", "first fails at", "by", "first order"], rows, ("sizes",), drop=["by", "first order"])
+        click.echo()
+    for way in record.ways:
+        fails, checked = way.fails, way.checked
+        say(f"{way.name}: it arrives in {way.share.words}{f'; it fails by {fails}' if fails else ''}.")
+        if way.curve is not None:
+            half = f"half of the worlds are left at {short(way.curve.half, '.3g')} times these sizes"
+            every = {"above": "more than half are left at all sizes tried", "below": "fewer than half are left at all sizes tried"}
+            say(
+                f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({', '.join(f'{short(scale)}: {share.share:.2f}' for scale, share in zip(way.curve.scales, way.curve.shares, strict=True))})."
+            )
+        if checked is not None:
+            say(
+                f"{way.name}: {checked.count} worlds tried by the reference too, {len(checked.differ)} end otherwise; largest difference {checked.largest_difference:.1e} of a limit."
+            )
+    if record.weakest is not None:
+        say(f"it takes least of: {record.weakest.words}.")
+    if not record.complete:
+        say("interrupted: this is what was tried until then.", err=True)

@@ -1,0 +1,10 @@
+"""How much a plan can take: the share of perturbed worlds in which it still arrives, and which perturbation it takes least of.
+
+from validate.judge.robustness import robustness
+robustness("three_cart", "plan.csv").alone.share
+"""
+
+from validate.judge.robustness.robustness import SAMPLES, Robustness, robustness
+from validate.judge.robustness.worlds import Kind
+
+__all__ = ["SAMPLES", "Kind", "Robustness", "robustness"]

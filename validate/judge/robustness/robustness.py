@@ -1,0 +1,387 @@
+"""How much a plan can take: in what share of perturbed worlds it arrives, and which perturbation it takes least of.
+
+    found = robustness("three_cart", "plan.csv", samples=1000)
+    found.alone.share, found.alone.interval, found.weakest
+
+Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from validate.judge.robustness.trials; a sample is
+tried once more by the reference, and what differs is counted.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.catalog import load_scene
+from models.errors import TrajectoryError
+from models.scene import Scene
+from validate.judge.judgement import Judgement, as_trajectory, judge
+from validate.judge.robustness.trials import Arena, Trial
+from validate.judge.robustness.worlds import Draw, Kind, Perturbation, World, draw, moved, perturbations
+from validate.judge.score.verdict import Verdict
+
+SAMPLES, MOST = 1000, 1_000_000
+# Shares against size: all sizes times these, in so many of the worlds.
+SCALES, _OF_A_CURVE = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 256
+# One of so many worlds is tried by the reference too, within these bounds.
+_EVERY, _FEWEST, _MOST_CHECKED = 50, 10, 200
+# Sizes of one perturbation: from the first, by this factor up to the last, then bisected to 1 %.
+_FIRST, _FACTOR, _LAST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
+# Move of the replays whose difference is the slope, in sizes.
+_SLOPE = 1e-3
+_Z95 = 1.959963984540054
+# Worlds whose motion is kept to be shown.
+_SHOWN = 3
+# One of so many worlds is tried with feedback too, which costs ten times as much.
+_LEAST, _OF_FEEDBACK = 10, 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """How many of the worlds a plan arrives in; interval: Wilson's, of 95 %."""
+
+    arrived: int
+    samples: int
+
+    @property
+    def share(self) -> float:
+        """The part that arrives [-]; 0 of none."""
+        return self.arrived / max(self.samples, 1)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end (Wilson, 1927)."""
+        if not self.samples:
+            return 0.0, 1.0
+        n, share, z2 = self.samples, self.share, _Z95**2
+        middle, half = share + z2 / (2 * n), _Z95 * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n))
+        low, high = ((middle + sign * half) / (1 + z2 / n) for sign in (-1, 1))
+        return (0.0 if self.arrived == 0 else low), (1.0 if self.arrived == n else high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """Shares at several scales of all sizes, and the scale at which half of the worlds arrive (None: beyond those tried, `beyond` says on which side)."""
+
+    scales: tuple[float, ...]
+    shares: tuple[Share, ...]
+    half: float | None
+    beyond: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
+
+    direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`; amount: the same in the perturbation's unit; by: what fails there;
+    predicted: where the slopes at the scene's own world say that it does; same_modes: whether contacts close and open in the same order up to there.
+    """
+
+    cause: Perturbation
+    direction: int
+    sizes: float | None
+    tried: float
+    by: str
+    predicted: float | None
+    same_modes: bool
+
+    @property
+    def amount(self) -> float | None:
+        """By how much it is moved there [unit of the perturbation]."""
+        return None if self.sizes is None else self.direction * self.sizes * self.cause.size
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """Worlds that were tried by the reference too: how many, and of those that differ the number of the world and both shares."""
+
+    count: int
+    differ: tuple[tuple[int, float, float], ...]
+    largest_difference: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Way:
+    """A way to drive the plan, "inputs alone" or "with feedback": how many arrive, how many fail by what, the curve, and what was checked.
+
+    ratios (samples,): of each world the largest of what is asked, as a share of its limit.
+    """
+
+    name: str
+    share: Share
+    fails_by: dict[str, int]
+    ratios: np.ndarray
+    curve: Curve | None = None
+    checked: Checked | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robustness:
+    """What was measured of a plan; complete: False where it was interrupted.
+
+    fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in all; seconds: CPU time [s]; points (samples, causes):
+    the worlds in sizes; motions: (number of the world, what happened) of the first worlds, inputs alone.
+    """
+
+    judgement: Judgement
+    causes: tuple[Perturbation, ...]
+    seed: int
+    fineness: int
+    ways: tuple[Way, ...]
+    failures: tuple[Failure, ...]
+    trials: int
+    seconds: float
+    complete: bool
+    points: np.ndarray
+    motions: tuple[tuple[int, Trial], ...]
+
+    @property
+    def scene(self) -> str:
+        """Its name."""
+        return self.judgement.scene.name
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the plan in the scene's own world."""
+        return self.judgement.verdict
+
+    @property
+    def shown(self) -> tuple[tuple[int, float], ...]:
+        """Number of each world whose motion is kept, and its largest share of a limit."""
+        return tuple((number, trial.ratio) for number, trial in self.motions)
+
+    @property
+    def followed(self) -> bool:
+        """Whether first failures are those with feedback: the plan holds only with it."""
+        return self.verdict is Verdict.HOLDS_WITH_FEEDBACK
+
+    @property
+    def alone(self) -> Way:
+        """Inputs alone."""
+        return self.ways[0]
+
+    @property
+    def feedback(self) -> Way | None:
+        """With feedback; None where the plan has no states to feed back, or the work was interrupted before."""
+        return self.ways[1] if len(self.ways) > 1 else None
+
+    @property
+    def weakest(self) -> Failure | None:
+        """The perturbation of which the plan takes the fewest sizes."""
+        return min((item for item in self.failures if item.sizes is not None), key=lambda item: item.sizes or 0.0, default=None)
+
+
+@dataclass
+class _Progress:
+    """What was found so far: kept when the work is interrupted."""
+
+    trials: int = 0
+    ratios: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
+    by: dict[bool, dict[str, int]] = field(default_factory=lambda: {False: {}, True: {}})
+    curves: dict[bool, Curve] = field(default_factory=dict)
+    checks: dict[bool, Checked] = field(default_factory=dict)
+    failures: list[Failure] = field(default_factory=list)
+    motions: list[tuple[int, Trial]] = field(default_factory=list)
+
+    def way(self, feedback: bool) -> Way:
+        ratios, name = np.array(self.ratios[feedback]), "with feedback" if feedback else "inputs alone"
+        share = Share(arrived=int((ratios <= 1.0).sum()), samples=len(ratios))
+        return Way(
+            name=name,
+            share=share,
+            fails_by=self.by[feedback],
+            ratios=ratios,
+            curve=self.curves.get(feedback),
+            checked=self.checks.get(feedback),
+        )
+
+
+def robustness(
+    scene: Scene | str | Path,
+    plan: Any,
+    *,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    kinds: Sequence[Kind | str] = tuple(Kind),
+    anyway: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Robustness:
+    """Measure how much a plan can take.
+
+    Parameters
+    ----------
+    scene, plan : as `judge` takes them
+    samples : worlds, from 10 to 10^6
+    seed : of the worlds; the same seed gives the same worlds and the same numbers, to the bit
+    kinds : what is perturbed: parameters, start, gain, noise, delay
+    anyway : measure a plan too that does not hold to begin with
+    tell : is called with a sentence at each part of the work
+
+    Returns
+    -------
+    Robustness
+        after Ctrl-C what was measured until then, with `complete` False.
+
+    Raises
+    ------
+    SceneError, TrajectoryError, FmuError, MachineError : in one sentence.
+    """
+    if not _LEAST <= samples <= MOST:
+        raise TrajectoryError(f"samples: {samples} must be from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
+    try:
+        asked_kinds = [Kind(kind) for kind in kinds]
+    except ValueError as error:
+        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in Kind)}.") from error
+    subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
+    trajectory = as_trajectory(plan, subject)
+    if trajectory is None:
+        raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
+    trajectory = trajectory.from_zero()
+    judgement = judge(subject, trajectory)
+    if not judgement.verdict.is_good and not anyway:
+        raise TrajectoryError(
+            f"plan: it does not hold to begin with ({judgement.verdict.value}: {judgement.score.why.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
+        )
+    causes, began = perturbations(subject, trajectory, asked_kinds), time.process_time()
+    if not causes:
+        raise TrajectoryError(f"scene {subject.name}: nothing of it can be perturbed by {', '.join(kind.value for kind in asked_kinds)}.")
+    found, complete, worlds = _Progress(), True, draw(causes, samples, seed)
+    followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK
+    with Arena.of(subject, trajectory, judgement.score, followed=followed) as arena:
+        try:
+            _measure(arena, worlds, found, tell)
+        except KeyboardInterrupt:
+            complete = False
+        return Robustness(
+            judgement=judgement, causes=causes, seed=seed, fineness=arena.fineness,
+            ways=tuple(found.way(feedback) for feedback in (False, True) if found.ratios[feedback] or not feedback), failures=tuple(found.failures),
+            trials=found.trials, seconds=time.process_time() - began, complete=complete, points=worlds.points, motions=tuple(found.motions),
+        )  # fmt: skip
+
+
+def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str], None]) -> None:
+    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // _OF_FEEDBACK)})
+    for feedback, count in samples.items():
+        tell(f"{count} worlds, {'with feedback' if feedback else 'inputs alone'}")
+        for number in range(count):
+            trial = _tried(arena, worlds.world(number, arena.nominal), found, feedback)
+            found.ratios[feedback].append(trial.ratio)
+            if not trial.arrives:
+                found.by[feedback][trial.fails_by] = found.by[feedback].get(trial.fails_by, 0) + 1
+            if not feedback and number < _SHOWN:
+                found.motions.append((number, trial))
+    for feedback in samples:
+        tell("some of these by the reference too")
+        found.checks[feedback] = _checked(arena, worlds, found.ratios[feedback], feedback)
+    for cause in worlds.causes:
+        if cause.kind is not Kind.NOISE:
+            tell(f"{cause.name} by itself")
+            found.failures.extend(_failures(arena, cause, found))
+    for feedback, count in samples.items():
+        tell("shares against size")
+        found.curves[feedback] = _curve(arena, worlds, min(count, _OF_A_CURVE), found, feedback)
+
+
+def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False) -> Trial:
+    found.trials += 1
+    return arena.trial(world, feedback=feedback)
+
+
+def _checked(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
+    """Every so manieth world again by the reference."""
+    count = min(len(ratios), max(_FEWEST, min(_MOST_CHECKED, len(ratios) // _EVERY)))
+    numbers = np.unique(np.linspace(0, len(ratios) - 1, count).round().astype(int)).tolist()
+    differ, largest = [], 0.0
+    for number in numbers:
+        ratio = arena.checked(worlds.world(number, arena.nominal), feedback=feedback).ratio
+        if (ratio <= 1.0) is not (ratios[number] <= 1.0):
+            differ.append((number, ratios[number], ratio))
+        if math.isfinite(ratio) and math.isfinite(ratios[number]):
+            largest = max(largest, abs(ratio - ratios[number]))
+    return Checked(count=len(numbers), differ=tuple(differ), largest_difference=largest)
+
+
+def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback: bool) -> Curve:
+    """Shares at all scales that no parameter's range forbids, the scale of one half bisected between two of them."""
+    room = min((min(cause.below or math.inf, cause.above) for cause in worlds.causes), default=math.inf)
+
+    def share(scale: float) -> Share:
+        trials = (_tried(arena, worlds.world(number, arena.nominal, scale), found, feedback) for number in range(samples))
+        return Share(arrived=sum(trial.arrives for trial in trials), samples=samples)
+
+    scales = [scale for scale in SCALES if scale <= room]
+    shares = [share(scale) for scale in scales]
+    below = [index for index, item in enumerate(shares) if item.share < 0.5]
+    if not below or below[0] == 0:
+        return Curve(scales=tuple(scales), shares=tuple(shares), half=None, beyond="above" if not below else "below")
+    low, high = scales[below[0] - 1], scales[below[0]]
+    while high / low > 1.0 + _WITHIN * 5:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if share(middle).share < 0.5 else (middle, high)
+    return Curve(scales=tuple(scales), shares=tuple(shares), half=math.sqrt(low * high))
+
+
+def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[Failure]:
+    """Both ways along one perturbation."""
+
+    def tried_at(sizes: float) -> Trial:
+        return _tried(arena, moved(arena.nominal, [cause], np.array([sizes])), found, arena.followed)
+
+    own = tried_at(0.0)
+    one_sided = cause.below == 0.0
+    ends = [tried_at(size) for size in ((_SLOPE, 0.0) if one_sided else (_SLOPE, -_SLOPE))]
+    width = _SLOPE if one_sided else 2.0 * _SLOPE
+    known = all(len(trial.states) == len(own.states) for trial in ends)
+    slopes = ((ends[0].states[-1] - ends[1].states[-1]) / width, (ends[0].gaps - ends[1].gaps) / width) if known else None
+    for direction in (1,) if one_sided else (-1, 1):
+        room = cause.above if direction > 0 else cause.below
+        tried = min(_LAST, room)
+        cases: dict[float, Trial] = {}
+
+        def real(size: float, direction: int = direction, cases: dict[float, Trial] = cases) -> float:
+            cases[size] = tried_at(direction * size)
+            return cases[size].ratio
+
+        def straight(size: float, direction: int = direction) -> float:
+            assert slopes is not None
+            step = direction * size
+            return max(arena.asked.shares(own.states[-1] + step * slopes[0], own.gaps + step * slopes[1]).values())
+
+        sizes = first_failure(real, tried)
+        # The smallest move that was tried and fails.
+        failed = None if sizes is None else cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)]
+        yield Failure(
+            cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by,
+            predicted=None if slopes is None else first_failure(straight, tried), same_modes=failed is None or failed.modes == own.modes,
+        )  # fmt: skip
+
+
+def first_failure(ratio: Callable[[float], float], largest: float) -> float | None:
+    """The smallest size at which a share exceeds 1, to 1 %: sizes rise by a factor until it does, then the last interval is halved.
+
+    Parameters
+    ----------
+    ratio : the share at a size
+    largest : size to which it is looked for
+
+    Returns
+    -------
+    the size, 0 where the share exceeds 1 without any; None where it does nowhere.
+    """
+    if ratio(0.0) > 1.0:
+        return 0.0
+    low, high = 0.0, min(_FIRST, largest)
+    while ratio(high) <= 1.0:
+        if high >= largest:
+            return None
+        low, high = high, min(high * _FACTOR, largest)
+    while high - low > _WITHIN * high:
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if ratio(middle) > 1.0 else (middle, high)
+    return (low + high) / 2.0

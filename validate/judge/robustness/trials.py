@@ -1,0 +1,237 @@
+"""A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
+
+    with Arena.of(scene, plan) as arena:
+        arena.trial(world).ratio         # the largest of what is asked, as a share of its limit: up to 1 it arrives
+        arena.checked(world).ratio       # the same by the reference
+
+The FMU is loaded once, and reset before each world. Its step is the coarsest whose motion in the scene's own world ends where the reference's does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+
+from models.codegen.kernel import load_kernel
+from models.errors import TrajectoryError
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.scene.goal import goal_state
+from models.trajectory import Trajectory
+from validate.fmi.description import Package, read_package, unpacked
+from validate.fmi.instance import Instance, References, load_instance
+from validate.judge.replay.everyday import Stepping, base_step, record_start, step_through
+from validate.judge.replay.reference import ExchangeModel, integrate
+from validate.judge.replay.result import ReplayOutcome, Run
+from validate.judge.replay.run import EVENT_BUDGET
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.tracking import design_feedback
+from validate.judge.replay.wiring import Feedback, Variables
+from validate.judge.robustness.worlds import World, WorldInputs, nominal_world
+from validate.judge.score import Score
+from validate.judge.score.equations import distance
+
+# Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as this share of the limits is taken, else the last.
+FINENESS = (2, 5, 10, 20, 50, 100, 200)
+_CLOSE = 1e-3
+# Relative tolerance of the reference: limits are told with three digits.
+_RTOL = 1e-9
+_ASKED = ("replay_terminal_position_error", "replay_terminal_velocity_error", "max_penetration")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Asked:
+    """What arriving means: how far from the goal (NaN: free) positions and velocities may end, and how deep each contact (nc,) may be [m]."""
+
+    goal: np.ndarray
+    position: float
+    velocity: float
+    depths: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, score: Score) -> Asked:
+        """By the limits that the judge held this plan to. Raises TrajectoryError where the scene asks for no goal."""
+        position, velocity = (_limit(score, name) for name in _ASKED[:2])
+        if math.isinf(position) and math.isinf(velocity):
+            raise TrajectoryError(
+                f"scene {scene.name}: it asks for no end that a plan must reach, so there is nothing to arrive at; robustness is measured on scenes with a goal and its limits."
+            )
+        own = scene.limit("max_penetration")
+        depths = np.array([math.inf if depth is None else depth for depth in scene.depths])
+        if own is not None:
+            depths = np.full(scene.nc, math.inf if own.value is None else own.value)
+        return cls(goal=goal_state(scene.task), position=position, velocity=velocity, depths=depths)
+
+    def shares(self, end: np.ndarray, gaps: np.ndarray) -> dict[str, float]:
+        """What is asked as shares of its limits.
+
+        Parameters
+        ----------
+        end : (2*nq,) the last state [m or rad, then per second]
+        gaps : (rows, nc) over the motion [m]
+
+        Raises
+        ------
+        ValueError : if the shapes do not fit.
+        """
+        half = len(self.goal) // 2
+        shares = {
+            _ASKED[0]: distance(end[:half], self.goal[:half]) / self.position,
+            _ASKED[1]: distance(end[half:], self.goal[half:]) / self.velocity,
+        }
+        if len(self.depths):
+            shares[_ASKED[2]] = float(np.max(-gaps.min(axis=0, initial=math.inf) / self.depths))
+        return shares
+
+
+def _limit(score: Score, name: str) -> float:
+    """What the judge held the metric to; infinite where it did not ask."""
+    metric = score.metric(name)
+    return math.inf if metric is None or metric.limit is None else metric.limit
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
+
+    shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    """
+
+    states: np.ndarray
+    gaps: np.ndarray
+    shares: dict[str, float]
+    outcome: ReplayOutcome
+
+    @property
+    def ratio(self) -> float:
+        """The largest share; infinite where the motion did not come to its end."""
+        return max(self.shares.values()) if self.shares else math.inf
+
+    @property
+    def arrives(self) -> bool:
+        """Whether all that is asked stays within its limits."""
+        return self.ratio <= 1.0
+
+    @property
+    def fails_by(self) -> str:
+        """The metric with the largest share, or how the motion ended."""
+        return max(self.shares, key=lambda name: self.shares[name]) if self.shares else self.outcome.name.lower()
+
+    @property
+    def modes(self) -> tuple[tuple[int, ...], ...]:
+        """Which contacts are closed at the nodes, one after the other, without how long."""
+        closed = [tuple(np.flatnonzero(row < 0.0).tolist()) for row in self.gaps]
+        return tuple(now for before, now in zip([None, *closed], closed, strict=False) if now != before)
+
+
+class Arena:
+    """The FMU of a scene, in which a plan is tried in one world after the other.
+
+    feedback: around the plan, None where it has no states; followed: whether the plan holds only with it.
+    """
+
+    def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
+        """Raises FmuError, TrackingError; TrajectoryError if the plan does not fit the scene."""
+        self.scene, self.plan, self.asked, self.followed, self._package = scene, plan, asked, followed, package
+        self.nominal: World = nominal_world(scene, plan)
+        every = find_variables(package, scene.continuous())
+        # Only what is asked is read.
+        self._variables: Variables = replace(every, lam=(), friction=(), energies={}, powers={})
+        by_name = {variable.name: int(variable.valueReference) for variable in package.description.modelVariables}
+        self._parameters = [by_name.get(item.name) for item in scene.parameters]
+        self.feedback: Feedback | None = design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
+        self._instance: Instance | None = None
+        self.fineness = self._fine_enough()
+
+    @classmethod
+    @contextmanager
+    def of(cls, scene: Scene, plan: Trajectory, score: Score, *, followed: bool = False) -> Iterator[Arena]:
+        """An arena that is closed at the end. Raises FmuError, MachineError, TrajectoryError."""
+        with unpacked(read_package(build_fmu(scene, results=False))) as package:
+            arena = cls(scene, package, plan, Asked.of(scene, score), followed)
+            try:
+                yield arena
+            finally:
+                arena._close()
+
+    def trial(self, world: World, *, feedback: bool = False) -> Trial:
+        """The everyday replay in a world. Raises FmuError."""
+        return self._stepped(world, self.fineness, self.feedback if feedback else None)
+
+    def checked(self, world: World, *, feedback: bool = False) -> Trial:
+        """The same by the reference: CVODE from event to event. Raises FmuError, MachineError."""
+        inputs = WorldInputs(self.plan, world, self.feedback if feedback else None)
+        model = ExchangeModel(self._package, replace(self._variables, parameters=tuple(self._settings(world))))
+        try:
+            run = integrate(model, world.start, inputs, _RTOL, EVENT_BUDGET, parts=1)
+        finally:
+            model.close()
+        return self._trial(run, inputs)
+
+    def _stepped(self, world: World, fineness: int, feedback: Feedback | None) -> Trial:
+        inputs, run, variables = WorldInputs(self.plan, world, feedback), Run(), self._variables
+        given, start = References(variables.u), float(inputs.times[0])
+        own_step, own_step_of = (
+            base_step(self.plan.t) / fineness,
+            References([variables.internal_step] if variables.internal_step is not None else []),
+        )
+        settings = [
+            *self._settings(world),
+            *zip(variables.start, world.start.tolist(), strict=True),
+            *((item, own_step) for item in own_step_of.array),
+        ]
+        try:
+            fmu = self._fresh()
+            fmu.choose(variables.choices)
+            fmu.initialise(start, settings, given, inputs.begin(0, None))
+            stepping = Stepping(
+                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=1, slopes=inputs.linear,
+                states=len(variables.q) + len(variables.v), rolls_back=False, own_step_of=own_step_of, own_step=own_step,
+            )  # fmt: skip
+            if record_start(stepping, run):
+                step_through(stepping, run)
+        except FMICallException as error:
+            run.end_refused(error, start)
+            self._close()
+        return self._trial(run, inputs)
+
+    def _settings(self, world: World) -> list[tuple[int, float]]:
+        return [
+            (reference, value)
+            for reference, value in zip(self._parameters, world.parameters.tolist(), strict=True)
+            if reference is not None
+        ]
+
+    def _fresh(self) -> Instance:
+        """The instance as it was when it was made."""
+        if self._instance is None:
+            self._instance = load_instance(self._package, "CS")
+        else:
+            self._instance.fmu.terminate()
+            self._instance.fmu.reset()
+        return self._instance
+
+    def _close(self) -> None:
+        if self._instance is not None:
+            self._instance.unload()
+            self._instance = None
+
+    def _trial(self, run: Run, inputs: WorldInputs) -> Trial:
+        values = np.array(run.outputs).reshape(len(run.t), len(self._variables.outputs))[run.knots]
+        rows = inputs.rows[inputs.rows < len(values)]
+        states, gaps = np.split(values[rows], [2 * self.scene.nq], axis=1)
+        done = run.outcome is ReplayOutcome.OK
+        return Trial(states=states, gaps=gaps, shares=self.asked.shares(states[-1], gaps) if done else {}, outcome=run.outcome)
+
+    def _fine_enough(self) -> int:
+        exact, feedback = self.checked(self.nominal, feedback=self.followed), self.feedback if self.followed else None
+        for fineness in FINENESS[:-1]:
+            found = self._stepped(self.nominal, fineness, feedback)
+            if found.shares and all(abs(found.shares[name] - share) <= _CLOSE for name, share in exact.shares.items()):
+                return fineness
+        return FINENESS[-1]
