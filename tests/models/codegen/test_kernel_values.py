@@ -175,7 +175,7 @@ def test_arrays_that_do_not_fit_are_refused_in_words():
 def test_mass_matrix_that_is_not_positive_definite_is_said_with_the_place():
     scene = scene_of("two_link_arm")
     kernel = Kernel(scene, load_kernel(scene).path)
-    kernel.parameters[0] = kernel.parameters[1] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
+    kernel.parameters_of(0.01)[:2] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
     with pytest.raises(KernelError, match="not positive definite at q"):
         kernel.acceleration(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 1)))
     assert kernel.rollout(np.zeros(4), np.zeros((3, 2)), 0.01).finite_steps == 0
