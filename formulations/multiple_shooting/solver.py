@@ -87,24 +87,24 @@ class GoalTerm:
         return bool(self._given.any())
 
     def miss(self, end: np.ndarray) -> np.ndarray:
-        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         return miss(end, self._goal)
 
     def value(self, end: np.ndarray) -> float:
-        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         m = self.miss(end)
         return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
 
     def slope(self, end: np.ndarray) -> np.ndarray:
-        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises nothing."""
+        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises ValueError for another length."""
         return np.where(self._given, self.multipliers + self.weight * self.miss(end), 0.0)
 
     def hessian(self) -> np.ndarray:
-        """Give its second derivatives: (2*nq, 2*nq) [-]. Raises nothing."""
+        """Give its second derivatives: (2*nq, 2*nq) [-]."""
         return np.diag(np.where(self._given, self.weight, 0.0))
 
     def update(self, end: np.ndarray) -> None:
-        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         self.multipliers += np.where(self._given, self.weight * self.miss(end), 0.0)
 
 
