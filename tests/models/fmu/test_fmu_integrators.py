@@ -23,7 +23,7 @@ def chosen(driver, name, **values):
 def test_order(scene_of, drive, name, scene, q, u, end):
     """three_cart goes through two contacts on the way."""
     scene = scene_of(scene)
-    want = true_motion(Equations(scene), [Piece(end, np.array(u))], np.array([end]))[0]
+    want = true_motion(Equations(scene), [Piece(end, np.array(u))], np.array([end]))[0][0]
     steps = (1e-3 if ORDERS[name] == 1 else 0.03) / 2.0 ** np.arange(4)
     errors = [np.abs(chosen(drive(scene, "cs"), name, u=u, internal_step=step).run(end, 5).state() - want).max() for step in steps]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]

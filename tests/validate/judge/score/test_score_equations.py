@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
+from models.scene.goal import distance
 from validate.judge.replay.result import Difference, Event
 from validate.judge.score import equations as eq
 from validate.judge.score.own_steps import force_window
@@ -189,7 +190,7 @@ def test_friction_beyond_its_cone_and_its_impulse():
 
 
 def test_what_is_free_in_the_goal_is_no_distance_and_the_largest_difference_says_where():
-    assert eq.distance(np.array([3.0, 7.0, -1.0]), np.array([0.0, np.nan, 3.0])) == pytest.approx(5.0)
+    assert distance(np.array([3.0, 7.0, -1.0]), np.array([0.0, np.nan, 3.0])) == pytest.approx(5.0)
     one = np.array([[0.0, 1.0], [2.0, 1.0], [0.0, 0.0]])
     assert eq.largest_difference(one, np.array([[0.0, 0.5], [2.0, 4.0], [1.0, 0.0]])) == (3.0, 1)
 
