@@ -12,7 +12,6 @@ import pytest
 import torch
 from scipy.optimize import minimize, minimize_scalar
 
-from formulations import ContactFormulation, build_model
 from formulations.shooting.reference import _acceleration, reference_rollout
 from formulations.transcription.contact import SceneExpressions
 from models.catalog import load_scene, scene_names
@@ -164,13 +163,9 @@ def test_a_pair_of_bodies_pushes_itself_nowhere(name: str):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BANK)
-def test_a_model_holds_what_the_scene_needs_and_nothing_else(name: str):
-    """Counted on paper, T steps: states 2 nq (T+1), inputs nu T, forces nl T; rows: start, what is given of the goal, 2 nq T steps, nl T laws of contact and friction."""
-    scene, T = scene_of(name), 3
-    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-2, steps=T)
-    given = sum(value is not None for value in scene.task.goal)
-    assert len(list(model.component_data_objects(pyo.Var))) == 2 * scene.nq * (T + 1) + (scene.nu + scene.nl) * T
-    assert len(list(model.component_data_objects(pyo.Constraint))) == 2 * scene.nq + given + (2 * scene.nq + scene.nl) * T
+def test_the_generated_code_holds_what_the_scene_needs_and_nothing_else(name: str):
+    """No functions of angles, no factorisation, no final cost where there is none."""
+    scene = scene_of(name)
     text, structure = emit_model(scene), derive(scene).structure
     curved = {"cart_pole_walls", "acrobot_limits", "two_finger", "two_finger_lift"}
     assert ("sin(" in text) == (name in curved)

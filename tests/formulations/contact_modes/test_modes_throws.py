@@ -61,16 +61,6 @@ def test_a_plan_that_touches_nothing_is_begun_again_from_throws() -> None:
 
 
 @pytest.mark.slow
-def test_throws_are_the_same_from_run_to_run() -> None:
-    with load_method("mpcc").open(WALL, {"search": False}) as session:
-        again = session.solve(eps=None, warm_start=None, time_limit=120.0)
-    first = solved(WALL).trajectory
-    assert first is not None
-    assert again.trajectory is not None
-    np.testing.assert_array_equal(again.trajectory.u, first.u)
-
-
-@pytest.mark.slow
 def test_of_several_starts_the_cheapest_is_replaced() -> None:
     solution = solved(WALL, starts=2, first_start=5, work=2.0)
     thrown = [attempt for attempt in solution.starts if attempt.start.endswith(", then throws")]

@@ -25,30 +25,15 @@ def test_what_they_are():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"learning_rat": 1.0}, "did you mean learning_rate"),
         ({"learning_rate": 0.0}, "learning_rate is 0.0"),
-        ({"learning_rate": float("inf")}, "learning_rate is inf"),
         ({"learning_rate": float("nan")}, "learning_rate is nan"),
-        ({"learning_rate": None}, "learning_rate is None"),
         ({"iterations": 0}, "iterations is 0"),
-        ({"iterations": 1.5}, "whole number"),
-        ({"iterations": True}, "iterations is True"),
-        ({"max_iterations": 2.5}, "whole number"),
         ({"input_weight": -1.0}, "input_weight is -1.0"),
-        ({"tolerance": "small"}, "tolerance is 'small'"),
     ],
 )
 def test_impossible_options_are_named(options: dict[str, object], words: str):
     with pytest.raises(OptionError, match=words):
         load_method("relu_gd").open(SCENE, options)
-
-
-@pytest.mark.parametrize(
-    ("name", "eps"), [("relu_gd", 1e-3), ("softplus_gd", None), ("softplus_gd", 0.0), ("softplus_gd", 1.0), ("softplus_gd", True)]
-)
-def test_impossible_eps_is_named(name: str, eps: float | None):
-    with load_method(name).open(SCENE) as session, pytest.raises(OptionError, match="eps"):
-        session.solve(eps=eps, warm_start=None, time_limit=1.0)
 
 
 def test_history_and_figures_belong_together():

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from example_scenes import example_scene, solve
 
-from formulations.method import OptionError
-from formulations.pipelines import load_method
 from formulations.shooting.objective import Objective, Weights, noise
 from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
@@ -89,11 +87,6 @@ def test_noise_makes_contact_that_the_plan_itself_does_not():
     assert alive.trajectory is not None
     assert dead.trajectory.q[-1, 1] == start[1]
     assert alive.trajectory.q[-1, 1] != start[1]
-
-
-def test_an_odd_number_of_samples_is_refused():
-    with pytest.raises(OptionError, match="samples is 7, but must be an even number"):
-        load_method("randomised_smoothing").open(CARTS, {"samples": 7})
 
 
 def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():

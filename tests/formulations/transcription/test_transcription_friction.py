@@ -1,14 +1,12 @@
 """Dry friction in the direct transcription: regularised, relaxed and exact, against closed forms and the compiled time step."""
 
 import numpy as np
-import pyomo.environ as pyo
 import pytest
 import sympy as sp
 
-from formulations import ContactFormulation, build_model, load_plan, read_plan, relax
+from formulations import ContactFormulation, build_model, load_plan, read_plan
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.contact import sides
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -136,18 +134,6 @@ def test_cargo_cannot_be_brought_further_than_friction_allows() -> None:
     assert near.outcome is Outcome.SOLVED
     assert far.outcome in {Outcome.INFEASIBLE, Outcome.STALLED}
     assert far.outcome is Outcome.INFEASIBLE or far.residuals["terminal_error"] > 1e-3
-
-
-def test_model_holds_what_friction_needs_and_no_more() -> None:
-    scene, steps = conveyor(), STEPS
-    regularised = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-2)
-    exact = build_model(scene, ContactFormulation.COMPLEMENTARITY)
-    plain = 4 * (steps + 1) + steps  # q, v of two bodies, one input
-    assert sum(1 for _ in regularised.component_data_objects(pyo.Var)) == plain + steps
-    assert sum(1 for _ in exact.component_data_objects(pyo.Var)) == plain + 3 * steps  # force, slip forward and backward
-    assert not hasattr(exact, "variable_lam")
-    relax(exact, 1e-2)
-    assert len(sides(exact)) == 2 * steps
 
 
 def test_plan_goes_in_and_comes_out() -> None:

@@ -107,26 +107,6 @@ def test_a_wrong_step_is_seen() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "contact", "variables", "constraints"),
-    [
-        # by hand, with T steps: q and v at T+1 nodes, u and lam at T; ends 4 nq, steps 2 nq T, contact nc T
-        ("three_cart", ContactFormulation.SOFTPLUS, lambda T: 6 * (T + 1) + 4 * T, lambda T: 12 + 6 * T + 2 * T),
-        # Pyomo's relaxation: one separation force a pair, its definition and its product
-        ("three_cart", ContactFormulation.COMPLEMENTARITY, lambda T: 6 * (T + 1) + 4 * T + 2 * T, lambda T: 12 + 6 * T + 4 * T),
-        ("two_link_arm", ContactFormulation.SOFTPLUS, lambda T: 4 * (T + 1) + 3 * T, lambda T: 8 + 4 * T + T),
-        ("bouncing_mass", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1) + T, lambda T: 2 + 2 * T + T),
-        ("oscillator", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1), lambda T: 4 + 2 * T),
-    ],
-)
-def test_counts_are_those_on_paper(name, contact, variables, constraints) -> None:
-    for steps in (1, 7, 40):
-        model = build_model(scene_of(name), contact, eps=1e-2, steps=steps)
-        assert sum(1 for _ in model.component_data_objects(pyo.Var, descend_into=True)) == variables(steps)
-        assert sum(1 for _ in model.component_data_objects(pyo.Constraint, active=True, descend_into=True)) == constraints(steps)
-
-
-@pytest.mark.slow
 def test_what_a_scene_does_not_need_is_not_there() -> None:
     bouncing = build_model(scene_of("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
     bare = build_model(scene_of("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)

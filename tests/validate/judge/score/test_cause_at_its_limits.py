@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,9 @@ def cause(*metrics: Metric) -> str:
     states, forces = np.zeros((steps + 1, 3)), np.zeros((steps, 2))
     plan = Trajectory(t=uniform_grid(scene.task.step, steps), q=states, v=states, u=forces, lam=forces)
     found = {item.name: item for item in metrics}
-    return cause_of(ScoredPlan(scene=scene, trajectory=plan, replay=None, metrics=found, verdict=Verdict.VIOLATES, questions={}))
+    scored = ScoredPlan(scene=scene, trajectory=plan, replay=None, metrics=found, verdict=Verdict.VIOLATES, questions={})
+    assert cause_of(replace(scored, verdict=Verdict.HOLDS)) == ""
+    return cause_of(scored)
 
 
 @pytest.mark.parametrize(

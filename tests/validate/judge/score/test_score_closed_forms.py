@@ -8,7 +8,6 @@ import pytest
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.errors import SceneError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
@@ -54,14 +53,6 @@ def test_a_contact_that_never_closes_is_not_measured():
     result = judged(scene)
     assert result.verdict is Verdict.UNDECIDED
     assert "no contact closes" in result.why
-
-
-@pytest.mark.slow
-def test_an_unknown_measure_is_named():
-    scene = load_scene("bouncing_mass")
-    unknown = replace(scene, answers=(replace(scene.answers[0], measure="colour"),))
-    with pytest.raises(SceneError, match="measured by 'colour', but the measures are closing time"):
-        judged(unknown)
 
 
 def test_contact_forces_change_by_penetration_and_by_its_rate():

@@ -1,7 +1,6 @@
 """The judge on friction: transport planned exactly, with more force than mu N, and with creep; replayed with true stiction."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +9,9 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.fmu import build_fmu
-from models.netcdf import read_columns
 from models.scene import Scene
 from models.schemes import Scheme
-from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
-from models.trajectory_netcdf import write_netcdf
-from validate.judge.replay.netcdf import write_replay
+from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.result import Replay
 from validate.judge.replay.run import replay
 from validate.judge.score import Question, Score, score
@@ -108,17 +104,3 @@ def test_an_undeclared_plan_is_asked_the_friction_law_too_at_either_end_of_its_s
     metric = score(scene, dataclasses.replace(undeclared, lam=other), None).metric("friction_dissipation_error")
     assert metric is not None
     assert metric.ok is True
-
-
-def test_a_plan_with_friction_goes_to_a_csv_file_and_comes_back(scene: Scene, plan: Trajectory, tmp_path: Path) -> None:
-    write_csv(tmp_path / "plan.csv", plan, scene)
-    assert "friction_belt" in (tmp_path / "plan.csv").read_text().splitlines()[2]  # below # hold and # scheme
-    assert np.array_equal(read_csv(tmp_path / "plan.csv", scene).lam, plan.lam)
-
-
-def test_files_carry_the_friction_forces(scene: Scene, plan: Trajectory, replayed: Replay, tmp_path: Path) -> None:
-    write_netcdf(tmp_path / "trajectory.nc", plan, scene)
-    write_replay(tmp_path / "replay.nc", replayed, scene)
-    (planned, _), (shown, _) = (read_columns(tmp_path / name) for name in ("trajectory.nc", "replay.nc"))
-    assert planned["friction_belt"].values == pytest.approx(plan.lam[:, 2].tolist())
-    assert np.abs(shown["friction_belt"].values).max() == pytest.approx(0.2 * 9.81, rel=1e-9)

@@ -16,7 +16,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay import Difference, Replay, ReplayError
 from validate.judge.replay.run import replay
-from validate.judge.score import Question, Score, Verdict, check_limits, score
+from validate.judge.score import Question, Score, Verdict, score
 from validate.judge.score.table import TABLE
 
 OWN = Scheme.SEMI_IMPLICIT_EULER
@@ -164,19 +164,6 @@ def test_a_plan_whose_own_time_step_blows_up_gets_a_reason_not_a_nan(scene: Scen
     assert (shown.value, shown.ok, shown.limit) == (None, None, None)
 
 
-def test_unequal_steps_are_rolled_out_one_by_one(scene: Scene):
-    t = np.concatenate([np.arange(10) * 0.01, 0.1 + np.arange(11) * 0.02])
-    u = np.ones((20, 2))
-    q, v = [np.array([2.0, 3.0, 4.0])], [np.zeros(3)]
-    for h, force in zip(np.diff(t), u, strict=True):
-        v.append(v[-1] + h * (np.array([force[0], 0.0, force[1]]) - 2 * v[-1]))
-        q.append(q[-1] + h * v[-1])
-    plan = Trajectory(t=t, q=np.array(q), v=np.array(v), u=u, lam=np.zeros((20, 2)), scheme=OWN)
-    result = score(scene, plan, None)
-    assert result.value("defect") == pytest.approx(0.0, abs=1e-14)
-    assert result.value("law_error") == pytest.approx(0.0, abs=1e-13)
-
-
 def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajectory, replayed: Replay):
     short = Trajectory(t=plan.t[:11], q=plan.q[:11], v=plan.v[:11], u=plan.u[:10], lam=plan.lam[:10])
     with pytest.raises(TrajectoryError, match="101 nodes are not the 11"):
@@ -202,21 +189,6 @@ def test_a_limit_that_could_judge_nothing_is_refused_with_its_mend(scene: Scene,
     with pytest.raises(SceneError) as caught:
         score(wrong, None, None)
     assert says in str(caught.value)
-
-
-def test_every_shown_metric_refuses_a_limit(scene: Scene):
-    for entry in TABLE:
-        if entry.question is Question.SHOWN:
-            with pytest.raises(SceneError, match="shown, not judged"):
-                check_limits(
-                    replace(
-                        scene,
-                        limits=(
-                            *scene.limits,
-                            Limit(metric=entry.name, value=1.0, reason="a test"),
-                        ),
-                    )
-                )
 
 
 def test_a_scene_cannot_forget_a_limit_but_waive_it(scene: Scene, plan: Trajectory, replayed: Replay):

@@ -276,29 +276,6 @@ def metric_of_growth(value: float) -> Metric:
     return Metric(name="amplification", question=Question.SHOWN, value=value, unit="1", meaning="")
 
 
-LAW = metric("law_error", None, value=0.08, limit=None)
-
-
-@pytest.mark.parametrize(
-    ("metrics", "cause"),
-    [
-        ((STRAY, metric("physics_scaled", False, 2.0, 1e-5, "s")), "physics_scaled"),
-        ((metric("terminal_position_error", False, 0.5, 0.05), STRAY), "terminal_position_error"),
-        ((metric("replay_cost", False, 2.0, 1.0, "1"),), "replay_cost"),
-        ((metric("unexplained_force", False, 0.4, 0.1, "1"), STRAY), "unexplained_force"),
-        ((STRAY, GRID, LAW, metric_of_growth(549.0)), "relaxed contact"),
-        ((STRAY, GRID, metric_of_growth(100.0)), "unstable"),
-        ((STRAY, GRID, metric_of_growth(99.0)), "coarse grid"),
-        ((STRAY, GRID), "coarse grid"),
-        ((STRAY, LAW), "motion"),
-        ((STRAY, GRID, LAW, metric("defect", False, 1e-3, 1e-6, "1")), "defect"),
-    ],
-)
-def test_the_cause_of_a_violation_is_one_word(metrics: tuple[Metric, ...], cause: str):
-    assert cause_of(scored(*metrics)) == cause
-    assert cause_of(scored(*metrics, verdict=Verdict.HOLDS)) == ""
-
-
 def test_the_cause_of_what_is_undecided_is_what_is_open():
     assert cause_of(scored(metric("replay_error", None, 0.0599), verdict=Verdict.UNDECIDED)) == "replay_error"
     assert cause_of(scored(metric("replay_error", None, 0.0599), UNWELL, verdict=Verdict.UNDECIDED)) == UNWELL.name
