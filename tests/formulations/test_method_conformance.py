@@ -100,7 +100,6 @@ def test_its_answer_is_whole(name: str) -> None:
     assert isinstance(solution.outcome, Outcome)
     assert solution.outcome.has_answer, solution.message
     plan = solution.trajectory
-    assert plan is not None
     plan.check_fits(scene)
     assert plan.steps == scene.task.steps
     assert plan.has_uniform_grid()

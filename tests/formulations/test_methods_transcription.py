@@ -42,7 +42,6 @@ def chain(
 def discrete_terminal_error(solution: Solution, scene: Scene = SCENE) -> float:
     """Recomputed here: the plan's inputs through the plan's own time step with the true contact law."""
     plan = solution.trajectory
-    assert plan is not None
     replay = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
     return float(np.linalg.norm(np.concatenate([replay.q[-1], replay.v[-1]]) - np.array(scene.task.goal)))
 
@@ -50,7 +49,6 @@ def discrete_terminal_error(solution: Solution, scene: Scene = SCENE) -> float:
 def physics(solution: Solution, scene: Scene = SCENE) -> float:
     """The paper's (10) over t = 0..T-1, with lam and phi at the same time."""
     plan, kernel = solution.trajectory, load_kernel(scene)
-    assert plan is not None
     return float(np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).sum())
 
 
@@ -67,7 +65,6 @@ def descent_plan() -> Trajectory:
             q_bar[-1], v_bar[-1] = miss[:3] / 3, miss[3:] / 3
             u = u - 500 * (kernel.adjoint(rollout, u, q_bar, v_bar)[0] + 2 * 5e-6 * u)
         rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
-    assert rollout is not None
     return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
 
@@ -128,7 +125,6 @@ def test_strict_rows_hold(strict_rows: dict[str, Solution], start: str) -> None:
     assert solution.residuals["terminal_error"] <= 1e-8
     assert discrete_terminal_error(solution) <= 1e-8
     assert solution.residuals["discrete_terminal_error"] == pytest.approx(discrete_terminal_error(solution), abs=1e-12)
-    assert solution.cost is not None
     assert 490.5495 <= solution.cost <= (510 if start == "cold" else 497)  # no exact plan below the best known one
 
 
@@ -140,7 +136,6 @@ def test_one_pipeline_comes_near_the_best_known_plan(strict_rows: dict[str, Solu
 def test_softplus_plans_never_violate_more_than_the_closed_form(eps: float) -> None:
     solution = chain("softplus_dc", (1e-1, eps), SMALL)[-1]
     plan, kernel = solution.trajectory, load_kernel(SMALL)
-    assert plan is not None
     products = plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))
     assert products.max() <= worst_case_violation(30.0, eps) * (1 + 1e-9)
     assert products.max() >= 0.5 * worst_case_violation(30.0, eps), "the carts touch, so the worst place is nearly met"

@@ -252,7 +252,6 @@ def test_inputs_at_both_ends_of_the_last_step_need_no_step_more(tmp_path: Path, 
     path.write_text("\n".join(["# hold: linear", "t,u1,u3", *(f"{task.step * n!r},{n},0" for n in range(task.steps + 1))]) + "\n")
     plan = read_csv(path, scene)
     assert plan.steps == task.steps
-    assert plan.u_end is not None
     assert plan.u_end.tolist() == [task.steps, 0.0]
     path.write_text(path.read_text().replace("linear", "zero"))
     held = read_csv(path, scene)

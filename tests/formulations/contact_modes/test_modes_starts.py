@@ -33,7 +33,6 @@ def test_a_plan_in_the_mirror_satisfies_the_undamped_equations() -> None:
     there = rolled(scene.with_task(start=(2.0, 2.49, 3.0, 1.0, 0.0, 0.0)), np.zeros((2000, 2)))
     assert there.lam.max() > 0
     back = mirrored(scene, load_kernel(scene), there)
-    assert back is not None
     np.testing.assert_allclose(np.gradient(back.q, 1e-4, axis=0)[5:-5], back.v[5:-5], atol=1e-2)
     kernel = load_kernel(scene)
     pushed = kernel.acceleration(back.q[:-1], back.v[:-1], back.u, back.lam)
@@ -46,7 +45,6 @@ def test_the_mirror_takes_the_start_to_the_goal() -> None:
     ends = np.linspace(task.start, goal_state(task), task.steps + 1)
     plan = Trajectory(t=uniform_grid(task.step, task.steps), q=ends[:, :3], v=ends[:, 3:], u=np.ones((500, 2)), lam=np.ones((500, 2)))
     back = mirrored(SCENE, load_kernel(SCENE), plan)
-    assert back is not None
     np.testing.assert_allclose(back.start, task.start, atol=1e-12)
     np.testing.assert_allclose(back.end, goal_state(task), atol=1e-12)
 
@@ -59,7 +57,6 @@ def test_a_scene_that_is_not_its_own_mirror_image_has_no_mirror() -> None:
 
 def test_the_shooting_solution_comes_nearer_to_the_goal_at_less_than_the_best_cost() -> None:
     plan = descended_plan(SCENE, load_kernel(SCENE))
-    assert plan is not None
     end = np.concatenate([plan.q[-1], plan.v[-1]])
     assert np.linalg.norm(end - goal_state(SCENE.task)) < 0.3 * np.linalg.norm(np.array(SCENE.task.start) - goal_state(SCENE.task))
     assert 0.0 < (plan.u**2).sum() < 490.0
@@ -102,7 +99,6 @@ def test_another_seed_is_another_random_start() -> None:
 def test_contacts_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
-    assert plan is not None
     best = min(solution.starts, key=lambda start: float("inf") if start.cost is None else start.cost)
     closed = np.zeros_like(plan.lam, dtype=bool)
     names = [contact.name for contact in SMALL.contacts]

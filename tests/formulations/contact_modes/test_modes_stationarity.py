@@ -40,7 +40,6 @@ def test_a_negative_multiplier_names_a_cheaper_mode(contact: int, shift: int) ->
     intervals[contact][0] += shift
     problem = ModesProblem(linear_scene(SCENE))
     answer = problem.solve(closed_steps(tuple(((first, stop),) for first, stop in intervals), 500))
-    assert answer is not None
     assert answer.cost > 490.5495306
     negative = [
         (t, c)

@@ -43,7 +43,6 @@ def test_the_energy_of_two_masses_by_hand():
     # 1/2 M v^2 = 1/4 + 5/32; phi = 2 + 1/2 - 1 = 3/2: 1/2 k phi^2 = 27/32
     energy = 0.25 + 0.15625 + 0.84375 + _H * gain * 7.0
     found = energy_bound(SCENE, 7.0)
-    assert found is not None
     assert found.speed == pytest.approx(np.sqrt(2 * energy / np.array([2.0, 5.0])), rel=1e-7)
     assert found.penetration == pytest.approx([np.sqrt(2 * energy / _K)], rel=1e-7)
     assert found.approach == pytest.approx([np.sqrt(2 * energy * (4.0 / 2.0 + 0.25 / 5.0))], rel=1e-7)
@@ -52,7 +51,6 @@ def test_the_energy_of_two_masses_by_hand():
 def test_an_open_contact_holds_no_energy():
     """At the start, phi = -1: what is left is the motion's 1/4 + 5/32, where nothing may be spent."""
     found = energy_bound(SCENE.with_task(start=(-0.25, -1.0, 0.5, -0.25)), 0.0)
-    assert found is not None
     assert found.penetration == pytest.approx([np.sqrt(2 * (0.25 + 0.15625) / _K)], rel=1e-12)
 
 
@@ -87,7 +85,6 @@ def test_a_step_that_is_just_too_long():
     )  # fmt: skip
     assert energy_bound(free, 1.0) is None
     found = energy_bound(free.with_task(step=1.0), 1.0)  # D = 1/2, gain = 1/2, energy = 1/2
-    assert found is not None
     assert found.speed == pytest.approx([1.0], rel=1e-12)
 
 

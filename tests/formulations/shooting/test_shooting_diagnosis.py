@@ -24,13 +24,11 @@ APART = SCENE.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.
 def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
     solution = solve(APART, **options)
     assert solution.outcome is (Outcome.ITERATION_LIMIT if options else Outcome.STALLED)
-    assert solution.trajectory is not None
     assert (solution.trajectory.lam == 0.0).all()
     assert "no contact is made anywhere on the trajectory" in solution.message
     assert "no gradient towards moving q2 (it misses its goal by 0.5 m; |d q2/d u| = 0)" in solution.message
     assert "start from a softplus stage" in solution.message
     gaps = re.search(r"smallest gap left ([\d.]+) m at t = ([\d.]+) s, right ([\d.]+) m", solution.message)
-    assert gaps is not None
     phi = load_kernel(APART).penetration(solution.trajectory.q[:-1])
     assert float(gaps[1]) == pytest.approx(-phi[:, 0].max(), rel=5e-3)
     assert float(gaps[3]) == pytest.approx(-phi[:, 1].max(), rel=5e-3)
@@ -104,7 +102,6 @@ def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(name
     assert "learning rate 500" in solution.message
     assert "grows by a factor of" in solution.message
     rate = re.search(r"a learning rate below ([\d.e-]+) would not overshoot", solution.message)
-    assert rate is not None
     again = solve(scene, name, eps, learning_rate=0.75 * float(rate[1]), iterations=60)
     assert again.history["loss"][-1] == min(again.history["loss"]) < 0.2 * again.history["loss"][0]
 

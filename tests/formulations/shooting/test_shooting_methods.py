@@ -39,7 +39,6 @@ def test_impossible_options_are_named(options: dict[str, object], words: str):
 def test_history_and_figures_belong_together():
     solution = solve(SCENE, iterations=25)
     plan = solution.trajectory
-    assert plan is not None
     assert {len(column) for column in solution.history.values()} == {26}
     assert solution.cost == solution.history["cost"][-1]
     assert solution.residuals["terminal_error"] == pytest.approx(solution.history["terminal_error"][-1], rel=1e-14)
@@ -56,7 +55,6 @@ def test_the_plan_is_a_rollout_of_the_methods_own_law():
     kernel = load_kernel(SCENE)
     for name, eps, law in (("relu_gd", None, ContactLaw.RELU), ("softplus_gd", 1e-3, ContactLaw.SOFTPLUS)):
         plan = solve(SCENE, name, eps, iterations=5).trajectory
-        assert plan is not None
         assert (plan.lam == kernel.contact_force(plan.q[:-1], law, eps)).all()
 
 
@@ -128,7 +126,6 @@ def test_bounds_of_the_inputs_are_kept_where_the_descent_would_leave_them():
     inputs = SCENE.inputs
     task = SCENE.with_task(steps=100)
     free = solve(task, "softplus_gd", 1e-7)
-    assert free.trajectory is not None
     assert np.abs(free.trajectory.u).max() == inputs[0].upper
     assert free.residuals["input_bound_excess"] == 0.0
     assert "inputs are held at their bound" in free.message

@@ -73,7 +73,6 @@ def test_composes_with_a_loss_of_ones_own():
     plan = rollout(scene, torch.repeat_interleave(knots, 10, dim=0).tanh())
     loss = plan.q[:, 1].amax() + plan.lam.exp().mean() + 1e-3 * plan.cost
     loss.backward()
-    assert knots.grad is not None
     assert knots.grad.abs().min() > 0.0
 
     u = torch.full((500, 2), 0.5, dtype=torch.float64).tanh()
@@ -113,7 +112,6 @@ def test_the_reference_is_differentiable_twice():
     loss = q.square().sum()
     (gradient,) = torch.autograd.grad(loss, u, create_graph=True)
     gradient.sum().backward()
-    assert u.grad is not None
     assert u.grad.abs().max() > 0.0
 
 
@@ -153,7 +151,6 @@ def test_float32_inputs_may_be_converted_in_the_open():
     scene = example_scene("three_cart")
     u = torch.ones(5, 2, requires_grad=True)
     rollout(scene, u.double()).q.sum().backward()
-    assert u.grad is not None
     assert u.grad.dtype == torch.float32
 
 

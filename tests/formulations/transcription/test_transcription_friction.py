@@ -91,7 +91,6 @@ def test_strict_plan_obeys_coulomb_and_the_compiled_time_step(scene: Scene) -> N
     (solution,) = solve("strict_lcp", scene, None)
     assert solution.outcome is Outcome.SOLVED, solution.message
     plan = solution.trajectory
-    assert plan is not None
     rolled = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, STEP)
     assert np.abs(rolled.q - plan.q).max() < 1e-8
     assert np.abs(rolled.lam - plan.lam).max() < 1e-6
@@ -107,7 +106,6 @@ def test_relaxed_costs_rise_to_the_exact_one_as_the_bound_tightens() -> None:
     (exact,) = solve("strict_lcp", scene, None, start=relaxed[-1].trajectory)
     costs = [solution.cost or 0.0 for solution in relaxed]
     assert all(solution.outcome is Outcome.SOLVED for solution in (*relaxed, exact))
-    assert exact.cost is not None
     assert costs == sorted(costs)  # a tighter bound allows less
     assert costs[0] < 0.9 * exact.cost
     assert costs[-1] == pytest.approx(exact.cost, rel=1e-2)
@@ -119,7 +117,6 @@ def test_regularised_plan_is_that_of_the_compiled_regularised_step() -> None:
     for eps, solution in ((1e-2, first), (1e-4, last)):
         assert solution.outcome is Outcome.SOLVED, solution.message
         plan = solution.trajectory
-        assert plan is not None
         rolled = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, STEP, ForceLaw.SOFTPLUS, eps)
         assert np.abs(rolled.q - plan.q).max() < 1e-7
         assert np.abs(rolled.lam - plan.lam).max() < 1e-6
@@ -157,6 +154,5 @@ def test_plan_goes_in_and_comes_out() -> None:
 
 def test_contact_windows_refuse_friction_with_a_reason() -> None:
     reason = load_method("mpcc").accepts(conveyor())
-    assert reason is not None
     assert "friction" in reason
     assert "strict_lcp" in reason

@@ -63,7 +63,6 @@ def test_steps_one_by_one_are_the_rollout_bit_for_bit(name: str):
     whole = load_kernel(scene).rollout(np.array(STATES[name]), u, 0.005)
     x = np.hstack([whole.q, whole.v])
     alone = steps.linearise(x[:-1], u, 0.005)
-    assert alone is not None
     assert np.array_equal(alone.next, x[1:])
     assert np.array_equal(alone.lam, whole.lam)
     run = steps.follow(x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005)
@@ -83,7 +82,6 @@ def test_feedback_jumps_and_bounds_are_what_the_docstring_says():
     assert (np.abs(asked) > 4.0).any()
     assert (np.abs(asked) < 4.0).any()
     alone = steps.linearise(run.x[:-1], run.u, h)
-    assert alone is not None
     np.testing.assert_allclose(run.x[1:], alone.next + jump, rtol=1e-12, atol=1e-14)
 
 

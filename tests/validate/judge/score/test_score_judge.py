@@ -125,7 +125,6 @@ def test_a_replay_that_did_not_arrive_leaves_metrics_without_value_but_with_a_re
     assert not cut.ok
     result = score(scene, plan, cut)
     metric = result.metric("replay_error")
-    assert metric is not None
     assert (metric.value, metric.ok, metric.limit) == (None, None, 0.02)
     assert "chatters" in metric.reason
     assert result.verdict is Verdict.UNDECIDED
@@ -155,12 +154,10 @@ def test_a_plan_whose_own_time_step_blows_up_gets_a_reason_not_a_nan(scene: Scen
     )
     result = score(damped, plan, None)
     metric = result.metric("law_error")
-    assert metric is not None
     assert (metric.value, metric.ok) == (None, False)
     assert "diverges at step" in metric.reason
     assert result.verdict is Verdict.VIOLATES
     shown = result.metric("discrete_terminal_error")
-    assert shown is not None
     assert (shown.value, shown.ok, shown.limit) == (None, None, None)
 
 
@@ -197,13 +194,11 @@ def test_a_scene_cannot_forget_a_limit_but_waive_it(scene: Scene, plan: Trajecto
     kept = tuple(limit for limit in scene.limits if "terminal" in limit.metric)
     forgotten = score(replace(scene, limits=kept), strong, None)
     metric = forgotten.metric("bound_violation")
-    assert metric is not None
     assert (metric.ok, metric.default) == (False, True)
     assert metric.limit == pytest.approx(1e-6 * 20.0)
     waived = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=None, reason="its motors are stronger for a moment")))
     found = score(waived, strong, None)
     metric = found.metric("bound_violation")
-    assert metric is not None
     assert (metric.ok, metric.limit, metric.reason) == (None, None, "its motors are stronger for a moment")
     assert metric.value == pytest.approx(1.0)
     assert found.waived == ("bound_violation: its motors are stronger for a moment",)
@@ -299,7 +294,6 @@ def test_carts_that_pass_through_each_other_do_not_hold():
     plan = Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
     result = score(scene, plan, replay(scene, build_fmu(scene), plan))
     metric = result.metric("max_penetration")
-    assert metric is not None
     assert metric.ok is False
     assert metric.limit == pytest.approx(0.5)
     assert answered(result)[5] == "no"

@@ -167,8 +167,6 @@ def test_ghost_impulse_tells_soft_plans_from_true_ones(scores: dict[str, Score])
         if name.startswith("softplus_gd"):
             continue  # not replayed
         ghost, missed = result.metric("ghost_impulse"), result.metric("missed_impulse")
-        assert ghost is not None
-        assert missed is not None
         assert {ghost.ok, missed.ok} == {name not in expected}, name
         assert ghost.value == pytest.approx(expected.get(name, 0.0), rel=1e-2, abs=3e-3)
 
@@ -178,7 +176,6 @@ def test_the_replay_checks_itself(scores: dict[str, Score]):
         assert (result.value("energy_residual") or 0) < 1e-10
         assert 0 < (result.value("energy_residual_relative") or 0) < 1e-10
         metric = result.metric("replay_error")
-        assert metric is not None
         assert 0 < metric.error <= 1e-8
 
 
