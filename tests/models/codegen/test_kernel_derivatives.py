@@ -1,16 +1,14 @@
 """The adjoint of the compiled time step: against finite differences."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, load_kernel
 from models.contact_law import ContactLaw
 
-SCENES = Path(__file__).parents[2] / "scenes"
 NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
 # A start in contact, away from the kink of the ReLU, for each scene.
@@ -25,7 +23,7 @@ STARTS = {
 
 @cache
 def kernel_of(name: str) -> Kernel:
-    return load_kernel(load_scene(name if name in scene_names() else str(SCENES / f"{name}.py")))
+    return load_kernel(example_scene(name))
 
 
 def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:

@@ -13,6 +13,7 @@ from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import goal_limits
+from tests.models.test_friction import two_coupled_frictions
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
 m, mu, g, k = sp.symbols("m mu g k", positive=True)
@@ -56,28 +57,6 @@ def mass_on_a_belt() -> Scene:
         kinetic_energy=m * w1**2 / 2 + m * w2**2 / 2,
         frictions=(Friction(name="table", slip=w1 - w2, coefficient=mu, normal_force=m * g),),
         task=Task(start=(0.0, 0.0, 1.0, 1.0), goal=(0.0,) * 4, running_cost=sp.Integer(0), step=0.01, steps=100),
-    )
-
-
-def two_coupled_frictions() -> Scene:
-    """Mass matrix, slip direction and pressing forces depend on the position; the frictions act on each other; one is pressed by a contact."""
-    return block(
-        name="two_coupled_frictions",
-        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q, v in ((x1, w1), (x2, w2), (z, wz))),
-        parameters=PARAMETERS,
-        kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
-        potential_energy=m * g * z,
-        forces=(push, sp.Integer(0), sp.Integer(0)),
-        contacts=(
-            Contact(
-                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
-            ),
-        ),
-        frictions=(
-            Friction(name="cart", slip=w2 - w1, coefficient=mu, normal_force=m * g * (1 + x1**2 / 10)),
-            Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
-        ),
-        task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2, step=0.01, steps=100),
     )
 
 
