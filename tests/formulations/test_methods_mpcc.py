@@ -14,7 +14,8 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
+from tests.formulations.transcription.rollouts import rolled_out
 
 SCENE = load_scene("three_cart")
 ARM = example_scene("two_link_arm")
@@ -80,8 +81,7 @@ def random_start(seed: int) -> Trajectory:
     """Piecewise constant inputs, up to 3 N, and what they lead to."""
     task = SCENE.task
     u = np.random.default_rng(seed).uniform(-3.0, 3.0, (10, 2))[np.arange(task.steps) * 10 // task.steps]
-    rollout = load_kernel(SCENE).rollout(np.array(task.start), u, task.step)
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return rolled_out(SCENE, u)
 
 
 @pytest.mark.slow

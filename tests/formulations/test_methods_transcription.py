@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from example_scenes import solve
 
 from formulations.method import Clock, OptionError
 from formulations.methods import strict_lcp
@@ -16,9 +17,9 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.contact_law import ContactLaw, worst_case_violation
+from models.contact_law import worst_case_violation
 from models.scene import Scene
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
 TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
@@ -53,19 +54,11 @@ def physics(solution: Solution, scene: Scene = SCENE) -> float:
 
 
 def descent_plan() -> Trajectory:
-    """Softplus gradient descent as the paper ran it (15 / 14 / 11 steps, rate 500): its end is 0.2 m away from the goal."""
-    kernel, task = load_kernel(SCENE), SCENE.task
-    u, goal = np.zeros((task.steps, 2)), np.array(task.goal)
-    rollout = None
+    """Softplus gradient descent as the paper ran it: its end is 0.2 m away from the goal."""
+    plan = None
     for eps, count in ((1e-3, 15), (1e-5, 14), (1e-7, 11)):
-        for _ in range(count):
-            rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
-            miss = np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal
-            q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
-            q_bar[-1], v_bar[-1] = miss[:3] / 3, miss[3:] / 3
-            u = u - 500 * (kernel.adjoint(rollout, u, q_bar, v_bar)[0] + 2 * 5e-6 * u)
-        rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+        plan = solve(SCENE, "softplus_gd", eps, plan, iterations=count).trajectory
+    return plan
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,8 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.scenes.cart_chain import cart_chain
 from models.scenes.two_discs import RIGID_HIT, RIGID_HIT_WALL, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, rigid_hit_cost, two_discs
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 from validate.judge.replay.run import replay
 
 NAMES = (
@@ -265,15 +266,11 @@ def test_every_limit_of_the_bank_has_a_reason_and_the_plan_the_tighter_one(name:
 def test_doing_nothing_in_the_wall_pendulum_costs_more_than_its_limit():
     """And the proved optimum less."""
     scene = load_scene("wall_pendulum")
-    kernel, steps = load_kernel(scene), scene.task.steps
-    idle = kernel.rollout(np.array(scene.task.start), np.zeros((steps, 1)), scene.task.step)
+    steps = scene.task.steps
+    idle = rolled_out(scene, np.zeros((steps, 1)))
     limit = scene.limit("cost")
-    assert scene.answers[0].value < limit.value < kernel.cost(idle.q, idle.v, np.zeros((steps, 1)))
-    motion = replay(
-        scene,
-        build_fmu(scene),
-        Trajectory(t=uniform_grid(scene.task.step, steps), q=idle.q, v=idle.v, u=np.zeros((steps, 1)), lam=idle.lam),
-    )
+    assert scene.answers[0].value < limit.value < load_kernel(scene).cost(idle.q, idle.v, idle.u)
+    motion = replay(scene, build_fmu(scene), idle)
     nodes = np.searchsorted(motion.t, uniform_grid(scene.task.step, steps)[:-1] - 1e-9)
     asked = scene.limit("replay_cost")
     assert 0.0 < (motion.q[nodes] ** 2 + motion.v[nodes] ** 2).sum() - asked.value < 2e-4
@@ -292,11 +289,8 @@ def test_growth_rates_are_those_of_the_derived_equations(name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["acrobot_limits", "cart_pole_walls", "hopper", "bouncing_mass", "two_body_collision"])
 def test_the_fine_integrator_keeps_the_energy_of_the_unforced_motion(name: str):
-    scene = scene_of(name)
-    steps = round(0.6 / scene.task.step)
-    u, h = np.zeros((steps, scene.nu)), scene.task.step
-    motion = load_kernel(scene).rollout(np.array(scene.task.start), u, h)
-    result = replay(scene, build_fmu(scene), Trajectory(t=uniform_grid(h, steps), q=motion.q, v=motion.v, u=u, lam=motion.lam))
+    scene = scene_of(name).with_task(steps=round(0.6 / scene_of(name).task.step))
+    result = replay(scene, build_fmu(scene), rolled_out(scene, np.zeros((scene.task.steps, scene.nu))))
     assert result.ok, result.message
     energy = result.kinetic_energy + result.potential_energy + result.contact_energy
     assert result.kinetic_energy.max() > 0.1 * abs(energy[0]), "it moves"

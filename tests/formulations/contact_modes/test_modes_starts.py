@@ -16,21 +16,17 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 SCENE = load_scene("three_cart")
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 ARM = example_scene("two_link_arm")
 
 
-def rolled(scene, u: np.ndarray) -> Trajectory:
-    rollout, task = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step), scene.task
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
-
-
 def test_a_plan_in_the_mirror_satisfies_the_undamped_equations() -> None:
     """Backwards and mirrored, a motion without damping is a motion again: forces of the mirrored contacts accelerate the mirrored carts."""
     scene = SCENE.with_parameters(c=0.0).with_task(step=1e-4, steps=2000)
-    there = rolled(scene.with_task(start=(2.0, 2.49, 3.0, 1.0, 0.0, 0.0)), np.zeros((2000, 2)))
+    there = rolled_out(scene.with_task(start=(2.0, 2.49, 3.0, 1.0, 0.0, 0.0)), np.zeros((2000, 2)))
     assert there.lam.max() > 0
     back = mirrored(scene, load_kernel(scene), there)
     np.testing.assert_allclose(np.gradient(back.q, 1e-4, axis=0)[5:-5], back.v[5:-5], atol=1e-2)

@@ -16,49 +16,17 @@ from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import SceneError
 from models.fmu.coupled import split
-from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene.contacts import Contact, DampingLaw
-from models.scene.parts import goal_limits
+from models.scene import Scene
+from models.scene.contacts import DampingLaw
 from models.trajectory import Trajectory
+from tests.formulations.test_methods_length import damped
 from tests.formulations.transcription.rollouts import rolled_out
 
-x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
-k, c = sp.symbols("k c", positive=True)
 KELVIN_VOIGT, HUNT_CROSSLEY = DampingLaw.KELVIN_VOIGT, DampingLaw.HUNT_CROSSLEY
-COEFFICIENT = {KELVIN_VOIGT: 4.0, HUNT_CROSSLEY: 0.5}
 
 
 def pushed(law: DampingLaw, steps: int = 60) -> Scene:
-    """A driven cart pushes a free one through a damped contact."""
-    return Scene(
-        name=f"pushed_{law.name.lower()}",
-        title="A cart pushes another",
-        source="own",
-        coordinates=(Coordinate(symbol=x, velocity=vx, unit="m"), Coordinate(symbol=y, velocity=vy, unit="m")),
-        inputs=(Input(symbol=push, unit="N", lower=-60.0, upper=60.0),),
-        parameters=(
-            Parameter(symbol=k, value=120.0, unit="N/m"),
-            Parameter(symbol=c, value=COEFFICIENT[law], unit=law.unit),
-        ),
-        kinetic_energy=(vx**2 + 2 * vy**2) / 2,
-        potential_energy=sp.S.Zero,
-        forces=(push - vx, sp.S.Zero),
-        contacts=(
-            Contact(
-                name="pad",
-                bodies=("pusher", "cart"),
-                depth=1.0,
-                depth_reason="nothing here goes as deep",
-                penetration=x - y,
-                stiffness=k,
-                damping=c,
-                damping_law=law,
-                nominal=0.05,
-            ),
-        ),
-        task=Task(start=(-0.2, 0.0, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=steps),
-        limits=goal_limits(position=0.01, reason="this test"),
-    )
+    return damped(law).with_task(steps=steps)
 
 
 def rollout(scene: Scene, law: ForceLaw, eps: float | None) -> Trajectory:
