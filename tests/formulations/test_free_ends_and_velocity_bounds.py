@@ -1,7 +1,5 @@
 """A task may leave components of its end free, and bound velocities: every back end means the same by it (scene wall_pendulum)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

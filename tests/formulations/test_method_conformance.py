@@ -1,7 +1,5 @@
 """What every method must do, run over the catalog: a new file in formulations/methods is tested by existing."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, fields
 from functools import cache

@@ -1,7 +1,5 @@
 """eps is counted in the length of the scene: the paper's carts in units of ten metres, where that length is 0.1, have the same plans and forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The method `mpcc` on the paper's scene and around it; every figure recomputed from a rollout of the compiled time step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from example_scenes import example_scene

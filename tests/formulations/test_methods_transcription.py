@@ -1,7 +1,5 @@
 """The three transcription methods on the paper's scene: its rows, warm starts from anywhere, and what cannot be done."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from example_scenes import solve

@@ -73,7 +73,7 @@ def test_the_scene_has_the_derived_numbers():
 
 def contact(**changes: object) -> Scene:
     base = load_scene("bouncing_mass")
-    return replace(base, contacts=(replace(base.contacts[0], **changes),))  # type: ignore[arg-type] - of a type that was checked or made so above
+    return replace(base, contacts=(replace(base.contacts[0], **changes),))
 
 
 @pytest.mark.parametrize(

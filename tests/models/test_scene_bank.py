@@ -1,7 +1,5 @@
 """Every scene of the bank, and its factories at several sizes: one set of equations in every language, no more than it needs, as symmetric as it is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

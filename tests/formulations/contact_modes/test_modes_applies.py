@@ -1,7 +1,5 @@
 """Which scenes mpcc accepts is said without deriving anything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Least cost against terminal tolerance, on the paper's scene and swept on a small one; ends recomputed by a rollout."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -57,7 +55,7 @@ def test_a_front_falls() -> None:
     assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
     costs = [point.solution.cost for point in points]
     assert None not in costs
-    assert costs == sorted(costs, reverse=True)  # type: ignore[type-var] - costs are numbers here, checked above
+    assert costs == sorted(costs, reverse=True)
     assert len(set(costs)) == 3
     for point in points:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
@@ -123,7 +121,7 @@ def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.Monkey
 
     def noted(self: MpccSession, **given: object) -> Solution:
         allowed.append((given["warm_start"] is not None, self._options.work))
-        return solve(self, **given)  # type: ignore[arg-type] - handed on as they came
+        return solve(self, **given)
 
     monkeypatch.setattr(MpccSession, "solve", noted)
     front(SMALL, (0.0, 0.01), options={"work": 2.0, "first_work": 5.0})

@@ -1,7 +1,5 @@
 """From inputs that miss the goal to a plan: correcting the true rollout, by way of softplus, and the search with a price on the miss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The quadratic program of fixed modes against Ipopt on the Pyomo model of the same modes: two roads that share no line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models that are used again give the numbers of models built anew, whatever they were used for before."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import pytest

@@ -1,7 +1,5 @@
 """Where several starts come from: the mirror against a frictionless collision, the shooting solution against its own loss, numbers against a split."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from example_scenes import example_scene
@@ -56,7 +54,7 @@ def test_the_shooting_solution_comes_nearer_to_the_goal_at_less_than_the_best_co
     end = np.concatenate([plan.q[-1], plan.v[-1]])
     assert np.linalg.norm(end - goal_state(SCENE.task)) < 0.3 * np.linalg.norm(np.array(SCENE.task.start) - goal_state(SCENE.task))
     assert 0.0 < (plan.u**2).sum() < 490.0
-    np.testing.assert_array_equal(plan.u, descended_plan(SCENE, load_kernel(SCENE)).u)  # type: ignore[union-attr] - the same again
+    np.testing.assert_array_equal(plan.u, descended_plan(SCENE, load_kernel(SCENE)).u)
 
 
 def several(**options) -> Solution:

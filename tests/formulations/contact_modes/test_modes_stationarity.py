@@ -1,7 +1,5 @@
 """Classes of biactive pairs, and the signs of multipliers against costs: a negative one names the mode that is cheaper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

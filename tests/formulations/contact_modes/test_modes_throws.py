@@ -1,7 +1,5 @@
 """A free end with a cost, and a plan that touches nothing: mpcc throws. On a coarse grid in soft contact; doing nothing costs 0.61 there too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

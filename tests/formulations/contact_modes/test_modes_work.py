@@ -1,7 +1,5 @@
 """How much is searched is said in work, not in seconds: the same plan whatever else the machine does."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

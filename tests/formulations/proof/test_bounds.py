@@ -105,26 +105,26 @@ HALF = replace(ONE, step=0.5, start=np.array([-0.5, 0.0]), steps=4)
 
 
 def test_a_gap_changes_by_its_approach_in_each_step_and_is_no_deeper_than_physics(physics: list[float]):
-    found = physical_bounds(SimpleNamespace(nq=1), HALF, 7.0)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), HALF, 7.0)
     assert physics == [7.0]
     assert found.lower[:, 0] == pytest.approx([-0.5, -0.75, -1.0, -1.25])
     assert found.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25])
-    later = physical_bounds(SimpleNamespace(nq=1), replace(HALF, steps=6), 7.0)  # type: ignore[arg-type]
+    later = physical_bounds(SimpleNamespace(nq=1), replace(HALF, steps=6), 7.0)
     assert later.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.3, 0.3])
     assert (later.ceiling, later.is_empty) == (7.0, False)
 
 
 def test_where_the_end_is_given_gaps_are_bounded_from_there_too(physics: list[float]):
     aimed = replace(HALF, goal=np.array([-0.75, np.nan]))  # 4 steps of 1/4 are left at the start, one before the last
-    found = physical_bounds(SimpleNamespace(nq=1), aimed, 7.0)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), aimed, 7.0)
     assert found.lower[:, 0] == pytest.approx([-0.5, -0.75, -1.0, -1.0])
     assert found.upper[:, 0] == pytest.approx([-0.5, -0.25, -0.25, -0.5])
-    half = physical_bounds(SimpleNamespace(nq=2), replace(HALF, goal=np.array([-0.75, np.nan])), 7.0)  # type: ignore[arg-type]
+    half = physical_bounds(SimpleNamespace(nq=2), replace(HALF, goal=np.array([-0.75, np.nan])), 7.0)
     assert half.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25]), "a part of the place says nothing of a gap"
 
 
 def test_of_all_plans_physics_says_nothing(physics: list[float]):
-    found = physical_bounds(SimpleNamespace(nq=1), HALF, np.inf)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), HALF, np.inf)
     assert physics == []
     assert found.lower[:, 0].tolist() == [-0.5, -np.inf, -np.inf, -np.inf]
     assert found.upper[:, 0].tolist() == [-0.5, np.inf, np.inf, np.inf]

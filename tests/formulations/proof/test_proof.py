@@ -1,7 +1,5 @@
 """Proofs: against all modes tried one by one, bounds that no exact plan leaves, plans that do not count, refusals."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from dataclasses import replace

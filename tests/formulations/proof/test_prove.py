@@ -1,7 +1,5 @@
 """What a proof concludes from what SCIP and the bounds say: both answer here what a test says, with a clock that stands still."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Callable

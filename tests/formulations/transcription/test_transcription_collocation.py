@@ -1,7 +1,5 @@
 """Collocation in a plan's model: order through Pyomo, smooth and true contact, what is refused, and that the replay sees what was assumed."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

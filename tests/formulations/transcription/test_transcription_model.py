@@ -1,7 +1,5 @@
 """The Pyomo models themselves: what is in them, that they say what the compiled time step does, and that they are plain Pyomo."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import io

@@ -1,7 +1,5 @@
 """Plans in and out of a model, and the residuals a plan is certified with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

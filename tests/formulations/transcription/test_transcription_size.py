@@ -1,7 +1,5 @@
 """The model Ipopt is given is as large as on paper, on every scene of the bank; what is counted is told."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations import build_model

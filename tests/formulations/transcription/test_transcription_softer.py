@@ -1,7 +1,5 @@
 """A start without a plan that leads nowhere soon begins softer, within the iterations that the stage has, and ends at the eps it was asked for."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations.pipelines import load_method

@@ -1,7 +1,5 @@
 """Generated text that is kept: the same as anew, found again for equal equations, made anew for anything else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Seeded defects: a wrong sign, a wrong step or a loosened tolerance in the product makes the stress case fail that is there for it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The one word of a verdict: why inputs do not give the motion, at each limit and just beside it, and what says its cause by its own name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

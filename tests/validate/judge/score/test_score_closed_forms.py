@@ -61,10 +61,10 @@ def test_contact_forces_change_by_penetration_and_by_its_rate():
     gap = np.array([[-0.1, -0.2], [0.3, -0.4], [-0.5, 0.0]])
     lam = np.array([[9.0, 1.5 * b * 0.2], [0.0, 0.5 * b * 0.4], [9.0, 7.0]])
     case = SimpleNamespace(equations=scene, k=np.array([k, b]), replay_gap=gap, replay=SimpleNamespace(lam=lam))
-    by_depth, by_rate = Evidence.slopes.func(case)  # type: ignore[arg-type]
+    by_depth, by_rate = Evidence.slopes.func(case)
     assert by_depth == pytest.approx([k, 1.5 * b])
     assert by_rate == pytest.approx([c, d * b * 0.4])
     lam[0, 1] = 0.0  # no share is above 1 then
-    assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])  # type: ignore[arg-type]
+    assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])
     case = SimpleNamespace(equations=load_scene("three_cart"), k=np.array([30.0, 31.0]))
-    assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]  # type: ignore[arg-type]
+    assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]

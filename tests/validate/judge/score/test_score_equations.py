@@ -1,7 +1,5 @@
 """The equations of the score against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The judge on made-up plans: what it sees, what it cannot see, and what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
@@ -50,7 +48,7 @@ def replayed(scene: Scene, plan: Trajectory) -> Replay:
 
 
 def changed(plan: Trajectory, **arrays: np.ndarray) -> Trajectory:
-    return replace(plan, **arrays)  # type: ignore[arg-type] - the arrays are given by name
+    return replace(plan, **arrays)
 
 
 def answered(result: Score) -> dict[int, str]:

@@ -1,7 +1,5 @@
 """The judge on the paper's plans."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

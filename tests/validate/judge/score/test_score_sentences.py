@@ -1,7 +1,5 @@
 """What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

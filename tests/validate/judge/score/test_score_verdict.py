@@ -1,7 +1,5 @@
 """The rule of a verdict on made-up metrics: when a limit is kept, how answers become a verdict, and what its sentence says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -53,7 +51,7 @@ def test_a_metric_is_judged_only_ten_errors_away_from_its_limit(value: float, er
 
 def metric(name: str, ok: bool | None, value: float | None = 0.07, limit: float | None = 0.06, unit: str = "m", **more: object) -> Metric:
     question = QUESTION[name.removeprefix("tracked_")]
-    return Metric(name=name, question=question, value=value, unit=unit, meaning="", ok=ok, limit=limit, **more)  # type: ignore[arg-type] - the rest is given by the test by name
+    return Metric(name=name, question=question, value=value, unit=unit, meaning="", ok=ok, limit=limit, **more)
 
 
 def test_every_metric_belongs_to_one_question_or_is_shown():
