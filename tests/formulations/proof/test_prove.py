@@ -1,9 +1,10 @@
-"""What a proof concludes from what SCIP and the bounds say: both answer here what a test says, with a clock that stands still."""
+"""What a proof concludes from what SCIP and the bounds say: both answer here what a test says, with a clock that moves as a test says."""
 
 import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,9 +57,15 @@ def proved(monkeypatch: pytest.MonkeyPatch):
     """proved(answers of SCIP, bounds, ..): the proof; asked: seconds that SCIP was given; ceilings: under which bounds were asked for."""
 
     def run(
-        *answers: Callable[[Any], Any], pairs: PairBounds | None = None, limit: float = LIMIT, scene: Any = SHORT, incumbent: Any = None
+        *answers: Callable[[Any], Any],
+        pairs: PairBounds | None = None,
+        limit: float = LIMIT,
+        scene: Any = SHORT,
+        incumbent: Any = None,
+        passed: float = 0.0,
     ) -> Any:
         said, asked, ceilings = list(answers), [], []
+        clock = chain([100.0], repeat(100.0 + passed))
 
         def solve(model: Any, seconds: float) -> Any:
             asked.append(seconds)
@@ -66,15 +73,15 @@ def proved(monkeypatch: pytest.MonkeyPatch):
 
         def bounded(scene: Any, linear: Any, ceiling: float, is_over: Callable[[], bool]) -> PairBounds:
             ceilings.append(ceiling)
-            assert is_over() is (limit <= 0.0)
+            assert is_over() is (limit <= passed)
             return replace(pairs or bounds(scene=scene), ceiling=ceiling)
 
         monkeypatch.setattr(MODULE, "scip", solve)
         monkeypatch.setattr(MODULE, "pair_bounds", bounded)
-        monkeypatch.setattr(MODULE, "perf_counter", lambda: 100.0)
+        monkeypatch.setattr(MODULE, "perf_counter", lambda: next(clock))
         monkeypatch.setattr(MODULE, "process_time", lambda: 50.0)
         found = prove(scene, incumbent=incumbent, time_limit=limit)
-        assert (len(asked), found.seconds, found.cpu) == (len(answers), 0.0, 0.0), "SCIP was meant to be asked that often"
+        assert (len(asked), found.seconds, found.cpu) == (len(answers), passed, 0.0), "SCIP was meant to be asked that often"
         return SimpleNamespace(proof=found, asked=asked, ceilings=ceilings)
 
     return run
@@ -159,6 +166,11 @@ def test_neither_time_that_is_over_nor_endless_bounds_ask_scip(proved, incumbent
 def test_half_a_second_is_time_and_ten_minutes_are_what_is_given_unasked(proved):
     assert proved(result(-1.0), result(-2.0), limit=0.5).asked == [pytest.approx(0.05), 0.5]
     assert inspect.signature(prove).parameters["time_limit"].default == 600.0
+
+
+def test_time_that_has_passed_is_not_left(proved):
+    assert proved(result(-1.0), incumbent=COASTING, passed=15.0).asked == [LIMIT - 15.0]
+    assert proved(incumbent=COASTING, passed=LIMIT).asked == []
 
 
 @pytest.mark.parametrize(("part", "status"), [(0.5, ProofStatus.OPTIMAL), (2.0, ProofStatus.BOUND)])
