@@ -59,7 +59,7 @@ def advance(
     inputs = np.repeat(np.asarray(u, dtype=float), s, axis=0)
 
     def states(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities (n s, nq) [m, rad, m/s, rad/s] of the stages; raises nothing."""
+        """Positions and velocities (n s, nq) [m, rad, m/s, rad/s] of the stages."""
         stage_q = q[:, None] + steps * table.c[:, None] * v[:, None] + steps**2 * np.einsum("ij,njk->nik", squared, a)
         return stage_q.reshape(n * s, nq), (v[:, None] + steps * np.einsum("ij,njk->nik", table.a, a)).reshape(n * s, nq)
 

@@ -115,7 +115,7 @@ class Dynamics:
 
     @cached_property
     def parameter_values(self) -> np.ndarray:
-        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]. Raises nothing."""
+        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]."""
         return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
 
     def function(self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:

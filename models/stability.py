@@ -88,8 +88,6 @@ class _Linear:
         -------
         np.ndarray
             (2*nq, 2*nq).
-
-        Raises nothing.
         """
         identity = np.eye(len(self.G))
         vq, vv = (h * self.G, identity + h * self.D) if self.has_inertia else (self.G, self.D)
@@ -211,7 +209,7 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
     depth = np.array([contact.nominal for contact in scene.contacts])
 
     def closed(indices: tuple[int, ...]) -> np.ndarray | None:
-        """A position (nq,) [m, rad] in which these are, or None; raises nothing."""
+        """A position (nq,) [m, rad] in which these are, or None."""
         rows, place = list(indices), q.copy()
         for _ in range(_NEWTON_STEPS):
             missing = depth[rows] - phi(place).ravel()[rows]

@@ -85,27 +85,27 @@ class HasMotion(Protocol):
 
     @property
     def t(self) -> np.ndarray:
-        """Times (n,) [s]. Raises nothing."""
+        """Times (n,) [s]."""
         ...
 
     @property
     def q(self) -> np.ndarray:
-        """Positions (n, nq) [m, rad]. Raises nothing."""
+        """Positions (n, nq) [m, rad]."""
         ...
 
     @property
     def v(self) -> np.ndarray:
-        """Velocities (n, nq) [m/s, rad/s]. Raises nothing."""
+        """Velocities (n, nq) [m/s, rad/s]."""
         ...
 
     @property
     def lam(self) -> np.ndarray:
-        """Contact forces (n, contacts) [N]. Raises nothing."""
+        """Contact forces (n, contacts) [N]."""
         ...
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction forces (n, frictions) [N]. Raises nothing."""
+        """Friction forces (n, frictions) [N]."""
         ...
 
 
@@ -166,12 +166,12 @@ class Trajectory:
 
     @property
     def start(self) -> np.ndarray:
-        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]. Raises nothing."""
+        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]."""
         return np.concatenate([self.q[0], self.v[0]])
 
     @property
     def end(self) -> np.ndarray:
-        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]. Raises nothing."""
+        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
@@ -318,8 +318,6 @@ def uniform_grid(step: float, steps: int) -> np.ndarray:
     -------
     np.ndarray
         (steps + 1,) [s].
-
-    Raises nothing.
     """
     return step * np.arange(steps + 1)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -73,7 +72,7 @@ class CollocationSession(Session):
         budget = SolveBudget(time_limit, self._clock.pay())
         guesses, outcome, message = self._softened(budget, warm_start)
         if not self._scene.nc:
-            return self._solution(budget, self._homotopy(budget).compiled, outcome, message)
+            return self._solution(budget, self._homotopy.compiled, outcome, message)
         if not guesses:
             return self._solution(budget, None, outcome, message)
         for guess in guesses:
@@ -84,7 +83,7 @@ class CollocationSession(Session):
             result = self._from_relaxed(budget, guesses[0])
         if result.outcome is Outcome.SOLVED:
             message = f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
-            return self._solution(budget, self._exact(budget), Outcome.SOLVED, message)
+            return self._solution(budget, self._exact, Outcome.SOLVED, message)
         if budget.is_over:
             return self._solution(budget, None, Outcome.TIME_LIMIT, "no feasible modes of the stages were found within the time limit.")
         message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
@@ -93,33 +92,25 @@ class CollocationSession(Session):
     # -- the models ---------------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _softplus(self) -> SoftplusHomotopy:
+    def _homotopy(self) -> SoftplusHomotopy:
+        """The softplus model; it holds the last stage's plan."""
         own = self._options
         sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
         return SoftplusHomotopy(self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost)
 
     @cached_property
-    def _complementarity(self) -> CompiledModel:
+    def _exact(self) -> CompiledModel:
+        """The model with complementarity."""
         form, integrated = ContactFormulation.COMPLEMENTARITY, self._options.integrate_cost
         return CompiledModel(build_model(self._scene, form, eps=0.0, scheme=self._scheme, integrate_cost=integrated))
-
-    def _homotopy(self, budget: SolveBudget) -> SoftplusHomotopy:
-        """The softplus model; it holds the last stage's plan."""
-        begin, model = perf_counter(), self._softplus
-        budget.build += perf_counter() - begin
-        return model
-
-    def _exact(self, budget: SolveBudget) -> CompiledModel:
-        """The model with complementarity."""
-        begin, model = perf_counter(), self._complementarity
-        budget.build += perf_counter() - begin
-        return model
 
     # -- modes, and what is left with them ----------------------------------------------------------------------------------------
 
     def _softened(self, budget: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
         """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
-        homotopy, guesses = self._homotopy(budget), []
+        guesses: list[StageModes] = []
+        with budget.building():
+            homotopy = self._homotopy
 
         def keep(_: Trajectory) -> None:
             if self._scene.nc:
@@ -139,7 +130,8 @@ class CollocationSession(Session):
 
     def _with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Solve what is left once the stages of a guess are open or closed as it says."""
-        compiled = self._exact(budget)
+        with budget.building():
+            compiled = self._exact
         _load(compiled, guess)
         hold_modes(compiled.model, guess.closed)
         options = {"tol": self._options.tolerance, **band_options(), **_NEAR}
@@ -147,7 +139,7 @@ class CollocationSession(Session):
 
     def _from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
         """Do the same with the modes of a relaxed complementarity that starts at the guess."""
-        compiled = self._exact(budget)
+        compiled = self._exact
         _load(compiled, guess)
         release_modes(compiled.model)
         set_relaxation(compiled.model, _RELAXED)
@@ -167,21 +159,18 @@ class CollocationSession(Session):
             cost = self._residuals.cost(plan)
             residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
             outcome, message = checked(outcome, message, residuals, self._options.promises())
-        return Solution(
+        found = Solution(
             method=self._method.name,
             outcome=outcome,
             message=message,
             trajectory=plan,
             cost=cost,
-            iterations=budget.iterations,
-            seconds=budget.seconds(),
-            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
+            residuals=residuals,
             options=asdict(self._options),
-            solver=budget.solver,
-            history=budget.columns,
             size=None if compiled is None else compiled.size,
             paper_size=None if compiled is None else self._paper_size(),
         )
+        return budget.spent_on(found)
 
     def _paper_size(self) -> ModelSize:
         """Unknowns and equations of the model with its modes, counted by hand.

@@ -54,10 +54,9 @@ class Finder:
 
     def find(self, budget: SolveBudget, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> FinderResult:
         """Find the best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
-        begin = perf_counter()
-        ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
-        problem = self._models.modes(ball, budget, self._ipopt_options(self._options.tolerance))
-        budget.build += perf_counter() - begin
+        with budget.building():
+            ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
+            problem = self._models.modes(ball, budget, self._ipopt_options(self._options.tolerance))
         self._most_work = budget.most_work
         budget.most_work = min(self._most_work, budget.work + 1e6 * self._options.first_work)
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
@@ -117,10 +116,10 @@ class Finder:
 
     def _stages(self, budget: SolveBudget, begin_at: Trajectory | None, most_iterations: int) -> list[Trajectory]:
         """The plans of the sharpest stages of the homotopy, the sharpest first."""
-        begin, own = perf_counter(), self._options
-        sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
-        homotopy = self._models.homotopy(own.goal_tolerance, sharpnesses)
-        budget.build += perf_counter() - begin
+        own = self._options
+        with budget.building():
+            sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
+            homotopy = self._models.homotopy(own.goal_tolerance, sharpnesses)
         stages: list[Trajectory] = []
         ending = homotopy.run(budget, self._ipopt_options(own.homotopy_tolerance), begin_at, stages.append, most_iterations)
         self._ending = self._reason(*ending)

@@ -127,7 +127,7 @@ class LinearScene:
 
     @property
     def aimed(self) -> np.ndarray:
-        """Whether a component of the end is given: (n,) [-]. Raises nothing."""
+        """Whether a component of the end is given: (n,) [-]."""
         return ~np.isnan(self.goal)
 
     def with_bounds(self, closed: np.ndarray) -> np.ndarray:
@@ -278,7 +278,7 @@ class BandedKKT:
         entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
-            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]. Raises nothing."""
+            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]. Raises ValueError for values of another shape."""
             at_rows, at_columns, numbers = _block(rows, columns, values)
             entries.append((at_rows.ravel(), at_columns.ravel(), np.broadcast_to(numbers, at_rows.shape).ravel()))
 
@@ -384,7 +384,7 @@ class BandedKKT:
         return right
 
     def goal_columns(self) -> np.ndarray:
-        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given. Raises nothing."""
+        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given."""
         rows = self.rows_w[self._linear.aimed]
         columns = np.zeros((self.size, len(rows)), order="F")
         columns[rows, np.arange(len(rows))] = 1.0

@@ -177,7 +177,7 @@ class ModesAnswer:
 
     @property
     def biactive_multiplier(self) -> np.ndarray:
-        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper. Raises nothing."""
+        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
         return np.where(self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
 
 

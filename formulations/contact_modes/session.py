@@ -28,7 +28,7 @@ the terminal error (1e-9) is taken out by Newton steps.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from time import perf_counter, process_time
+from time import process_time
 
 import numpy as np
 
@@ -118,9 +118,8 @@ class MultiStart:
 
     def _chain(self, budget: SolveBudget) -> Trajectory | None:
         stages: list[Trajectory] = []
-        begin = perf_counter()
-        homotopy = self._models.homotopy(self._options.goal_tolerance, _CHAIN)
-        budget.build += perf_counter() - begin
+        with budget.building():
+            homotopy = self._models.homotopy(self._options.goal_tolerance, _CHAIN)
         ipopt = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations}
         homotopy.run(budget, ipopt, None, stages.append)
         return stages[-1] if stages else None
@@ -164,12 +163,11 @@ class MultiStart:
         self, budget: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]
     ) -> tuple[ModesProblem | NonlinearModes, ModesAnswer | None]:
         """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
-        begin = perf_counter()
-        below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
-        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
-        most = min(self._options.max_iterations, STAGE_ITERATIONS)
-        problem = self._models.modes(0.0, budget, {"tol": self._options.tolerance, "max_iter": most})
-        budget.build += perf_counter() - begin
+        with budget.building():
+            below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
+            plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
+            most = min(self._options.max_iterations, STAGE_ITERATIONS)
+            problem = self._models.modes(0.0, budget, {"tol": self._options.tolerance, "max_iter": most})
         answers: list[ModesAnswer] = []
         for plan in plans:
             if isinstance(problem, NonlinearModes):

@@ -35,7 +35,7 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
 
 
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing. Raises nothing."""
+    """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
     far = _UNBOUNDED / _SHARE
     lower = np.array([-far if np.isinf(item.lower) else item.lower for item in scene.inputs])
     upper = np.array([far if np.isinf(item.upper) else item.upper for item in scene.inputs])

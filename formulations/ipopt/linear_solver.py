@@ -10,8 +10,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import platform
-import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,8 +17,7 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.compiler import cached_library
 from models.errors import MachineError
 
 LDLT, MUMPS = "ldlt", "mumps"
@@ -58,11 +55,7 @@ def ldlt_library() -> Path:
 
 
 def _compiled() -> Path:
-    compiler = find_compiler()
-    sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.[ch]"))}
-    machine = f"{sys.platform} {platform.machine()}"
-    key = "\n".join([compiler.describe(), machine, " ".join((*FLAGS, *_OPTIMISED)), *(f"{name}\n{text}" for name, text in sources.items())])
-    path = cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags=_OPTIMISED))
+    path = cached_library({path.name: path.read_text(encoding="utf-8") for path in _FOLDER.glob("*.[ch]")}, _OPTIMISED)
     try:
         loaded = ctypes.CDLL(str(path))
         for name in _CALLS:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from time import perf_counter
 from typing import TYPE_CHECKING, cast
 
 from formulations.grids import coarse_scene, on_grid
@@ -122,11 +121,10 @@ class RelaxedLCPSession(Session):
         coarse = coarse_scene(self._scene, math.ceil(self._scene.task.steps / 2))
         if coarse is None or not step_stability(coarse).is_stable:
             return None
-        begin = perf_counter()
-        session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
-        start = None if start is None else on_grid(start, coarse)
-        session._solver.prepare(eps, start)
-        budget.build += perf_counter() - begin
+        with budget.building():
+            session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
+            start = None if start is None else on_grid(start, coarse)
+            session._solver.prepare(eps, start)
         session._found(budget, eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)

@@ -34,8 +34,7 @@ import sympy as sp
 from formulations.grids import input_bounds
 from formulations.method import Options, option
 from formulations.solution import Outcome
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.compiler import cached_library, load_library
 from models.codegen.steps import Linearised, Steps
 from models.contact_law import ContactLaw
 from models.dynamics import derive
@@ -43,7 +42,11 @@ from models.scene import Scene
 from models.scene.goal import goal_state, miss
 
 _SOURCE = Path(__file__).with_name("riccati.c")
-_POINTER, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+_SIGNATURES = {
+    "riccati_work": ("n", "nn"),
+    "riccati_backward": ("n", "nnn" + "p" * 8 + "d" + "p" * 9),
+    "riccati_forward": ("", "nnn" + "p" * 7),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,24 +87,24 @@ class GoalTerm:
         return bool(self._given.any())
 
     def miss(self, end: np.ndarray) -> np.ndarray:
-        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         return miss(end, self._goal)
 
     def value(self, end: np.ndarray) -> float:
-        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Evaluate the term at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         m = self.miss(end)
         return float(self.multipliers @ m + 0.5 * self.weight * m @ m)
 
     def slope(self, end: np.ndarray) -> np.ndarray:
-        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises nothing."""
+        """Differentiate the term at an end (2*nq,) [m, rad, m/s, rad/s]: (2*nq,) [1/m, 1/rad, s/m, s/rad]. Raises ValueError for another length."""
         return np.where(self._given, self.multipliers + self.weight * self.miss(end), 0.0)
 
     def hessian(self) -> np.ndarray:
-        """Give its second derivatives: (2*nq, 2*nq) [-]. Raises nothing."""
+        """Give its second derivatives: (2*nq, 2*nq) [-]."""
         return np.diag(np.where(self._given, self.weight, 0.0))
 
     def update(self, end: np.ndarray) -> None:
-        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        """Update the multipliers to first order, y <- y + weight (x_T - goal), at an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         self.multipliers += np.where(self._given, self.weight * self.miss(end), 0.0)
 
 
@@ -184,14 +187,7 @@ def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
     """Compiled once and cached on disk. Raises MachineError without a compiler."""
-    compiler, text = find_compiler(), _SOURCE.read_text(encoding="utf-8")
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), text])
-    library = ctypes.CDLL(str(cached(key, ".so", lambda path: compile_shared(compiler, {"riccati.c": text}, path))))
-    library.riccati_work.restype, library.riccati_work.argtypes = _INT, [_INT, _INT]
-    library.riccati_backward.restype = _INT
-    library.riccati_backward.argtypes = [_INT, _INT, _INT, *[_POINTER] * 8, _DOUBLE, *[_POINTER] * 9]
-    library.riccati_forward.restype, library.riccati_forward.argtypes = None, [_INT, _INT, _INT, *[_POINTER] * 7]
-    return library
+    return load_library(cached_library({_SOURCE.name: _SOURCE.read_text(encoding="utf-8")}), _SIGNATURES)
 
 
 class Stages:

@@ -100,7 +100,7 @@ class PairBounds:
 
     @property
     def decided(self) -> np.ndarray:
-        """Mask (steps, nc) of pairs that can only be open, or only be closed [-]. Raises nothing."""
+        """Mask (steps, nc) of pairs that can only be open, or only be closed [-]."""
         return (self.upper <= 0.0) | (self.lower >= 0.0)
 
     @property

@@ -151,7 +151,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     history: dict[str, list[float]] = {"loss": losses.values, "terminal_error": [], "cost": [], "gradient_norm": []}
 
     def ended(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
-        """Say how it ended, with plan (steps, nu) [N, N m]. Raises nothing."""
+        """Say how it ended, with plan (steps, nu) [N, N m]."""
         return Descent(outcome=outcome, message=message, u=plan, iterations=iteration, gradient_norm=norm, history=history)
 
     progress, iteration = Progress.DESCENDING, 0

@@ -126,11 +126,11 @@ class _Rollout(torch.autograd.Function):
         u, start = u.contiguous(), start.contiguous()
         shapes = ((steps + 1, scene.nq), (steps + 1, scene.nq), (steps, scene.nl), (), (2 * scene.nq,))
         outputs = tuple(u.new_empty((*rows, *shape)) for shape in shapes)
-        functions = kernel.batch_functions(steps, step, law, eps)
-        functions.rollouts(rows.numel(), *functions.head, start.data_ptr(), u.data_ptr(), *(tensor.data_ptr() for tensor in outputs))
+        head = kernel.head(steps, step, law, eps)
+        kernel.library.kernel_rollouts(rows.numel(), *head, start.data_ptr(), u.data_ptr(), *(tensor.data_ptr() for tensor in outputs))
         ctx.save_for_backward(u, *outputs[:3])
         ctx.set_materialize_grads(False)
-        ctx.functions, ctx.kernel = functions, kernel
+        ctx.head, ctx.kernel = head, kernel
         return outputs
 
     @staticmethod
@@ -139,7 +139,8 @@ class _Rollout(torch.autograd.Function):
         bars = tuple(None if bar is None else bar.contiguous() for bar in bars)
         gradients = [torch.empty_like(u), u.new_empty((*u.shape[:-2], 2 * q.shape[-1]))]
         rows, tensors = u.shape[:-2].numel(), (q, v, lam, u, *bars, *gradients)
-        done = ctx.functions.adjoints(rows, *ctx.functions.head, *(None if tensor is None else tensor.data_ptr() for tensor in tensors))
+        addresses = (None if tensor is None else tensor.data_ptr() for tensor in tensors)
+        done = ctx.kernel.library.kernel_adjoints(rows, *ctx.head, *addresses)
         if done < rows:
             raise KernelError(f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}.")
         if torch.is_grad_enabled():  # create_graph=True: whoever differentiates these again shall be told

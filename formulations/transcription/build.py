@@ -372,7 +372,7 @@ def read_plan(block: Any) -> Trajectory:
 
 
 def read_values(variable: Any) -> np.ndarray:
-    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]. Raises nothing."""
+    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
     return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
 
 

@@ -99,7 +99,7 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
     force = [[law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)] for t in range(len(stage_q))]
 
     def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
-        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]. Raises nothing."""
+        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
         return [sum(float(weight) * (rows[t][j][c] - now[t][c]) for j, weight in enumerate(weights[i]) if weight != 0.0) for c in range(nq)]
 
     def position(_: Any, t: int, i: int, name: str) -> Any:

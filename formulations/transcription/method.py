@@ -6,15 +6,16 @@ And which functions of SymPy have a form in Pyomo.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
 from formulations.method import Options, option
-from formulations.solution import Seconds
+from formulations.solution import Seconds, Solution
 from models.contact_law import ContactLaw
 from models.errors import SceneError
 from models.scene import Scene
@@ -186,6 +187,24 @@ class SolveBudget:
         for name in ("build", "translate", "evaluate", "linear_algebra"):
             setattr(self, name, getattr(self, name) + getattr(earlier, name))
         self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
+
+    @contextmanager
+    def building(self) -> Iterator[None]:
+        """What is done inside counts as making models."""
+        begin = perf_counter()
+        yield
+        self.build += perf_counter() - begin
+
+    def spent_on(self, solution: Solution) -> Solution:
+        """The solution with what was spent on it, and those of its residuals that are numbers."""
+        return replace(
+            solution,
+            iterations=self.iterations,
+            seconds=self.seconds(),
+            residuals={name: value for name, value in solution.residuals.items() if math.isfinite(value)},
+            solver=self.solver,
+            history=self.columns,
+        )
 
     @property
     def columns(self) -> dict[str, tuple[float, ...]]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -135,9 +134,8 @@ class PlanSolver:
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its budget, and the model with its start."""
         budget = SolveBudget(time_limit, self._clock.pay())
-        begin = perf_counter()
-        self.prepare(eps, start)
-        budget.build += perf_counter() - begin
+        with budget.building():
+            self.prepare(eps, start)
         return budget
 
     def prepare(self, eps: float, start: Trajectory | None) -> None:
@@ -298,20 +296,16 @@ class PlanSolver:
                 plan, cost = None, None
                 message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
             outcome, message = checked(outcome, message, residuals, promises)
-            if np.isfinite(result.residuals.dual_infeasibility):
-                residuals["dual_infeasibility"] = result.residuals.dual_infeasibility
-        return Solution(
+            residuals["dual_infeasibility"] = result.residuals.dual_infeasibility
+        found = Solution(
             method=method,
             outcome=outcome,
             message=message,
             trajectory=plan,
             cost=cost,
-            iterations=budget.iterations,
-            seconds=budget.seconds(),
-            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
+            residuals=residuals,
             options=asdict(self._options),
-            solver=budget.solver,
-            history=budget.columns,
             size=self.compiled.size,
             paper_size=size_on_paper(self._scene, self._contact),
         )
+        return budget.spent_on(found)

@@ -6,6 +6,7 @@ import ctypes
 import errno
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -30,14 +31,10 @@ _TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p, "": Non
 
 @dataclass(frozen=True)
 class Compiler:
-    """A command that compiles C, and the first line of what it says of itself."""
+    """A command that compiles C, and the first line of what it says of itself: what of it decides the compiled bytes."""
 
     command: tuple[str, ...]
     version: str
-
-    def describe(self) -> str:
-        """What of it decides the compiled bytes: its version."""
-        return self.version
 
 
 def find_compiler() -> Compiler:
@@ -129,9 +126,13 @@ def compile_shared(
 
 
 def cached_library(sources: Mapping[str, str], extra_flags: Sequence[str] = ()) -> Path:
-    """The shared library of `compile_shared`, found in the cache or made there. Raises MachineError without a compiler, or a cache that can be written."""
-    compiler = find_compiler()
-    key = "\n".join([compiler.describe(), " ".join((*FLAGS, *extra_flags)), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
+    """The shared library of `compile_shared`, found in the cache or made there; machines of several kinds may share the cache.
+
+    Raises MachineError without a compiler, or a cache that can be written.
+    """
+    compiler, machine = find_compiler(), f"{sys.platform} {platform.machine()}"
+    texts = [f"{name}\n{text}" for name, text in sorted(sources.items())]
+    key = "\n".join([compiler.version, machine, " ".join((*FLAGS, *extra_flags)), *texts])
     return cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags))
 
 

@@ -11,10 +11,8 @@ friction forces belong to the slip at the end of the step (friction.h) and stand
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +36,6 @@ _SIGNATURES = {
     "kernel_contact_force": ("", "npndpp"),
     "kernel_stiffness": ("", "pp"),
     "kernel_acceleration": ("n", "npppppp"),
-    "kernel_acceleration_jvp": ("n", "p" * 10),
-    "kernel_penetration_jvp": ("", "pppp"),
     "kernel_energy": ("", "npppp"),
     "kernel_power": ("", "nppppp"),
     "kernel_cost": ("d", "npppp"),
@@ -73,21 +69,6 @@ class Rollout:
         return self.finite_steps < len(self.lam)
 
 
-class BoundFunctions(NamedTuple):
-    """The C functions of rollout.c: counts and numbers as they are, arrays as addresses of float64, row-major."""
-
-    rollout: Callable[..., int]
-    adjoint: Callable[..., int]
-
-
-class BatchFunctions(NamedTuple):
-    """The same for several plans in one call. head: the arguments of both after the number of rows. Addresses of gradients may be None: zero."""
-
-    rollouts: Callable[..., None]
-    adjoints: Callable[..., int]
-    head: tuple[int, float, int, int, float]
-
-
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
     return Kernel(scene, cached_library(kernel_sources(scene), _OPTIMISED))
@@ -100,19 +81,22 @@ def kernel_sources(scene: Scene) -> dict[str, str]:
 
 
 class Kernel:
-    """Numpy functions over the compiled kernel of one scene; see the module docstring. All arrays are float64."""
+    """Numpy functions over the compiled kernel of one scene; see the module docstring. All arrays are float64.
+
+    library: its C functions, for callers that keep buffers and addresses of their own (formulations.shooting.rollout, validate.judge.replay.tracking).
+    """
 
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
         self.path = library
         signatures = _SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {}) | (_DAMPING_SIGNATURES if scene.damped else {})
-        self._library = load_library(library, signatures)
+        self.library = load_library(library, signatures)
         self._columns = {"q": scene.nq, "v": scene.nq, "u": scene.nu, "lam": scene.nl}
         self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def parameters_of(self, step: float) -> np.ndarray:
-        """`parameters` for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).
+        """Parameter values for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).
 
         Parameters
         ----------
@@ -122,9 +106,7 @@ class Kernel:
         Returns
         -------
         np.ndarray
-            Values (np,), each in its own unit [SI]; kept as long as the kernel, for callers that hold its address.
-
-        Raises nothing.
+            Values (np,), each in its own unit [SI].
         """
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
@@ -133,19 +115,6 @@ class Kernel:
             self._p_of_step[step] = self._p.copy()
             self._p_of_step[step][index] = step
         return self._p_of_step[step]
-
-    @property
-    def parameters(self) -> np.ndarray:
-        """Parameter values (np,) of the scene, each in its own unit [SI], as the C functions read them. Raises nothing."""
-        return self._p
-
-    def bound_functions(self) -> BoundFunctions:
-        """The C functions themselves, for callers that keep their own buffers and addresses (validate.judge.replay.tracking)."""
-        return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint)
-
-    def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
-        """The C functions for several plans in one call (formulations.shooting.rollout)."""
-        return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, self._head(steps, step, law, eps))
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
         """Penetration of each contact, positive in contact.
@@ -168,9 +137,9 @@ class Kernel:
         return self._by_row("kernel_penetration", self.scene.nc, q=q)
 
     def stiffness(self) -> np.ndarray:
-        """Stiffness k (nc,) of each contact [N/m]. Raises nothing."""
+        """Stiffness k (nc,) of each contact [N/m]."""
         k = np.empty(self.scene.nc)
-        self._library.kernel_stiffness(address(self._p), address(k))
+        self.library.kernel_stiffness(address(self._p), address(k))
         return k
 
     def contact_force(
@@ -330,8 +299,8 @@ class Kernel:
         steps = len(u)
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
-        done = self._library.kernel_rollout(
-            *self._head(steps, step, law, eps), address(start), address(u), address(q), address(v), address(lam)
+        done = self.library.kernel_rollout(
+            *self.head(steps, step, law, eps), address(start), address(u), address(q), address(v), address(lam)
         )
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
@@ -366,8 +335,8 @@ class Kernel:
         start, u = self._array("start", start, rows, 2 * self.scene.nq), self._array("u", u, rows, steps, self.scene.nu)
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
         lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
-        functions = self.batch_functions(steps, step, ContactLaw.RELU, None)
-        functions.rollouts(rows, *functions.head, *(address(array) for array in (start, u, q, v, lam, costs, ends)))
+        arrays = (start, u, q, v, lam, costs, ends)
+        self.library.kernel_rollouts(rows, *self.head(steps, step, ContactLaw.RELU, None), *map(address, arrays))
         return lam, ends
 
     def adjoint(
@@ -418,39 +387,13 @@ class Kernel:
         )
         bars = [None if bar is None else self._array(name, bar, *shape) for name, bar, shape in given]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
-        failed = self._library.kernel_adjoint(
-            *self._head(len(u), rollout.step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u),
+        failed = self.library.kernel_adjoint(
+            *self.head(len(u), rollout.step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u),
             *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
         return u_bar, start_bar
-
-    def acceleration_jvp(self, point: tuple[np.ndarray, ...], tangent: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Directional derivative of the acceleration.
-
-        Parameters
-        ----------
-        point
-            q, v (nq,), u (nu,), lam (nc+nf,), where it is taken [m, m/s, N, N].
-        tangent
-            dq, dv, du, dlam of the same shapes.
-
-        Returns
-        -------
-        np.ndarray
-            Derivative (nq,) of the acceleration [m/s^2, rad/s^2].
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        """
-        sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
-        arrays = [self._array("point", part, size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
-        result = np.empty(self.scene.nq)
-        self._library.kernel_acceleration_jvp(address(self._p), *(address(array) for array in arrays), address(result))
-        return result
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kinetic and potential energy, without what contacts store.
@@ -522,10 +465,10 @@ class Kernel:
         """
         u = self._array("u", u, None, self.scene.nu)
         q, v = self._array("q", q, len(u) + 1, self.scene.nq), self._array("v", v, len(u) + 1, self.scene.nq)
-        return float(self._library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
+        return float(self.library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
 
-    def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        """What every function of time steps takes first."""
+    def head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
+        """What every C function of n time steps takes first; those of several plans after their number."""
         return (n, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
 
     def _by_row(self, function: str, columns: int, *settings: float, **given: np.ndarray) -> np.ndarray:
@@ -536,7 +479,7 @@ class Kernel:
             arrays.append(self._array(name, value, n, self._columns[name]))
             n = len(arrays[0])
         found = np.empty((len(arrays[0]), columns))
-        done = getattr(self._library, function)(n, address(self._p), *settings, *map(address, arrays), address(found)) if columns else None
+        done = getattr(self.library, function)(n, address(self._p), *settings, *map(address, arrays), address(found)) if columns else None
         if done is not None and done < len(found):
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {arrays[0][done].tolist()}.")
         return found
@@ -551,7 +494,7 @@ class Kernel:
 
 
 def address(array: np.ndarray) -> int:
-    """Address of the first entry of an array (n,) of any shape and unit [SI], as the C functions take it; raises nothing."""
+    """Address of the first entry of an array (n,) of any shape and unit [SI], as the C functions take it. Raises AttributeError for what is no array."""
     return array.ctypes.data
 
 

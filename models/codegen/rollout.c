@@ -223,12 +223,6 @@ EXPORT int kernel_acceleration(int n, const double *p, const double *q, const do
     return n;
 }
 
-EXPORT int kernel_acceleration_jvp(const double *p, const double *q, const double *v, const double *u, const double *lam,
-    const double *dq, const double *dv, const double *du, const double *dlam, double *da)
-{
-    return scene_acceleration_jvp(q, v, u, lam, p, dq, dv, du, dlam, da);
-}
-
 #if NF > 0
 EXPORT void kernel_slip(int n, const double *p, const double *q, const double *v, double *slip)
 {
@@ -240,8 +234,6 @@ EXPORT void kernel_friction_limit(int n, const double *p, const double *q, const
     for (int t = 0; t < n; t++) scene_friction_limit(q + t * NQ, lam + t * NL, p, limit + t * NF);
 }
 #endif
-
-EXPORT void kernel_penetration_jvp(const double *p, const double *q, const double *dq, double *dphi) { scene_penetration_jvp(q, p, dq, dphi); }
 
 /* energy: (n, 2) kinetic and potential [J]. */
 EXPORT void kernel_energy(int n, const double *p, const double *q, const double *v, double *energy)

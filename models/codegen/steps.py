@@ -97,7 +97,7 @@ class Steps(Kernel):
         after, lam = np.empty_like(x), np.empty((n, scene.nl))
         by_x, by_u = np.empty((n, 2 * scene.nq, 2 * scene.nq)), np.empty((n, 2 * scene.nq, scene.nu))
         arrays = (x, u, after, lam, by_x, by_u)
-        done = self._single.kernel_linearise(*self._head(n, step, law, eps), *(address(array) for array in arrays))
+        done = self._single.kernel_linearise(*self.head(n, step, law, eps), *(address(array) for array in arrays))
         return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
 
     def follow(
@@ -149,7 +149,7 @@ class Steps(Kernel):
         x, u, lam = np.full((n + 1, 2 * scene.nq), np.nan), np.full((n, scene.nu), np.nan), np.full((n, scene.nl), np.nan)
         given = (start, x_plan, u_plan, gain, self._lower, self._upper)
         done = self._single.kernel_feedback_rollout(
-            *self._head(n, step, law, eps), *(address(array) for array in given), None if jump is None else address(jump),
+            *self.head(n, step, law, eps), *(address(array) for array in given), None if jump is None else address(jump),
             *(address(array) for array in (x, u, lam)),
         )  # fmt: skip
         return Followed(x=x, u=u, lam=lam, finite_steps=done)

@@ -208,7 +208,7 @@ def build_contact(part: ContactPart) -> Path:
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(())}
     standard = find_standard("2.0")
     texts = contact_texts(part)
-    key = "\n".join([*(item.describe() for item in compilers.values()), *(f"{name}\0{text}" for name, text in sorted(texts.items()))])
+    key = "\n".join([*(item.version for item in compilers.values()), *(f"{name}\0{text}" for name, text in sorted(texts.items()))])
 
     def build(path: Path) -> None:
         content = {name: text.encode() for name, text in texts.items()}

@@ -28,7 +28,7 @@ import numpy as np
 from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
-from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method
+from models.fmu.reference import Equations, MotionError, Piece, true_motion
 from models.fmu.structure import Dependency, dependencies
 from models.fmu.variables import INTEGRATORS, Variable, VariableKind, friction_nominals, variable_table
 from models.scene import Input, Scene
@@ -177,7 +177,7 @@ def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
     """How they came about, and from the second line on the CSV; without it why there is none."""
     equations = Equations(scene)
     try:
-        states, method = true_motion_and_method(equations, pieces, times)
+        states, method = true_motion(equations, pieces, times)
     except MotionError as error:
         return f"{error}\n"
     outputs = [variable.name for variable in variable_table(scene) if variable.causality == "output"]

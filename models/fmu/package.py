@@ -140,7 +140,7 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
     scene = scene.continuous()
     identifier = model_identifier(scene)
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
-    made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
+    made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.version}" for platform, compiler in compilers.items()]
     made_by += [f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"]
     made_by += [generators(whole=results), *standard_headers(standard).values(), scene_text(scene)]
 

@@ -455,31 +455,8 @@ def pressing_shares(d: Dynamics) -> sp.Matrix:
     return sp.Matrix(len(shares), 1, shares)
 
 
-def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
-    """States of the true motion from the task's start.
-
-    Parameters
-    ----------
-    pieces
-        Inputs that are constant piece by piece.
-    times
-        When (n,) [s].
-
-    Returns
-    -------
-    np.ndarray
-        States (n, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
-
-    Raises
-    ------
-    MotionError
-        If it cannot be followed within the budget.
-    """
-    return true_motion_and_method(equations, pieces, times)[0]
-
-
-def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, ReferenceIntegrator]:
-    """The same as `true_motion`, and the method that came to the end.
+def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, ReferenceIntegrator]:
+    """States of the true motion from the task's start, and the method that came to the end.
 
     Parameters
     ----------

@@ -23,8 +23,6 @@ def goal_state(task: Task) -> np.ndarray:
     -------
     np.ndarray
         (2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN where the end is free.
-
-    Raises nothing.
     """
     return np.array(task.goal, dtype=float)
 

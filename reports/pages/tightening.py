@@ -24,7 +24,7 @@ _SHADES = 6
 
 
 @dataclass(frozen=True)
-class Sweep:
+class TighteningCurve:
     """The stages of one relaxation on one scene, loosest eps first, and their plots."""
 
     title: str
@@ -43,7 +43,7 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     for row in rows:
         figure = TIGHTENING_FIGURES.get(row.stage.method, "") if row.stage.paper else ""
         groups.setdefault((figure or "z", row.stage.method, "" if figure else row.run.pipeline), []).append(row)
-    sweeps: list[Sweep] = []
+    sweeps: list[TighteningCurve] = []
     place = report.scenes.index(scene) + 1
     for (figure, _, pipeline), mine in sorted(groups.items(), key=lambda item: item[0]):
         if len(mine) > 1:
@@ -59,11 +59,11 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     return Section(f"tightening-{place}", f"{figures} while ε is tightened", "scene.html#tightening", values, entries)
 
 
-def _curve(sweep: Sweep) -> str:
+def _curve(sweep: TighteningCurve) -> str:
     return sweep.title.partition(": ")[2] if sweep.title.startswith("Fig. ") else sweep.title
 
 
-def _against(name: str, sweeps: Sequence[Sweep], styles: Mapping[str, tuple[str, str]]) -> Plot | None:
+def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, tuple[str, str]]) -> Plot | None:
     """One metric of all relaxations against eps."""
     marks, unit = [], ""
     for sweep in sweeps:
@@ -76,7 +76,7 @@ def _against(name: str, sweeps: Sequence[Sweep], styles: Mapping[str, tuple[str,
     return draw_against(Quantity("ε"), spaced(name), unit, marks, styles)
 
 
-def _sweep(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], anchor: str) -> Sweep:
+def _sweep(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], anchor: str) -> TighteningCurve:
     lines, missing = [], []
     for index, row in enumerate(rows):
         plan = report.plan(row.run, row.stage)
@@ -85,7 +85,7 @@ def _sweep(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows:
             missing.append(words)
         else:
             lines.append((words, f"s{round(index * (_SHADES - 1) / max(1, len(rows) - 1))}", plan))
-    return Sweep(
+    return TighteningCurve(
         title=(f"{figure}: " if figure else "") + rows[0].stage.method_title + (f" ({pipeline})" if pipeline else ""),
         anchor=anchor,
         rows=rows,

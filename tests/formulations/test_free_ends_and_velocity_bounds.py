@@ -1,7 +1,5 @@
 """A task may leave components of its end free, and bound velocities: every back end means the same by it (scene wall_pendulum)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -59,9 +57,7 @@ def test_a_free_end_misses_nothing():
 def test_a_component_of_the_end_may_be_given(goal):
     scene = ASKED.with_task(goal=goal)
     for solution in both(scene):
-        assert solution.trajectory is not None
         assert distance(solution.trajectory.end, goal_state(scene.task)) <= 1e-8
-        assert solution.cost is not None
         assert solution.cost > SCENE.answers[0].value
     given = [name for name in ("position", "velocity") if build_model(scene, eps=1e-3).component(f"constraint_goal_{name}") is not None]
     assert given == [name for name, value in zip(("position", "velocity"), goal, strict=True) if value is not None]
@@ -72,16 +68,13 @@ def test_a_given_end_may_be_a_ball():
     with load_method("mpcc").open(exact, {"goal_tolerance": 0.005}) as session:
         near = session.solve(eps=None, warm_start=None, time_limit=60.0)
     assert near.outcome is Outcome.SOLVED, near.message
-    assert near.trajectory is not None
     assert distance(near.trajectory.end, goal_state(exact.task)) == pytest.approx(0.005, abs=1e-9)
-    assert near.cost is not None
     assert SCENE.answers[0].value < near.cost < float(solved("mpcc", exact).cost or 0.0)
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.78, 1.5), (-1.5, 0.83)])
 def test_velocity_bounds_hold_at_the_start_of_every_step(lower: float, upper: float):
     for solution in both(bounded(lower, upper)):
-        assert solution.trajectory is not None
         v = solution.trajectory.v[:-1]
         assert v.min() >= lower - 1e-7
         assert v.max() <= upper + 1e-7
@@ -89,9 +82,7 @@ def test_velocity_bounds_hold_at_the_start_of_every_step(lower: float, upper: fl
         assert solution.residuals["velocity_bound_excess"] <= 1e-7
     tight = bounded(lower, upper)
     free = solved("mpcc", SCENE).trajectory
-    assert free is not None
     metric = score(tight, free, None).metric("velocity_bound_violation")
-    assert metric is not None
     assert metric.ok is False
     assert metric.value == pytest.approx(max(lower - free.v[:-1].min(), free.v[:-1].max() - upper))
     model = build_model(tight, eps=1e-3)

@@ -1,7 +1,5 @@
 """What every method must do, run over the catalog: a new file in formulations/methods is tested by existing."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, fields
 from functools import cache
@@ -100,7 +98,6 @@ def test_its_answer_is_whole(name: str) -> None:
     assert isinstance(solution.outcome, Outcome)
     assert solution.outcome.has_answer, solution.message
     plan = solution.trajectory
-    assert plan is not None
     plan.check_fits(scene)
     assert plan.steps == scene.task.steps
     assert plan.has_uniform_grid()

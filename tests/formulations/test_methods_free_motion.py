@@ -21,7 +21,6 @@ def test_it_is_the_scenes_own_time_step_with_true_contact(name: str):
     assert solution.outcome is Outcome.SOLVED
     assert METHOD.kind is Kind.DIRECT
     plan = solution.trajectory
-    assert plan is not None
     expected = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((scene.task.steps, 0)), scene.task.step)
     assert np.array_equal(plan.q, expected.q)
     assert np.array_equal(plan.lam, expected.lam)

@@ -1,7 +1,5 @@
 """eps is counted in the length of the scene: the paper's carts in units of ten metres, where that length is 0.1, have the same plans and forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -106,7 +104,6 @@ def test_compiled_torch_numpy_and_pyomo_have_the_same_forces_at_a_tenth_of_the_s
     np.testing.assert_allclose(by_torch.numpy(), rolled[1].lam, rtol=1e-9, atol=1e-10)
     states = np.hstack([rolled[1].q, rolled[1].v])[:-1]
     linear = load_steps(small).linearise(states, u, h, ForceLaw.SOFTPLUS, EPS)
-    assert linear is not None
     np.testing.assert_allclose(linear.lam, rolled[1].lam, rtol=1e-12, atol=1e-13)
     plan = Trajectory(t=uniform_grid(h, len(u)), q=rolled[1].q, v=rolled[1].v, u=u, lam=rolled[1].lam)
     assert PlanResiduals(small).of(plan, ForceLaw.SOFTPLUS, EPS)["contact_law"] < 1e-10

@@ -1,9 +1,8 @@
 """The three transcription methods on the paper's scene: its rows, warm starts from anywhere, and what cannot be done."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from example_scenes import solve
 
 from formulations.method import Clock, OptionError
 from formulations.methods import strict_lcp
@@ -16,10 +15,9 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.contact_law import ContactLaw, worst_case_violation
-from models.errors import TrajectoryError
+from models.contact_law import worst_case_violation
 from models.scene import Scene
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
 TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
@@ -43,7 +41,6 @@ def chain(
 def discrete_terminal_error(solution: Solution, scene: Scene = SCENE) -> float:
     """Recomputed here: the plan's inputs through the plan's own time step with the true contact law."""
     plan = solution.trajectory
-    assert plan is not None
     replay = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
     return float(np.linalg.norm(np.concatenate([replay.q[-1], replay.v[-1]]) - np.array(scene.task.goal)))
 
@@ -51,25 +48,15 @@ def discrete_terminal_error(solution: Solution, scene: Scene = SCENE) -> float:
 def physics(solution: Solution, scene: Scene = SCENE) -> float:
     """The paper's (10) over t = 0..T-1, with lam and phi at the same time."""
     plan, kernel = solution.trajectory, load_kernel(scene)
-    assert plan is not None
     return float(np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).sum())
 
 
 def descent_plan() -> Trajectory:
-    """Softplus gradient descent as the paper ran it (15 / 14 / 11 steps, rate 500): its end is 0.2 m away from the goal."""
-    kernel, task = load_kernel(SCENE), SCENE.task
-    u, goal = np.zeros((task.steps, 2)), np.array(task.goal)
-    rollout = None
+    """Softplus gradient descent as the paper ran it: its end is 0.2 m away from the goal."""
+    plan = None
     for eps, count in ((1e-3, 15), (1e-5, 14), (1e-7, 11)):
-        for _ in range(count):
-            rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
-            miss = np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal
-            q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
-            q_bar[-1], v_bar[-1] = miss[:3] / 3, miss[3:] / 3
-            u = u - 500 * (kernel.adjoint(rollout, u, q_bar, v_bar)[0] + 2 * 5e-6 * u)
-        rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
-    assert rollout is not None
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+        plan = solve(SCENE, "softplus_gd", eps, plan, iterations=count).trajectory
+    return plan
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +116,6 @@ def test_strict_rows_hold(strict_rows: dict[str, Solution], start: str) -> None:
     assert solution.residuals["terminal_error"] <= 1e-8
     assert discrete_terminal_error(solution) <= 1e-8
     assert solution.residuals["discrete_terminal_error"] == pytest.approx(discrete_terminal_error(solution), abs=1e-12)
-    assert solution.cost is not None
     assert 490.5495 <= solution.cost <= (510 if start == "cold" else 497)  # no exact plan below the best known one
 
 
@@ -141,28 +127,9 @@ def test_one_pipeline_comes_near_the_best_known_plan(strict_rows: dict[str, Solu
 def test_softplus_plans_never_violate_more_than_the_closed_form(eps: float) -> None:
     solution = chain("softplus_dc", (1e-1, eps), SMALL)[-1]
     plan, kernel = solution.trajectory, load_kernel(SMALL)
-    assert plan is not None
     products = plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))
     assert products.max() <= worst_case_violation(30.0, eps) * (1 + 1e-9)
     assert products.max() >= 0.5 * worst_case_violation(30.0, eps), "the carts touch, so the worst place is nearly met"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    "impossible",
-    [
-        SMALL.with_task(goal=(2.1, 2.7, 9.3, 0.0, 0.0, 0.0)),  # far beyond what 10 N do in a second
-        SMALL.with_task(steps=10),
-    ],
-    ids=["far", "short"],
-)
-def test_an_unreachable_goal_has_no_plan(method: str, impossible: Scene) -> None:
-    solution = chain(method, (None if method == "strict_lcp" else 1e-2,), impossible)[0]
-    assert solution.outcome is Outcome.INFEASIBLE
-    assert solution.trajectory is None
-    assert solution.cost is None
-    assert "reaches the goal" in solution.message
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -205,20 +172,6 @@ def test_a_strict_attack_may_do_so_much_work(monkeypatch: pytest.MonkeyPatch) ->
 def test_impossible_eps_is_refused(method: str, eps: float | None) -> None:
     with load_method(method).open(SMALL) as session, pytest.raises(OptionError, match="0 < eps < 1"):
         session.solve(eps=eps, warm_start=None, time_limit=1.0)
-
-
-def test_strict_takes_no_eps_and_no_time_is_refused() -> None:
-    with load_method("strict_lcp").open(SMALL) as session:
-        with pytest.raises(OptionError, match="takes no eps"):
-            session.solve(eps=1e-3, warm_start=None, time_limit=1.0)
-        with pytest.raises(OptionError, match="time limit"):
-            session.solve(eps=None, warm_start=None, time_limit=0.0)
-
-
-def test_a_plan_of_another_grid_is_refused() -> None:
-    other = chain("softplus_dc", (1e-1,), SMALL.with_task(steps=99))[0].trajectory
-    with load_method("softplus_dc").open(SMALL) as session, pytest.raises(TrajectoryError, match="resample"):
-        session.solve(eps=1e-1, warm_start=other, time_limit=TIME_LIMIT)
 
 
 @pytest.mark.parametrize(("change", "at_least"), [({"k": 300.0}, 1.0), ({"c": 3.0}, 1.0), ({"m": 2.0}, 1.0), ({"d": 0.45}, 1.0)])

@@ -1,7 +1,5 @@
 """Options are read from names and values, or given as an object; what is unknown or impossible is refused in one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import pytest

@@ -1,7 +1,5 @@
 """What a method promises of a plan that it calls solved is checked on the plan itself: broken on purpose, one promise at a time."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

@@ -1,7 +1,5 @@
 """Released at phi = 0 (a contact that may pull) or where its force is gone (ours): both restitutions measured by the compiled step."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

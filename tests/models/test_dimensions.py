@@ -1,7 +1,5 @@
 """Units that cannot be right are found when a scene is made, and nobody is accused who leaves units out of numbers and variables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter

@@ -1,7 +1,5 @@
 """The two scenes with fingers: their equations against formulas and rigid motions that share nothing with the scene files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modules beside a scene's file: found from everywhere, read afresh, and their content decides the keys wherever the scene's expressions do not show it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

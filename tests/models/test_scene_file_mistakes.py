@@ -96,6 +96,7 @@ MISTAKES = {
     "an error of indentation": ("SCENE = Scene(", "  SCENE = Scene(", ["IndentationError", "line 8"]),
     "a module that is not there": ("import sympy as sp", "import sympy as sp\nimport no_such_module", ["no_such_module", "line 3"]),
     "a name that a module has not": ("import Friction", "import Frictions", ["Frictions", "line 3"]),
+    "a scene of another name": ("SCENE = Scene(", "SCENES = Scene(", ["must define SCENE", "there is none"]),
     "a function instead of a scene": ("SCENE = Scene(", "def SCENE():\n  return Scene(", ["must define SCENE", "found function"]),
     "a function that returns something else": ("SCENE = Scene(", "SCENE = (lambda: 3)()\nOTHER = Scene(", ["found int"]),
     "another name than the file's": ('name="own"', 'name="other"', ["'other'", "'own'"]),

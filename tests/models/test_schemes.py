@@ -1,7 +1,5 @@
 """Collocation steps against closed forms: order, energy, the kink of a contact, and what a plan made of them is judged by."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stability limit of the time step: closed forms, the step's Jacobian against differences, and motions that are unstable by themselves."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

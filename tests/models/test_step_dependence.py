@@ -1,7 +1,5 @@
 """A parameter that is made of the task's step is refused with its line; a step that is made of parameters, or of the duration, is not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from time import perf_counter
 

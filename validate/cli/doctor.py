@@ -224,7 +224,7 @@ def compiler(request: Any, arrays: Any) -> str:
         function = ctypes.CDLL(str(library)).trial
         function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
         _compare("the square root of 2 by compiled C", function(2.0), math.sqrt(2.0), 1e-15)
-    return found.describe()
+    return found.version
 
 
 def cache(request: Any, arrays: Any) -> str:

@@ -18,8 +18,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.compiler import cached_library
 from models.errors import MachineError
 from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
@@ -90,9 +89,7 @@ def structure(name: str) -> type[ctypes.Structure]:
 
 def library_path() -> Path:
     """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
-    compiler = find_compiler()
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), _source()])
-    return cached(key, ".so", lambda path: compile_shared(compiler, {_SOURCE.name: _source()}, path))
+    return cached_library({_SOURCE.name: _source()})
 
 
 _adopted: list[Path] = []

@@ -133,7 +133,7 @@ def fingerprint() -> str:
 def compiler_text() -> str:
     """Name and version of the C compiler, or the sentence that says there is none."""
     try:
-        return find_compiler().describe()
+        return find_compiler().version
     except MachineError as error:
         return str(error)
 

@@ -82,5 +82,5 @@ def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settin
 
 
 def at_nodes(motion: Replay) -> np.ndarray:
-    """States (nodes, 2 nq) of a replay at the plan's nodes that it reached [m, rad, m/s, rad/s]. Raises nothing."""
+    """States (nodes, 2 nq) of a replay at the plan's nodes that it reached [m, rad, m/s, rad/s]."""
     return np.hstack([motion.q[motion.knots], motion.v[motion.knots]])

@@ -45,7 +45,9 @@ _SHARE = 0.98
 _INFEASIBLE = 2  # HiGHS's status
 
 
-def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+def multipliers_within(
+    matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float
+) -> MultiplierDecision:
     """Multipliers that leave at most the tolerance, by a linear program; undecided where it fails.
 
     Tolerances on both sides of each row are a far easier program than the smallest residual (`least_residual`), whose variable is in all rows.
@@ -61,11 +63,11 @@ def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.
     columns = matrix.shape[1]
     if not all(matrix.shape):
         residual = float(np.max(np.abs(gradient), initial=0.0))
-        return Decision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
+        return MultiplierDecision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
     rows = LinearConstraint(matrix, gradient - _SHARE * tolerance, gradient + _SHARE * tolerance)
     answer = milp(np.zeros(columns), constraints=rows, bounds=Bounds(low, high))
     if answer.x is None:
-        return Decision(exists=False if answer.status == _INFEASIBLE else None, residual=np.inf, y=np.zeros(columns))
+        return MultiplierDecision(exists=False if answer.status == _INFEASIBLE else None, residual=np.inf, y=np.zeros(columns))
     y = np.clip(answer.x, low, high)
     used = np.flatnonzero(y)
     residual = float(np.max(np.abs(gradient - matrix @ y)))
@@ -73,10 +75,12 @@ def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.
     if better is not None and float(np.max(np.abs(better.rest))) < residual:
         y, residual = np.zeros(columns), float(np.max(np.abs(better.rest)))
         y[used] = better.y
-    return Decision(exists=residual <= tolerance, residual=residual, y=y)
+    return MultiplierDecision(exists=residual <= tolerance, residual=residual, y=y)
 
 
-def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+def least_residual(
+    matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float
+) -> MultiplierDecision:
     """The smallest residual that there is: min t with -t <= gradient - matrix y <= t. Arguments as in `decide`: (n, columns), (n,), (columns,) [-].
 
     Raises ValueError for numbers that are not finite; it is undecided where the program fails.
@@ -84,7 +88,7 @@ def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndar
     n, columns = matrix.shape
     if not n or not columns:
         residual = float(np.max(np.abs(gradient), initial=0.0))
-        return Decision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
+        return MultiplierDecision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
     ones = sparse.csr_matrix(np.ones((n, 1)))
     system = sparse.vstack([sparse.hstack([matrix, -ones]), sparse.hstack([-matrix, -ones])], format="csr")
     cost = np.zeros(columns + 1)
@@ -92,8 +96,8 @@ def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndar
     sides = [*zip(low.tolist(), high.tolist(), strict=True), (0.0, None)]
     answer = linprog(cost, A_ub=system, b_ub=np.concatenate([gradient, -gradient]), bounds=sides, method="highs")
     if answer.status != 0:
-        return Decision(exists=None, residual=np.inf, y=np.zeros(columns))
-    return Decision(exists=float(answer.fun) <= tolerance, residual=float(answer.fun), y=answer.x[:-1])
+        return MultiplierDecision(exists=None, residual=np.inf, y=np.zeros(columns))
+    return MultiplierDecision(exists=float(answer.fun) <= tolerance, residual=float(answer.fun), y=answer.x[:-1])
 
 
 def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
@@ -142,7 +146,7 @@ _DECISION_ROUNDS, _LIGHTEST = 6, 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Decision:
+class MultiplierDecision:
     """Whether multipliers exist.
 
     exists: None where it is not decided; residual: largest component that the best multipliers found leave, total: the sum of all; y (columns,): these
@@ -157,7 +161,7 @@ class Decision:
     slope: float = 0.0
 
 
-def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> MultiplierDecision:
     """Whether multipliers with these limits leave at most the tolerance of the gradient.
 
     Raises nothing: it is undecided where a factorisation fails.
@@ -170,7 +174,7 @@ def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hig
     tolerance : largest component that may be left
     """
     weights = np.ones(len(gradient))
-    best = Decision(exists=None, residual=np.inf, y=np.zeros(matrix.shape[1]))
+    best = MultiplierDecision(exists=None, residual=np.inf, y=np.zeros(matrix.shape[1]))
     for _ in range(_DECISION_ROUNDS):
         root = np.sqrt(weights)
         found = project((sparse.diags(root) @ matrix).tocsc(), root * gradient, low, high)
@@ -179,7 +183,9 @@ def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hig
         rest = gradient - matrix @ found.y
         residual = float(np.max(np.abs(rest), initial=0.0))
         if residual < best.residual:
-            best = Decision(exists=True if residual <= tolerance else None, residual=residual, y=found.y, total=float(np.sum(np.abs(rest))))
+            best = MultiplierDecision(
+                exists=True if residual <= tolerance else None, residual=residual, y=found.y, total=float(np.sum(np.abs(rest)))
+            )
         if best.exists:
             break
         polar = root * found.polar

@@ -22,7 +22,7 @@ import numpy as np
 
 from formulations.mpec.certificate.active import ANY, CHOICES, ActiveSet, Signs, Stationarity, class_of, limits, pairs_of, wrong_by
 from formulations.mpec.certificate.multipliers import (
-    Decision,
+    MultiplierDecision,
     column_lengths,
     decide,
     excludes,
@@ -222,7 +222,7 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Stati
     raise AssertionError("every point with multipliers is weakly stationary")
 
 
-def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dict[tuple[Signs, ...], Decision]) -> float | None:
+def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dict[tuple[Signs, ...], MultiplierDecision]) -> float | None:
     """Residual of multipliers with the signs of a class, if there are some: pair after pair is decided, the one that is most wrong first.
 
     known: what was decided for other classes
@@ -244,7 +244,7 @@ def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dic
     return None
 
 
-def _with(active: ActiveSet, signs: Sequence[Signs], tolerance: float) -> Decision:
+def _with(active: ActiveSet, signs: Sequence[Signs], tolerance: float) -> MultiplierDecision:
     """Whether there are multipliers with these signs on the biactive pairs."""
     question = (active.matrix, active.gradient / active.scale, *limits(active, signs), tolerance)
     found = decide(*question)

@@ -1,7 +1,5 @@
 """Banded LU against numpy's dense solver, on matrices that need pivoting."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

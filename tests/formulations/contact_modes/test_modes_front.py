@@ -1,7 +1,5 @@
 """Least cost against terminal tolerance, on the paper's scene and swept on a small one; ends recomputed by a rollout."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +25,6 @@ SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.
 def miss(solution: Solution, scene: Scene) -> float:
     assert solution.outcome is Outcome.SOLVED, solution.message
     plan = solution.trajectory
-    assert plan is not None
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
     return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(scene.task)))
 
@@ -41,7 +38,6 @@ def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> 
 @pytest.mark.parametrize(("ball", "most"), [(1e-3, 391.0), (1e-2, 325.0)])
 def test_figures_of_the_front(ball: float, most: float) -> None:
     solution = within(ball)
-    assert solution.cost is not None
     assert solution.cost <= most
     assert miss(solution, SCENE) == pytest.approx(ball, rel=1e-6), "the end lies on the sphere"
 
@@ -49,7 +45,6 @@ def test_figures_of_the_front(ball: float, most: float) -> None:
 @pytest.mark.slow
 def test_the_figure_at_five_centimetres_needs_the_modes_of_ten() -> None:
     solution = within(0.05, within(0.1, search=False).trajectory)
-    assert solution.cost is not None
     assert solution.cost <= 283.5
     assert miss(solution, SCENE) <= 0.05 + 1e-10
 
@@ -60,7 +55,7 @@ def test_a_front_falls() -> None:
     assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
     costs = [point.solution.cost for point in points]
     assert None not in costs
-    assert costs == sorted(costs, reverse=True)  # type: ignore[type-var] - costs are numbers here, checked above
+    assert costs == sorted(costs, reverse=True)
     assert len(set(costs)) == 3
     for point in points:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
@@ -98,7 +93,6 @@ def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
     assert [point.tolerance for point in solution.front] == [0.0, 0.05]
     assert solution.cost == solution.front[0].solution.cost
     for point in solution.front:
-        assert point.solution.certificate is not None
         assert point.solution.certificate.holds, point.solution.certificate.sentence
     assert solution.certificate is solution.front[0].solution.certificate
     assert "2 of 2" in solution.message
@@ -127,7 +121,7 @@ def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.Monkey
 
     def noted(self: MpccSession, **given: object) -> Solution:
         allowed.append((given["warm_start"] is not None, self._options.work))
-        return solve(self, **given)  # type: ignore[arg-type] - handed on as they came
+        return solve(self, **given)
 
     monkeypatch.setattr(MpccSession, "solve", noted)
     front(SMALL, (0.0, 0.01), options={"work": 2.0, "first_work": 5.0})

@@ -1,7 +1,5 @@
 """From inputs that miss the goal to a plan: correcting the true rollout, by way of softplus, and the search with a price on the miss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -54,11 +52,9 @@ def test_modes_that_miss_the_goal_lead_to_modes_that_meet_it() -> None:
     assert not closed[:, 1].any()
     assert problem.solve(closed) is None, "nothing stops the middle cart"
     answer = continue_to_goal(problem, closed, 1, lambda: False)
-    assert answer is not None
     assert problem.softness == 0.0
     np.testing.assert_allclose(answer.point.z[-1], GOAL, atol=1e-9)
     again = problem.solve(answer.closed)
-    assert again is not None
     assert again.cost == pytest.approx(answer.cost, rel=1e-12)
 
 
@@ -66,12 +62,10 @@ def test_a_softer_goal_costs_less_and_a_hard_one_is_its_limit() -> None:
     problem = ModesProblem(linear_scene(load_scene("three_cart")))
     best = closed_steps((((131, 179),), ((276, 307),)), 500)
     hard = problem.solve(best)
-    assert hard is not None
     costs = []
     for softness in (1e-3, 1e-7, 1e-9):
         problem.softness = softness
         answer = problem.solve(best)
-        assert answer is not None
         costs.append(answer.cost)
     assert costs == sorted(costs)
     assert costs[-1] < hard.cost

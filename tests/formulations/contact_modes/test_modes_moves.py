@@ -1,7 +1,5 @@
 """Mode sequences: their moves, and a search that ends where no neighbour is cheaper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

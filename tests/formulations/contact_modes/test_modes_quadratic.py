@@ -1,7 +1,5 @@
 """The quadratic program of fixed modes against Ipopt on the Pyomo model of the same modes: two roads that share no line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +38,6 @@ def by_ipopt(scene: Scene, closed: np.ndarray, ball: float = 0.0):
 
 def test_the_known_optimum() -> None:
     answer = ModesProblem(linear_scene(SCENE)).solve(BEST)
-    assert answer is not None
     assert answer.cost == pytest.approx(490.5495305, abs=1e-6)
 
 
@@ -49,8 +46,6 @@ def test_the_known_optimum() -> None:
 def test_it_agrees_with_ipopt_on_random_problems(seed: int, bound: float) -> None:
     scene, closed = random_scene(seed, bound)
     ours, theirs = ModesProblem(linear_scene(scene)).solve(closed), by_ipopt(scene, closed)
-    assert ours is not None
-    assert theirs is not None
     assert closed.any()
     assert ours.cost == pytest.approx(theirs.cost, rel=1e-6)
     np.testing.assert_allclose(ours.u, theirs.u, atol=1e-3)
@@ -63,7 +58,6 @@ def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
     for seed in range(4):
         scene, closed = random_scene(seed, 1.6)
         answer = ModesProblem(linear_scene(scene)).solve(closed)
-        assert answer is not None
         held, touching = held + int((answer.active.side != 0).sum()), touching + int(answer.active.touching.sum())
     assert held > 0
     assert touching > 0
@@ -74,8 +68,6 @@ def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
 def test_a_ball_around_the_goal_agrees_with_ipopt(ball: float) -> None:
     problem = ModesProblem(linear_scene(SCENE), ball)
     answer, theirs = problem.solve(BEST), by_ipopt(SCENE, BEST, ball)
-    assert answer is not None
-    assert theirs is not None
     assert np.linalg.norm(answer.point.z[-1] - problem.linear.goal) == pytest.approx(ball, rel=1e-9)
     assert answer.cost == pytest.approx(theirs.cost, rel=1e-6)
 
@@ -86,7 +78,6 @@ def test_optimality_conditions_hold() -> None:
     linear = linear_scene(scene)
     problem = ModesProblem(linear)
     answer = problem.solve(closed)
-    assert answer is not None
     z, u, y = answer.point.z, answer.point.u, answer.point.y
     lam = np.where(answer.closed, linear.k * answer.phi, 0.0)
     np.testing.assert_allclose(z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + lam @ linear.E.T, atol=1e-11)
@@ -106,7 +97,6 @@ def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball
     problem = ModesProblem(linear, ball)
     problem.softness = softness
     answer = problem.solve(closed)
-    assert answer is not None
     named = interior_point_active_set(linear, closed, ball, softness)
     assert named is not None
     held = problem._rounds(closed, named, most=2)
@@ -131,10 +121,8 @@ def test_a_ceiling_only_hides_what_costs_more() -> None:
     problem = ModesProblem(linear_scene(SCENE))
     worse = closed_steps((((140, 190),), ((270, 300),)), 500)
     free = problem.solve(worse)
-    assert free is not None
     assert problem.solve(worse, below=free.cost * 0.999) is None
     found = problem.solve(worse, below=free.cost * 1.001)
-    assert found is not None
     assert found.cost == pytest.approx(free.cost, rel=1e-12)
 
 
@@ -165,17 +153,14 @@ def test_what_modes_cost_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     factor = problem.kkt.factor
     monkeypatch.setattr(problem.kkt, "factor", lambda *given, **named: (factored.append(None), factor(*given, **named))[1])
     answer = problem.solve(BEST)
-    assert answer is not None
     once = len(factored)
     assert problem.solve(BEST, near=answer, below=answer.cost) is None
     assert problem.solve(BEST, below=0.9 * answer.cost) is None
     assert len(factored) == once
     assert problem.solves == 3, "it counts as tried all the same"
     again = problem.solve(BEST, near=answer, below=1.1 * answer.cost)
-    assert again is not None
     assert again.cost == pytest.approx(answer.cost, rel=1e-12)
     problem.ball = 0.05
     nearer = problem.solve(BEST, below=answer.cost)
-    assert nearer is not None
     assert nearer.cost < answer.cost
     assert len(factored) > once

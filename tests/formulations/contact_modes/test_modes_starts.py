@@ -1,7 +1,5 @@
 """Where several starts come from: the mirror against a frictionless collision, the shooting solution against its own loss, numbers against a split."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from example_scenes import example_scene
@@ -16,24 +14,19 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 SCENE = load_scene("three_cart")
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 ARM = example_scene("two_link_arm")
 
 
-def rolled(scene, u: np.ndarray) -> Trajectory:
-    rollout, task = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step), scene.task
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
-
-
 def test_a_plan_in_the_mirror_satisfies_the_undamped_equations() -> None:
     """Backwards and mirrored, a motion without damping is a motion again: forces of the mirrored contacts accelerate the mirrored carts."""
     scene = SCENE.with_parameters(c=0.0).with_task(step=1e-4, steps=2000)
-    there = rolled(scene.with_task(start=(2.0, 2.49, 3.0, 1.0, 0.0, 0.0)), np.zeros((2000, 2)))
+    there = rolled_out(scene.with_task(start=(2.0, 2.49, 3.0, 1.0, 0.0, 0.0)), np.zeros((2000, 2)))
     assert there.lam.max() > 0
     back = mirrored(scene, load_kernel(scene), there)
-    assert back is not None
     np.testing.assert_allclose(np.gradient(back.q, 1e-4, axis=0)[5:-5], back.v[5:-5], atol=1e-2)
     kernel = load_kernel(scene)
     pushed = kernel.acceleration(back.q[:-1], back.v[:-1], back.u, back.lam)
@@ -46,7 +39,6 @@ def test_the_mirror_takes_the_start_to_the_goal() -> None:
     ends = np.linspace(task.start, goal_state(task), task.steps + 1)
     plan = Trajectory(t=uniform_grid(task.step, task.steps), q=ends[:, :3], v=ends[:, 3:], u=np.ones((500, 2)), lam=np.ones((500, 2)))
     back = mirrored(SCENE, load_kernel(SCENE), plan)
-    assert back is not None
     np.testing.assert_allclose(back.start, task.start, atol=1e-12)
     np.testing.assert_allclose(back.end, goal_state(task), atol=1e-12)
 
@@ -59,11 +51,10 @@ def test_a_scene_that_is_not_its_own_mirror_image_has_no_mirror() -> None:
 
 def test_the_shooting_solution_comes_nearer_to_the_goal_at_less_than_the_best_cost() -> None:
     plan = descended_plan(SCENE, load_kernel(SCENE))
-    assert plan is not None
     end = np.concatenate([plan.q[-1], plan.v[-1]])
     assert np.linalg.norm(end - goal_state(SCENE.task)) < 0.3 * np.linalg.norm(np.array(SCENE.task.start) - goal_state(SCENE.task))
     assert 0.0 < (plan.u**2).sum() < 490.0
-    np.testing.assert_array_equal(plan.u, descended_plan(SCENE, load_kernel(SCENE)).u)  # type: ignore[union-attr] - the same again
+    np.testing.assert_array_equal(plan.u, descended_plan(SCENE, load_kernel(SCENE)).u)
 
 
 def several(**options) -> Solution:
@@ -102,7 +93,6 @@ def test_another_seed_is_another_random_start() -> None:
 def test_contacts_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
-    assert plan is not None
     best = min(solution.starts, key=lambda start: float("inf") if start.cost is None else start.cost)
     closed = np.zeros_like(plan.lam, dtype=bool)
     names = [contact.name for contact in SMALL.contacts]

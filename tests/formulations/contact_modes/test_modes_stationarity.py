@@ -1,7 +1,5 @@
 """Classes of biactive pairs, and the signs of multipliers against costs: a negative one names the mode that is cheaper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -40,7 +38,6 @@ def test_a_negative_multiplier_names_a_cheaper_mode(contact: int, shift: int) ->
     intervals[contact][0] += shift
     problem = ModesProblem(linear_scene(SCENE))
     answer = problem.solve(closed_steps(tuple(((first, stop),) for first, stop in intervals), 500))
-    assert answer is not None
     assert answer.cost > 490.5495306
     negative = [
         (t, c)

@@ -13,7 +13,7 @@ import scipy.sparse as sparse
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.active import ActiveSet, Stationarity
 from formulations.mpec.certificate.multipliers import (
-    Decision,
+    MultiplierDecision,
     column_lengths,
     decide,
     excludes,
@@ -399,7 +399,7 @@ def test_a_piece_that_failed_may_hide_a_descent(monkeypatch: pytest.MonkeyPatch)
 def test_a_node_that_is_not_known_leaves_the_tree_unknown(monkeypatch: pytest.MonkeyPatch):
     at, known = active((3.0, 2.0, *[0.0] * 400), pairs=[((1, 0, *[0.0] * 400), (0, 1, *[0.0] * 400), "both")]), []
     assert steepest_piece(at, 1e-6) == (0.0, None)
-    monkeypatch.setattr(stationarity, "decide", lambda *_: Decision(exists=None, residual=math.inf, y=np.zeros(2)))
+    monkeypatch.setattr(stationarity, "decide", lambda *_: MultiplierDecision(exists=None, residual=math.inf, y=np.zeros(2)))
     monkeypatch.setattr(stationarity, "steepest_direction", lambda *given: known.append(given) or (math.nan, None))
     slope, direction = steepest_piece(at, 1e-6)
     assert (math.isnan(slope), direction, len(known)) == (True, None, 1)

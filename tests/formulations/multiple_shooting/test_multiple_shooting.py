@@ -123,7 +123,6 @@ def test_a_linear_scene_is_solved_to_its_closed_form(scene: Scene):
     cost, u = least_cost(free)
     solution = solved(free, tolerance=1e-12, goal_tolerance=1e-9)
     assert solution.outcome is Outcome.SOLVED, solution.message
-    assert solution.trajectory is not None
     assert solution.cost == pytest.approx(cost, rel=1e-7)
     np.testing.assert_allclose(solution.trajectory.u, u, atol=1e-5 * np.abs(u).max())
     if not scene.task.has_goal:
@@ -134,7 +133,6 @@ def test_bounds_of_the_inputs_hold_and_nothing_is_cheaper():
     """Held against L-BFGS-B, which knows nothing of stages."""
     tight = replace(FREE, inputs=(replace(FREE.inputs[0], lower=-0.5, upper=0.5),))
     plan, other = solved(tight, tolerance=1e-10), solved(tight, "relu_lbfgs", input_weight=1.0, tolerance=1e-10)
-    assert plan.trajectory is not None
     assert np.abs(plan.trajectory.u).max() == 0.5
     assert plan.cost == pytest.approx(other.cost, rel=1e-6)
 
@@ -148,7 +146,6 @@ def test_unstable_scenes_are_solved_from_a_cold_start(name: str):
                 solution = session.solve(eps=eps, warm_start=plan, time_limit=60.0)
                 plan = solution.trajectory
     assert solution.outcome is Outcome.SOLVED, solution.message
-    assert plan is not None
     run = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
     end = np.concatenate([run.q[-1], run.v[-1]])
     assert np.linalg.norm(end - np.array(scene.task.goal)) < 1e-4, "without feedback, on the plan's own grid"

@@ -43,7 +43,6 @@ def test_the_energy_of_two_masses_by_hand():
     # 1/2 M v^2 = 1/4 + 5/32; phi = 2 + 1/2 - 1 = 3/2: 1/2 k phi^2 = 27/32
     energy = 0.25 + 0.15625 + 0.84375 + _H * gain * 7.0
     found = energy_bound(SCENE, 7.0)
-    assert found is not None
     assert found.speed == pytest.approx(np.sqrt(2 * energy / np.array([2.0, 5.0])), rel=1e-7)
     assert found.penetration == pytest.approx([np.sqrt(2 * energy / _K)], rel=1e-7)
     assert found.approach == pytest.approx([np.sqrt(2 * energy * (4.0 / 2.0 + 0.25 / 5.0))], rel=1e-7)
@@ -52,7 +51,6 @@ def test_the_energy_of_two_masses_by_hand():
 def test_an_open_contact_holds_no_energy():
     """At the start, phi = -1: what is left is the motion's 1/4 + 5/32, where nothing may be spent."""
     found = energy_bound(SCENE.with_task(start=(-0.25, -1.0, 0.5, -0.25)), 0.0)
-    assert found is not None
     assert found.penetration == pytest.approx([np.sqrt(2 * (0.25 + 0.15625) / _K)], rel=1e-12)
 
 
@@ -87,7 +85,6 @@ def test_a_step_that_is_just_too_long():
     )  # fmt: skip
     assert energy_bound(free, 1.0) is None
     found = energy_bound(free.with_task(step=1.0), 1.0)  # D = 1/2, gain = 1/2, energy = 1/2
-    assert found is not None
     assert found.speed == pytest.approx([1.0], rel=1e-12)
 
 
@@ -108,26 +105,26 @@ HALF = replace(ONE, step=0.5, start=np.array([-0.5, 0.0]), steps=4)
 
 
 def test_a_gap_changes_by_its_approach_in_each_step_and_is_no_deeper_than_physics(physics: list[float]):
-    found = physical_bounds(SimpleNamespace(nq=1), HALF, 7.0)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), HALF, 7.0)
     assert physics == [7.0]
     assert found.lower[:, 0] == pytest.approx([-0.5, -0.75, -1.0, -1.25])
     assert found.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25])
-    later = physical_bounds(SimpleNamespace(nq=1), replace(HALF, steps=6), 7.0)  # type: ignore[arg-type]
+    later = physical_bounds(SimpleNamespace(nq=1), replace(HALF, steps=6), 7.0)
     assert later.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.3, 0.3])
     assert (later.ceiling, later.is_empty) == (7.0, False)
 
 
 def test_where_the_end_is_given_gaps_are_bounded_from_there_too(physics: list[float]):
     aimed = replace(HALF, goal=np.array([-0.75, np.nan]))  # 4 steps of 1/4 are left at the start, one before the last
-    found = physical_bounds(SimpleNamespace(nq=1), aimed, 7.0)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), aimed, 7.0)
     assert found.lower[:, 0] == pytest.approx([-0.5, -0.75, -1.0, -1.0])
     assert found.upper[:, 0] == pytest.approx([-0.5, -0.25, -0.25, -0.5])
-    half = physical_bounds(SimpleNamespace(nq=2), replace(HALF, goal=np.array([-0.75, np.nan])), 7.0)  # type: ignore[arg-type]
+    half = physical_bounds(SimpleNamespace(nq=2), replace(HALF, goal=np.array([-0.75, np.nan])), 7.0)
     assert half.upper[:, 0] == pytest.approx([-0.5, -0.25, 0.0, 0.25]), "a part of the place says nothing of a gap"
 
 
 def test_of_all_plans_physics_says_nothing(physics: list[float]):
-    found = physical_bounds(SimpleNamespace(nq=1), HALF, np.inf)  # type: ignore[arg-type]
+    found = physical_bounds(SimpleNamespace(nq=1), HALF, np.inf)
     assert physics == []
     assert found.lower[:, 0].tolist() == [-0.5, -np.inf, -np.inf, -np.inf]
     assert found.upper[:, 0].tolist() == [-0.5, np.inf, np.inf, np.inf]

@@ -1,9 +1,6 @@
 """Proofs: against all modes tried one by one, bounds that no exact plan leaves, plans that do not count, refusals."""
 
-from __future__ import annotations
-
 import importlib.util
-import sys
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -63,8 +60,6 @@ def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
 def test_seconds_are_those_of_opening_and_of_the_proof():
     with load_method("global").open(LITTLE) as session:
         first, second = (session.solve(eps=None, warm_start=None, time_limit=60.0).seconds for _ in range(2))
-    assert first is not None
-    assert second is not None
     assert first.build > 0.0
     assert second.build == 0.0, "opened once"
     for found in (first, second):
@@ -78,7 +73,6 @@ def test_the_pendulum_against_its_wall_is_proved():
     with load_method("global").open(PENDULUM) as session:
         solution = session.solve(eps=None, warm_start=local.trajectory, time_limit=300.0)
     assert solution.outcome is Outcome.SOLVED, solution.message
-    assert solution.bound is not None
     assert solution.bound.proved
     assert solution.cost == pytest.approx(local.cost, rel=1e-9)
     assert solution.cost == pytest.approx(PENDULUM.answers[0].value, rel=1e-9)
@@ -119,7 +113,6 @@ def test_cheap_plans_have_little_energy():
         close = CARTS.with_task(start=(2.0, 2.0 + random.uniform(0.45, 0.6), 3.1, *random.uniform(-0.5, 0.5, 3)))
         plan = rolled_out(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
         found = energy_bound(close, float((plan.u**2).sum()))
-        assert found is not None
         phi = load_kernel(close).penetration(plan.q)
         assert (np.abs(plan.v) <= found.speed).all()
         assert (phi <= found.penetration).all()
@@ -161,10 +154,8 @@ def test_a_proof_that_is_cut_off_by_time_is_none():
     """Although the plan that it knows is, as far as anybody knows, the best."""
     with load_method("mpcc").open(LONG) as session:
         known = session.solve(eps=None, warm_start=None, time_limit=60.0)
-    assert known.cost is not None
     proof = prove(LONG, incumbent=known.trajectory, time_limit=3.0)
     assert proof.status is ProofStatus.BOUND
-    assert proof.cost is not None
     assert proof.cost <= known.cost * (1.0 + 1e-9)
     assert proof.bound < 0.99 * known.cost, "the bound is SCIP's, not that of the ceiling under which it searched"
     assert "Not proved in the time given" in proof.sentence
@@ -206,12 +197,3 @@ def test_refusals(monkeypatch):
         method.open(PENDULUM)
     with pytest.raises(MachineError, match="pyscipopt"):
         prove(PENDULUM)
-
-
-@pytest.mark.slow
-def test_less_than_a_second_is_time_too(monkeypatch: pytest.MonkeyPatch):
-    """With a clock that stands still what is left is what was given: SCIP is asked, and gives a bound of its own."""
-    monkeypatch.setattr(sys.modules[prove.__module__], "perf_counter", lambda: 0.0)
-    proof = prove(LONG, incumbent=rolled_out(LONG, np.zeros((LONG.task.steps, LONG.nu))), time_limit=0.9)
-    assert proof.status is ProofStatus.BOUND
-    assert 0.0 < proof.bound < np.inf

@@ -1,11 +1,10 @@
-"""What a proof concludes from what SCIP and the bounds say: both answer here what a test says, with a clock that stands still."""
-
-from __future__ import annotations
+"""What a proof concludes from what SCIP and the bounds say: both answer here what a test says, with a clock that moves as a test says."""
 
 import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -58,9 +57,15 @@ def proved(monkeypatch: pytest.MonkeyPatch):
     """proved(answers of SCIP, bounds, ..): the proof; asked: seconds that SCIP was given; ceilings: under which bounds were asked for."""
 
     def run(
-        *answers: Callable[[Any], Any], pairs: PairBounds | None = None, limit: float = LIMIT, scene: Any = SHORT, incumbent: Any = None
+        *answers: Callable[[Any], Any],
+        pairs: PairBounds | None = None,
+        limit: float = LIMIT,
+        scene: Any = SHORT,
+        incumbent: Any = None,
+        passed: float = 0.0,
     ) -> Any:
         said, asked, ceilings = list(answers), [], []
+        clock = chain([100.0], repeat(100.0 + passed))
 
         def solve(model: Any, seconds: float) -> Any:
             asked.append(seconds)
@@ -68,15 +73,15 @@ def proved(monkeypatch: pytest.MonkeyPatch):
 
         def bounded(scene: Any, linear: Any, ceiling: float, is_over: Callable[[], bool]) -> PairBounds:
             ceilings.append(ceiling)
-            assert is_over() is (limit <= 0.0)
+            assert is_over() is (limit <= passed)
             return replace(pairs or bounds(scene=scene), ceiling=ceiling)
 
         monkeypatch.setattr(MODULE, "scip", solve)
         monkeypatch.setattr(MODULE, "pair_bounds", bounded)
-        monkeypatch.setattr(MODULE, "perf_counter", lambda: 100.0)
+        monkeypatch.setattr(MODULE, "perf_counter", lambda: next(clock))
         monkeypatch.setattr(MODULE, "process_time", lambda: 50.0)
         found = prove(scene, incumbent=incumbent, time_limit=limit)
-        assert (len(asked), found.seconds, found.cpu) == (len(answers), 0.0, 0.0), "SCIP was meant to be asked that often"
+        assert (len(asked), found.seconds, found.cpu) == (len(answers), passed, 0.0), "SCIP was meant to be asked that often"
         return SimpleNamespace(proof=found, asked=asked, ceilings=ceilings)
 
     return run
@@ -86,7 +91,6 @@ def proved(monkeypatch: pytest.MonkeyPatch):
 def known() -> float:
     """The cost of the optimum of the modes of coasting."""
     answer = ModesProblem(linear_scene(SHORT)).solve(load_kernel(SHORT).penetration(COASTING.q[:-1]) > 0.0)
-    assert answer is not None
     return answer.cost
 
 
@@ -164,6 +168,11 @@ def test_half_a_second_is_time_and_ten_minutes_are_what_is_given_unasked(proved)
     assert inspect.signature(prove).parameters["time_limit"].default == 600.0
 
 
+def test_time_that_has_passed_is_not_left(proved):
+    assert proved(result(-1.0), incumbent=COASTING, passed=15.0).asked == [LIMIT - 15.0]
+    assert proved(incumbent=COASTING, passed=LIMIT).asked == []
+
+
 @pytest.mark.parametrize(("part", "status"), [(0.5, ProofStatus.OPTIMAL), (2.0, ProofStatus.BOUND)])
 def test_a_cost_below_nought_has_its_ceiling_above_and_its_gap_below(proved, known: float, part: float, status: ProofStatus):
     scene = SHORT.with_task(running_cost=SHORT.task.running_cost - 100)
@@ -210,7 +219,6 @@ def test_a_worse_plan_is_not_taken(proved, known: float):
 def test_where_one_choice_of_modes_is_left_its_optimum_is_the_answer(proved):
     free = SHORT.with_task(start=(-0.05, 0.1))
     open_ = ModesProblem(linear_scene(free)).solve(np.zeros((9, 1), dtype=bool))
-    assert open_ is not None
     found = proved(pairs=bounds(high=-0.01, scene=free), scene=free)
     assert (found.proof.status, found.asked) == (ProofStatus.OPTIMAL, [])
     assert (found.proof.cost, found.proof.bound) == (pytest.approx(open_.cost, rel=1e-9), pytest.approx(open_.cost, rel=1e-9))

@@ -1,7 +1,5 @@
 """The relaxation against motions worked out step by step: where inputs and contacts are settled nothing is relaxed, elsewhere the triangle is all that is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

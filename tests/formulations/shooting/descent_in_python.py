@@ -1,7 +1,5 @@
 """Gradient descent and its stopping rule once more, in numpy on the kernel's adjoint: no PyTorch, nothing shared with the loop it is held against."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from formulations.shooting.options import DescentOptions

@@ -87,7 +87,6 @@ def test_a_row_that_diverges_leaves_the_others_alone():
     plan = rollout(scene, spoilt, start)
     assert plan.cost.isnan().tolist() == [False, True, False]
     plan.q[:, -1].sum().backward()
-    assert spoilt.grad is not None
     assert spoilt.grad.isnan().flatten(1).any(1).tolist() == [False, True, False]
     assert torch.equal(spoilt.grad[2], torch.autograd.grad(rollout(scene, u[2], start[2]).q[-1].sum(), u)[0][2])
 
@@ -105,7 +104,6 @@ def test_several_plans_descend_each_by_itself():
     assert u.abs().max() == 10.0
     for row in range(4):
         alone = descend(Objective(kernel, law=ContactLaw.RELU), first[row].numpy(), DescentOptions(learning_rate=5e3, iterations=10), 60.0)
-        assert alone.u is not None
         assert losses[-1][row].item() == pytest.approx(alone.history["loss"][-1], rel=1e-10)
         assert np.abs(u[row].detach().numpy() - alone.u).max() <= 1e-10
 

@@ -1,7 +1,6 @@
 """The loop of gradient descent against the same written out in numpy; bounds, limits, interrupts."""
 
 import signal
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from example_scenes import example_scene
 from formulations.shooting.descent import descend
 from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.options import DescentOptions
-from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -104,23 +102,3 @@ def test_a_loss_of_ones_own_is_descended():
     assert papers.u is not None
     assert own.history["loss"][-1] < 0.1 * own.history["loss"][0]
     assert np.abs(np.diff(own.u, axis=0)).max() < 0.1 * np.abs(np.diff(papers.u, axis=0)).max()
-
-
-def test_a_loss_that_does_not_depend_on_the_inputs_is_refused():
-    scene = load_scene("three_cart")
-    objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=lambda plan, u: plan.cost.detach())
-    with pytest.raises(ShootingError, match="three_cart: the loss has no gradient"):
-        descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1.0, iterations=1), 60.0)
-
-
-@pytest.mark.slow
-def test_pytorch_is_imported_where_something_is_descended_and_not_before():
-    """It takes seconds to import: the catalog of methods does without."""
-    import subprocess
-
-    code = (
-        "import sys; from formulations.pipelines import load_method\n"
-        "for name in ('relu_gd', 'softplus_lbfgs', 'randomised_smoothing'): load_method(name)\n"
-        "sys.exit('torch' in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

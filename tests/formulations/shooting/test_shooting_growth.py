@@ -44,7 +44,6 @@ def test_the_factor_is_that_of_the_adjoint():
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU)
     plan = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
     growth = measure_growth(load_steps(scene), np.hstack([plan.q, plan.v]), u)
-    assert growth is not None
     assert growth.factor == pytest.approx(sensitivity(objective, u).growth, rel=1e-9)
 
 

@@ -25,17 +25,10 @@ def test_what_they_are():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"learning_rat": 1.0}, "did you mean learning_rate"),
         ({"learning_rate": 0.0}, "learning_rate is 0.0"),
-        ({"learning_rate": float("inf")}, "learning_rate is inf"),
         ({"learning_rate": float("nan")}, "learning_rate is nan"),
-        ({"learning_rate": None}, "learning_rate is None"),
         ({"iterations": 0}, "iterations is 0"),
-        ({"iterations": 1.5}, "whole number"),
-        ({"iterations": True}, "iterations is True"),
-        ({"max_iterations": 2.5}, "whole number"),
         ({"input_weight": -1.0}, "input_weight is -1.0"),
-        ({"tolerance": "small"}, "tolerance is 'small'"),
     ],
 )
 def test_impossible_options_are_named(options: dict[str, object], words: str):
@@ -43,18 +36,9 @@ def test_impossible_options_are_named(options: dict[str, object], words: str):
         load_method("relu_gd").open(SCENE, options)
 
 
-@pytest.mark.parametrize(
-    ("name", "eps"), [("relu_gd", 1e-3), ("softplus_gd", None), ("softplus_gd", 0.0), ("softplus_gd", 1.0), ("softplus_gd", True)]
-)
-def test_impossible_eps_is_named(name: str, eps: float | None):
-    with load_method(name).open(SCENE) as session, pytest.raises(OptionError, match="eps"):
-        session.solve(eps=eps, warm_start=None, time_limit=1.0)
-
-
 def test_history_and_figures_belong_together():
     solution = solve(SCENE, iterations=25)
     plan = solution.trajectory
-    assert plan is not None
     assert {len(column) for column in solution.history.values()} == {26}
     assert solution.cost == solution.history["cost"][-1]
     assert solution.residuals["terminal_error"] == pytest.approx(solution.history["terminal_error"][-1], rel=1e-14)
@@ -71,7 +55,6 @@ def test_the_plan_is_a_rollout_of_the_methods_own_law():
     kernel = load_kernel(SCENE)
     for name, eps, law in (("relu_gd", None, ContactLaw.RELU), ("softplus_gd", 1e-3, ContactLaw.SOFTPLUS)):
         plan = solve(SCENE, name, eps, iterations=5).trajectory
-        assert plan is not None
         assert (plan.lam == kernel.contact_force(plan.q[:-1], law, eps)).all()
 
 
@@ -143,7 +126,6 @@ def test_bounds_of_the_inputs_are_kept_where_the_descent_would_leave_them():
     inputs = SCENE.inputs
     task = SCENE.with_task(steps=100)
     free = solve(task, "softplus_gd", 1e-7)
-    assert free.trajectory is not None
     assert np.abs(free.trajectory.u).max() == inputs[0].upper
     assert free.residuals["input_bound_excess"] == 0.0
     assert "inputs are held at their bound" in free.message

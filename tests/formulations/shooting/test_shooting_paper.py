@@ -49,7 +49,6 @@ def test_costs_and_stability_of_the_softplus_chain(chain: list[Solution], row: i
     assert solution.iterations == iterations
     assert solution.cost == pytest.approx(cost, abs=1e-3)
     assert solution.cost == pytest.approx(paper, abs=TOLERANCE)
-    assert solution.trajectory is not None
     replayed = load_kernel(SCENE).rollout(np.array(SCENE.task.start), solution.trajectory.u, SCENE.task.step)
     assert np.linalg.norm(replayed.q[-1] - np.array(SCENE.task.goal[:3])) == pytest.approx(stability, abs=5e-4)
 
@@ -76,7 +75,6 @@ def test_relu_row_after_softplus_collocation():
 def test_relu_rows_have_no_physics_residual_at_all(chain: list[Solution]):
     kernel = load_kernel(SCENE)
     for plan in (chain[-1].trajectory, _solve("relu_gd", None, None, iterations=200).trajectory):
-        assert plan is not None
         assert plan.lam.max() > 0.0
         assert (np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))) == 0.0).all()
 

@@ -1,7 +1,5 @@
 """Dry friction in plain PyTorch: the compiled rollout's values and gradients, stick, slip and regularised; alone and pressed by contacts."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

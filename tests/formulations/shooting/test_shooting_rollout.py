@@ -56,20 +56,6 @@ def test_values_and_gradients_are_those_of_plain_pytorch(name: str, pattern: str
         assert left.numel() == 0 or (left - right).abs().max() <= ROUNDING * right.abs().max()
 
 
-@pytest.mark.parametrize("pattern", ["zeros", "ones", "0101", "0123"])
-def test_states_of_patterns_too(pattern: str):
-    """The start itself at zeros, ones, 0101, 0123."""
-    scene = example_scene("three_cart")
-    start, u = _pattern(pattern, (6,)), _pattern("random", (30, 2))
-    for law, eps in LAWS:
-        for left, right in zip(
-            (part for parts in _gradients(rollout, scene, start, u, law, eps) for part in parts),
-            (part for parts in _gradients(reference_rollout, scene, start, u, law, eps) for part in parts),
-            strict=True,
-        ):
-            assert (left - right).abs().max() <= ROUNDING * max(1.0, float(right.abs().max()))
-
-
 @pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_gradients_are_finite_differences(name: str, law: ContactLaw, eps: float | None):
@@ -87,7 +73,6 @@ def test_composes_with_a_loss_of_ones_own():
     plan = rollout(scene, torch.repeat_interleave(knots, 10, dim=0).tanh())
     loss = plan.q[:, 1].amax() + plan.lam.exp().mean() + 1e-3 * plan.cost
     loss.backward()
-    assert knots.grad is not None
     assert knots.grad.abs().min() > 0.0
 
     u = torch.full((500, 2), 0.5, dtype=torch.float64).tanh()
@@ -127,7 +112,6 @@ def test_the_reference_is_differentiable_twice():
     loss = q.square().sum()
     (gradient,) = torch.autograd.grad(loss, u, create_graph=True)
     gradient.sum().backward()
-    assert u.grad is not None
     assert u.grad.abs().max() > 0.0
 
 
@@ -140,17 +124,6 @@ def test_outputs_changed_in_place_are_noticed():
         plan.q.mul_(2.0)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
-
-
-def test_divergence_gives_nan_and_nan_gradients():
-    scene = example_scene("two_link_arm")
-    u = torch.full((50, 2), 1e200, dtype=torch.float64, requires_grad=True)
-    plan = rollout(scene, u)
-    assert plan.q[-1].isnan().all()
-    assert plan.cost.isnan()
-    plan.q[-1].sum().backward()
-    assert u.grad is not None
-    assert u.grad.isnan().all()
 
 
 def test_other_types_and_devices_are_refused_in_words():
@@ -178,7 +151,6 @@ def test_float32_inputs_may_be_converted_in_the_open():
     scene = example_scene("three_cart")
     u = torch.ones(5, 2, requires_grad=True)
     rollout(scene, u.double()).q.sum().backward()
-    assert u.grad is not None
     assert u.grad.dtype == torch.float32
 
 

@@ -1,7 +1,5 @@
 """Plans that are motions: what the scene's own time step makes of inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from formulations.grids import plan_of

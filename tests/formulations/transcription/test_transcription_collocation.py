@@ -1,7 +1,5 @@
 """Collocation in a plan's model: order through Pyomo, smooth and true contact, what is refused, and that the replay sees what was assumed."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -87,7 +85,6 @@ def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
     assert solution.outcome is Outcome.SOLVED, solution.message
     assert solution.size == solution.paper_size
     plan = solution.trajectory
-    assert plan is not None
     assert plan.lam.max() > 1.0
     assert defect(kernel, plan).max() < 1e-9
     q, _, made = rollout(kernel, plan.scheme, plan.start, plan.u, scene.task.step)
@@ -117,7 +114,6 @@ def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None
     errors = {}
     for scheme in (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_3):
         plan = load_method("collocation").open(far, {"scheme": scheme.value}).solve(eps=None, warm_start=None, time_limit=600.0).trajectory
-        assert plan is not None
         assert plan.lam.max() == 0.0
         run = replay(far, build_fmu(far), plan)
         errors[scheme] = float(np.abs(run.q[run.knots] - plan.q).max())

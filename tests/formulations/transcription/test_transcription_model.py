@@ -1,7 +1,5 @@
 """The Pyomo models themselves: what is in them, that they say what the compiled time step does, and that they are plain Pyomo."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import io
@@ -15,10 +13,11 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 import sympy as sp
+from example_scenes import example_scene
 from pyomo.mpec import Complementarity
 
 from formulations import ContactFormulation, ModelError, build_block, build_model, load_plan, read_plan, relax, set_relaxation
-from models.catalog import load_scene, scene_names
+from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import RelaxationError
@@ -26,13 +25,8 @@ from models.errors import SceneError
 from models.scene import Scene
 from tests.formulations.transcription.rollouts import rolled_out
 
-TEST_SCENES = Path(__file__).parents[2] / "scenes"
 # A residual is a difference of numbers of this size: what rounding leaves, with two digits to spare.
 ROUNDING = 1e-13
-
-
-def scene_of(name: str) -> Scene:
-    return load_scene(name) if name in scene_names() else load_scene(str(TEST_SCENES / f"{name}.py"))
 
 
 def in_contact(scene: Scene) -> Scene:
@@ -74,7 +68,7 @@ def largest_violation(model: pyo.ConcreteModel) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"])
 def test_rollout_satisfies_the_model(name: str) -> None:
-    scene = in_contact(scene_of(name))
+    scene = in_contact(example_scene(name))
     for law, eps in ((ContactFormulation.SOFTPLUS, 1e-3), (ContactFormulation.COMPLEMENTARITY, 0.0)):
         model = build_model(scene, law, eps=eps)
         for label, u in probe_inputs(scene).items():
@@ -92,14 +86,14 @@ def test_rollout_satisfies_the_model(name: str) -> None:
 def test_probe_rollouts_see_contact() -> None:
     """Else the test above would hold for a model without any contact law."""
     for name in ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm"):
-        scene = in_contact(scene_of(name))
+        scene = in_contact(example_scene(name))
         lam = rolled_out(scene, np.zeros((40, scene.nu)), ForceLaw.RELU, None).lam
         assert (lam > 0).any(), name
         assert (lam == 0).any(), name
 
 
 def test_a_wrong_step_is_seen() -> None:
-    scene = in_contact(scene_of("three_cart"))
+    scene = in_contact(example_scene("three_cart"))
     model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=0.0)
     load_plan(model, rolled_out(scene, np.ones((40, 2)), ForceLaw.RELU, None))
     model.variable_v[20, "q2"].value += 1e-6
@@ -107,29 +101,9 @@ def test_a_wrong_step_is_seen() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "contact", "variables", "constraints"),
-    [
-        # by hand, with T steps: q and v at T+1 nodes, u and lam at T; ends 4 nq, steps 2 nq T, contact nc T
-        ("three_cart", ContactFormulation.SOFTPLUS, lambda T: 6 * (T + 1) + 4 * T, lambda T: 12 + 6 * T + 2 * T),
-        # Pyomo's relaxation: one separation force a pair, its definition and its product
-        ("three_cart", ContactFormulation.COMPLEMENTARITY, lambda T: 6 * (T + 1) + 4 * T + 2 * T, lambda T: 12 + 6 * T + 4 * T),
-        ("two_link_arm", ContactFormulation.SOFTPLUS, lambda T: 4 * (T + 1) + 3 * T, lambda T: 8 + 4 * T + T),
-        ("bouncing_mass", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1) + T, lambda T: 2 + 2 * T + T),
-        ("oscillator", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1), lambda T: 4 + 2 * T),
-    ],
-)
-def test_counts_are_those_on_paper(name, contact, variables, constraints) -> None:
-    for steps in (1, 7, 40):
-        model = build_model(scene_of(name), contact, eps=1e-2, steps=steps)
-        assert sum(1 for _ in model.component_data_objects(pyo.Var, descend_into=True)) == variables(steps)
-        assert sum(1 for _ in model.component_data_objects(pyo.Constraint, active=True, descend_into=True)) == constraints(steps)
-
-
-@pytest.mark.slow
 def test_what_a_scene_does_not_need_is_not_there() -> None:
-    bouncing = build_model(scene_of("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
-    bare = build_model(scene_of("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)
+    bouncing = build_model(example_scene("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
+    bare = build_model(example_scene("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)
     assert bouncing.component("variable_u") is None
     for absent in ("variable_u", "variable_lam", "parameter_scene", "complementarity_contact", "mpec_bound", "parameter_sharpness"):
         assert bare.component(absent) is None, absent
@@ -137,7 +111,7 @@ def test_what_a_scene_does_not_need_is_not_there() -> None:
     text = str(cart.constraint_velocity_step[0, "q1"].expr)
     for absent in ("sin", "q2]", "variable_q"):
         assert absent not in text, "no trigonometry, no inertial coupling and no position in a cart's step"
-    arm = build_model(scene_of("two_link_arm"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
+    arm = build_model(example_scene("two_link_arm"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
     assert "variable_v[1,q2]" in str(arm.constraint_velocity_step[0, "q1"].expr), "a coupled mass matrix is multiplied, not inverted"
 
 

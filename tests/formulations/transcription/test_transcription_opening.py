@@ -1,7 +1,5 @@
 """A cold start whose goal is let go first, stages that end without a plan; and eps counted in the length of the scene, in Pyomo, C and numpy alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

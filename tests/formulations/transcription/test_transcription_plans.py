@@ -1,7 +1,5 @@
 """Plans in and out of a model, and the residuals a plan is certified with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -53,19 +51,6 @@ def test_each_residual_sees_its_own_fault(field, where, by, figure, least) -> No
     functions = PlanResiduals(SCENE)
     assert functions.of(plan_of())[figure] < 1e-13
     assert functions.of(changed(plan_of(), field, where, by))[figure] > least
-
-
-@pytest.mark.slow
-def test_residuals_of_a_mass_matrix_that_depends_on_q() -> None:
-    arm = load_scene(str(__file__).rsplit("/formulations/", 1)[0] + "/scenes/two_link_arm.py").with_task(
-        steps=30, start=(0.9, -0.1, -1.5, 0.2)
-    )
-    u = np.random.default_rng(5).normal(size=(30, 2))
-    plan = rolled_out(arm, u)
-    residuals = PlanResiduals(arm).of(plan)
-    assert residuals["dynamics_defect"] < 1e-12
-    assert residuals["complementarity"] < 1e-9  # lam up to 1e2 N times the rounding of k phi
-    assert PlanResiduals(arm).cost(plan) == pytest.approx(float((u**2).sum()), rel=1e-13)
 
 
 def test_plans_that_do_not_fit_are_refused() -> None:

@@ -1,7 +1,5 @@
 """`infeasible` is said of goals out of reach, soon, and not of goals within."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -92,7 +90,7 @@ def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.Mon
     run, runs = CompiledModel.run, []
 
     def denied_once(self: CompiledModel, *args: object, **options: object):
-        result = run(self, *args, **options)  # type: ignore[arg-type] - passed on as it came
+        result = run(self, *args, **options)
         runs.append(result)
         return replace(result, outcome=Outcome.INFEASIBLE) if len(runs) == 1 else result
 
@@ -107,7 +105,7 @@ def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, mo
     run = CompiledModel.run
 
     def denied(self: CompiledModel, *args: object, **options: object):
-        return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)  # type: ignore[arg-type] - passed on as it came
+        return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)
 
     monkeypatch.setattr(CompiledModel, "run", denied)
     solution = solved(method, POSSIBLE["two seconds"])

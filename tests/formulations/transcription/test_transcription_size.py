@@ -1,7 +1,5 @@
 """The model Ipopt is given is as large as on paper, on every scene of the bank; what is counted is told."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations import build_model
@@ -28,36 +26,6 @@ def test_counts_by_hand_of_the_papers_scene():
     scene = load_scene("three_cart")
     assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500)
     assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500)
-
-
-# steps, then a node: states; a step: what softplus has, and what complementarity has more (a contact one, a friction four, of each of both);
-# ends: those of the start, and those of the goal that are given.
-BY_HAND = {
-    # 5 positions, 2 forces on the finger, one contact, one friction; x, y of the box, and the rest of its goal
-    "push_box": (100, 10, 2 + 1 + 1, 1 + 4),
-    # 5 positions, thrust and hip, floor, its friction
-    "hopper_planar": (200, 10, 2 + 1 + 1, 1 + 4),
-    # 7 positions, 4 torques, 2 tips
-    "two_finger": (500, 14, 4 + 2, 2),
-    # the same with a table and the friction of the tips
-    "two_finger_lift": (200, 14, 4 + 3 + 2, 3 + 2 * 4),
-    # cargo and cart, one force, two stops, one friction
-    "transport": (200, 4, 1 + 2 + 1, 2 + 4),
-}
-
-
-@pytest.mark.parametrize("name", BY_HAND)
-def test_counts_by_hand_of_scenes_with_friction_and_fingers(name: str):
-    steps, states, soft, more = BY_HAND[name]
-    scene = load_scene(name)
-    goal = sum(value is not None for value in scene.task.goal)
-    laws = soft - scene.nu
-    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(
-        unknowns=states * (steps + 1) + soft * steps, equations=states + goal + (states + laws) * steps
-    )
-    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(
-        unknowns=states * (steps + 1) + (soft + more) * steps, equations=states + goal + (states + laws + more) * steps
-    )
 
 
 @pytest.mark.parametrize("method", ["softplus_dc", "relaxed_lcp", "strict_lcp"])

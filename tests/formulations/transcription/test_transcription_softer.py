@@ -1,7 +1,5 @@
 """A start without a plan that leads nowhere soon begins softer, within the iterations that the stage has, and ends at the eps it was asked for."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations.pipelines import load_method
@@ -32,7 +30,6 @@ def test_all_iterations_are_told(hopper: Solution):
     assert len(hopper.history["objective"]) == len(hopper.history["inf_pr"])
     assert 0 <= len(hopper.history["objective"]) - hopper.iterations <= 5, "each solve tells its first point too"
     assert hopper.solver
-    assert hopper.seconds is not None
     assert hopper.seconds.wall >= hopper.seconds.linear_algebra > 0.0
 
 
@@ -67,13 +64,3 @@ def test_from_a_small_eps_it_comes_back_through_all_between():
     assert found.outcome is Outcome.SOLVED
     assert "It began softer" in found.message
     assert found.residuals["complementarity"] <= 1e-3 * (1.0 + 1e-6)
-
-
-@pytest.mark.slow
-def test_what_is_out_of_reach_stays_out_of_reach():
-    scene = load_scene("hopper")
-    far = scene.with_task(goal=tuple(None if value is None else 1e3 for value in scene.task.goal))
-    with load_method("relaxed_lcp").open(far) as session:
-        found = session.solve(eps=1e-2, warm_start=None, time_limit=300.0)
-    assert found.outcome is Outcome.INFEASIBLE
-    assert found.trajectory is None

@@ -1,7 +1,5 @@
 """What a stage really starts from: the strict program leaves a plan that misses its own time step for the first guess, and says so beforehand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Products with Jacobians over what expressions share: against the Jacobian itself, against each other, and no longer than they must be."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,17 +1,14 @@
-"""The adjoint and the directional derivative of the compiled time step: against finite differences and against each other."""
+"""The adjoint of the compiled time step: against finite differences."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, load_kernel
 from models.contact_law import ContactLaw
-from models.dynamics import derive
 
-SCENES = Path(__file__).parents[2] / "scenes"
 NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
 # A start in contact, away from the kink of the ReLU, for each scene.
@@ -26,7 +23,7 @@ STARTS = {
 
 @cache
 def kernel_of(name: str) -> Kernel:
-    return load_kernel(load_scene(name if name in scene_names() else str(SCENES / f"{name}.py")))
+    return load_kernel(example_scene(name))
 
 
 def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:
@@ -73,44 +70,6 @@ def test_adjoint_without_contact_force_derivatives_is_the_one_with_zeros():
     bar = np.ones((11, 3))
     for left, right in zip(kernel.adjoint(plan, u, bar, bar), kernel.adjoint(plan, u, bar, bar, np.zeros((10, 2))), strict=True):
         assert (left == right).all()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_directional_derivative_of_the_acceleration(name: str):
-    """Against central differences, at probe points: zeros, ones, 0101, 0123, random."""
-    kernel = kernel_of(name)
-    scene = kernel.scene
-    sizes = (scene.nq, scene.nq, scene.nu, scene.nc)
-    random = np.random.default_rng(2)
-    for make in (np.zeros, np.ones, lambda n: np.arange(n) % 2.0, lambda n: np.arange(n) * 1.0, lambda n: random.normal(size=n)):
-        point = [make(size) for size in sizes]
-        tangent = [random.normal(size=size) for size in sizes]
-        delta = 1e-6
-        ends = [
-            kernel.acceleration(*(np.atleast_2d(x + sign * delta * dx) for x, dx in zip(point, tangent, strict=True)))[0]
-            for sign in (1.0, -1.0)
-        ]
-        found = kernel.acceleration_jvp(tuple(point), tuple(tangent))
-        assert found == pytest.approx((ends[0] - ends[1]) / (2 * delta), rel=1e-6, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_adjoint_and_directional_derivative_are_transposes(name: str):
-    """<w, J x> = <J'w, x> for one step of true contact: two codes generated apart, equal to rounding."""
-    kernel = kernel_of(name)
-    scene, d, h = kernel.scene, derive(kernel.scene), 0.01
-    random = np.random.default_rng(3)
-    start, u = np.array(STARTS[name]), random.normal(size=(1, scene.nu))
-    q, v = start[: scene.nq], start[scene.nq :]
-    dq, dv, du, w = (random.normal(size=size) for size in (scene.nq, scene.nq, scene.nu, scene.nq))
-    plan = kernel.rollout(start, u, h)
-    active = kernel.stiffness() * (kernel.penetration(q[None])[0] > 0.0)
-    slope = -d.function(d.gap_jacobian, d.q)(q) if scene.nc else np.zeros((0, scene.nq))
-    da = kernel.acceleration_jvp((q, v, u[0], plan.lam[0]), (dq, dv, du, active * (slope @ dq)))
-    bars = np.zeros((2, scene.nq))
-    v_bar = np.array([np.zeros(scene.nq), w])
-    u_bar, start_bar = kernel.adjoint(plan, u, bars, v_bar)
-    assert u_bar[0] @ du + start_bar @ np.concatenate([dq, dv]) == pytest.approx(w @ (dv + h * da), rel=1e-12)
 
 
 def test_slope_of_both_laws_at_a_penetration_of_exactly_zero():

@@ -1,30 +1,23 @@
 """The compiled functions against the scene's own SymPy equations, evaluated by numpy, and the rollout against a loop over them."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.contact_law import ContactLaw, contact_force
 from models.dynamics import derive
 from models.scene import Scene
 
-SCENES = Path(__file__).parents[2] / "scenes"
 NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
 
 
 @cache
-def scene_of(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
-
-
-@cache
 def kernel_of(name: str) -> Kernel:
-    return load_kernel(scene_of(name))
+    return load_kernel(example_scene(name))
 
 
 def probes(rows: int, size: int) -> np.ndarray:
@@ -44,8 +37,8 @@ def points(scene: Scene) -> tuple[np.ndarray, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_penetration_and_stiffness_are_those_of_the_scene(name: str):
-    d, kernel = derive(scene_of(name)), kernel_of(name)
-    q = points(scene_of(name))[0]
+    d, kernel = derive(example_scene(name)), kernel_of(name)
+    q = points(example_scene(name))[0]
     phi, stiffness = d.function(d.penetration, d.q), d.function(d.stiffness)
     assert kernel.penetration(q) == pytest.approx(np.array([phi(row).ravel() for row in q]).reshape(len(q), -1), rel=1e-14, abs=1e-14)
     assert kernel.stiffness() == pytest.approx(stiffness().ravel(), rel=1e-15)
@@ -53,8 +46,8 @@ def test_penetration_and_stiffness_are_those_of_the_scene(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_acceleration_solves_the_equations_of_motion(name: str):
-    d, kernel = derive(scene_of(name)), kernel_of(name)
-    q, v, u, lam = points(scene_of(name))
+    d, kernel = derive(example_scene(name)), kernel_of(name)
+    q, v, u, lam = points(example_scene(name))
     mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
     expected = [np.linalg.solve(mass(row[0]), force(*row).ravel()) for row in zip(q, v, u, lam, strict=True)]
     assert kernel.acceleration(q, v, u, lam) == pytest.approx(np.array(expected), rel=1e-11, abs=1e-12)
@@ -62,8 +55,8 @@ def test_acceleration_solves_the_equations_of_motion(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_energy_power_and_cost_are_those_of_the_scene(name: str):
-    d, kernel = derive(scene_of(name)), kernel_of(name)
-    q, v, u, _ = points(scene_of(name))
+    d, kernel = derive(example_scene(name)), kernel_of(name)
+    q, v, u, _ = points(example_scene(name))
     groups = (d.q, d.v, d.u)
     for found, expression in zip(
         (*kernel.energy(q, v), *kernel.power(q, v, u)),
@@ -89,7 +82,7 @@ def test_contact_force_is_the_law_of_the_penetration_even_far_away(law: ContactL
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_step(name: str, law: ContactLaw, eps: float | None):
-    scene, kernel = scene_of(name), kernel_of(name)
+    scene, kernel = example_scene(name), kernel_of(name)
     u = np.random.default_rng(1).normal(size=(40, scene.nu))
     h = 0.003
     found = kernel.rollout(np.array(scene.task.start), u, h, law, eps)
@@ -127,7 +120,7 @@ def test_rollout_that_stops_being_finite_says_where():
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 @pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
 def test_derivatives_of_the_last_state_may_be_given_alone(name: str, law: ContactLaw, eps: float | None):
-    scene, kernel = scene_of(name), kernel_of(name)
+    scene, kernel = example_scene(name), kernel_of(name)
     u = np.random.default_rng(0).normal(size=(60, scene.nu))
     plan = kernel.rollout(np.array(scene.task.start), u, 0.01, law, eps)
     end_bar = np.arange(1.0, 2 * scene.nq + 1)
@@ -142,7 +135,7 @@ def test_derivatives_of_the_last_state_may_be_given_alone(name: str, law: Contac
 
 @pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
 def test_rows_are_rollouts_alone(name: str):
-    scene, kernel = scene_of(name), kernel_of(name)
+    scene, kernel = example_scene(name), kernel_of(name)
     random = np.random.default_rng(1)
     start, u = np.array(scene.task.start) + 0.05 * random.normal(size=(4, 2 * scene.nq)), random.normal(size=(4, 30, scene.nu))
     u[2] = 1e200
@@ -173,9 +166,9 @@ def test_arrays_that_do_not_fit_are_refused_in_words():
 
 
 def test_mass_matrix_that_is_not_positive_definite_is_said_with_the_place():
-    scene = scene_of("two_link_arm")
+    scene = example_scene("two_link_arm")
     kernel = Kernel(scene, load_kernel(scene).path)
-    kernel.parameters[0] = kernel.parameters[1] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
+    kernel.parameters_of(0.01)[:2] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
     with pytest.raises(KernelError, match="not positive definite at q"):
         kernel.acceleration(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 1)))
     assert kernel.rollout(np.zeros(4), np.zeros((3, 2)), 0.01).finite_steps == 0

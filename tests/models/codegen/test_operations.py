@@ -1,7 +1,5 @@
 """Arithmetic of the generated C: counted rightly, and about what the equations cost on paper."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

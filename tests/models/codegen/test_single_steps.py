@@ -1,16 +1,15 @@
 """Single steps: linearised one by one against finite differences, and run with feedback."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from models.catalog import load_scene, scene_names
+from models.catalog import load_scene
 from models.codegen.kernel import KernelError, load_kernel
 from models.codegen.steps import Steps, load_steps
 from models.contact_law import ContactLaw
-from models.scene import Scene
 
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
 # States in contact, away from kinks: (positions, velocities).
@@ -21,16 +20,11 @@ STATES = {
     "cart_pole_walls": (0.7, 0.5, 0.2, -0.3),
     "damped_arm": (0.2, -0.06, 0.5, 0.3, -0.2, 0.4),
 }
-SCENES = Path(__file__).parents[2] / "scenes"
-
-
-def scene_of(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
 
 
 @cache
 def steps_of(name: str) -> Steps:
-    return load_steps(scene_of(name))
+    return load_steps(example_scene(name))
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -58,12 +52,11 @@ def test_jacobians_are_finite_differences_of_the_step(name: str, law: ContactLaw
 
 @pytest.mark.parametrize("name", STATES)
 def test_steps_one_by_one_are_the_rollout_bit_for_bit(name: str):
-    steps, scene = steps_of(name), scene_of(name)
+    steps, scene = steps_of(name), example_scene(name)
     u = np.random.default_rng(2).normal(size=(40, scene.nu))
     whole = load_kernel(scene).rollout(np.array(STATES[name]), u, 0.005)
     x = np.hstack([whole.q, whole.v])
     alone = steps.linearise(x[:-1], u, 0.005)
-    assert alone is not None
     assert np.array_equal(alone.next, x[1:])
     assert np.array_equal(alone.lam, whole.lam)
     run = steps.follow(x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005)
@@ -83,7 +76,6 @@ def test_feedback_jumps_and_bounds_are_what_the_docstring_says():
     assert (np.abs(asked) > 4.0).any()
     assert (np.abs(asked) < 4.0).any()
     alone = steps.linearise(run.x[:-1], run.u, h)
-    assert alone is not None
     np.testing.assert_allclose(run.x[1:], alone.next + jump, rtol=1e-12, atol=1e-14)
 
 

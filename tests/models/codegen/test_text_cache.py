@@ -1,7 +1,5 @@
 """Generated text that is kept: the same as anew, found again for equal equations, made anew for anything else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -12,7 +10,7 @@ from models.codegen import text_cache
 from models.codegen.emit import emit_model, model_source
 from models.codegen.text_cache import cached_text
 from models.fmu import description as experiment
-from models.fmu.reference import true_motion_and_method
+from models.fmu.reference import true_motion
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
 from models.scene import Scene
 
@@ -53,9 +51,9 @@ def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch):
 
     def counted(*arguments):
         integrated.append(arguments[0].scene)
-        return true_motion_and_method(*arguments)
+        return true_motion(*arguments)
 
-    monkeypatch.setattr(experiment, "true_motion_and_method", counted)
+    monkeypatch.setattr(experiment, "true_motion", counted)
     scene = load_scene("three_cart").with_task(steps=4)
     first = experiment.experiment_texts(scene)
     assert experiment.experiment_texts(scene) == first

@@ -7,28 +7,22 @@ import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import fmpy
 import numpy as np
 import pytest
+from example_scenes import example_scene
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
-from models.catalog import load_scene, scene_names, scene_path
+from models.catalog import scene_path
 from models.dynamics import derive
 from models.fmu import build_fmu, variable_names
 from models.scene import Scene
 
-_SCENES = Path(__file__).parents[2] / "scenes"
 NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator")
-
-
-@cache
-def _scene(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(_SCENES / f"{name}.py"))
 
 
 class Driver:
@@ -239,12 +233,12 @@ def probes(scene: Scene) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 @pytest.fixture(params=NAMES)
 def any_scene(request: pytest.FixtureRequest) -> Scene:
-    return _scene(request.param)
+    return example_scene(request.param)
 
 
 @pytest.fixture
 def scene_of() -> Callable[[str], Scene]:
-    return _scene
+    return example_scene
 
 
 @pytest.fixture

@@ -1,9 +1,6 @@
 """FMI 3.0 Co-Simulation: early return and event mode at contacts, intermediate update, saved states in another process."""
 
 import math
-import subprocess
-import sys
-from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -191,50 +188,6 @@ def test_input_parabola_is_used_up_to_an_early_return_at_contact(scene_of, drive
     assert abs(cs.get("gap_left")[0]) < 1e-12
 
 
-CONTINUE = """
-import sys, fmpy
-from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
-folder, start, data = sys.argv[1], float(sys.argv[2]), sys.stdin.buffer.read()
-d = fmpy.read_model_description(folder)
-three = d.fmiVersion.startswith("3")
-fmu = (FMU3Slave if three else FMU2Slave)(
-    guid=d.instantiationToken if three else d.guid, unzipDirectory=folder, modelIdentifier=d.modelName, instanceName="again")
-fmu.instantiate()
-if three:
-    fmu.setFMUState(fmu.deserializeFMUState(data))
-else:
-    fmu.setFMUstate(fmu.deSerializeFMUstate(data))
-for n in range(50):
-    fmu.doStep(start + n * 0.01, 0.01)
-names = [v.valueReference for v in d.modelVariables if v.causality == "output"]
-print(*(value.hex() for value in (fmu.getFloat64 if three else fmu.getReal)(names)))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_serialised_state_goes_on_in_another_process_bit_by_bit(any_scene, drive, unpacked, version):
-    cs = drive(any_scene, "cs", version).initialise(u=np.linspace(8.0, -5.0, any_scene.nu))
-    cs.run(0.5, 50)
-    fmu = cs.fmu
-    if version == "3.0":
-        state = fmu.getFMUState()
-        data = fmu.serializeFMUState(state)
-        fmu.freeFMUState(state)
-    else:
-        state = fmu.getFMUstate()
-        data = fmu.serializeFMUstate(state)
-        fmu.freeFMUstate(state)
-    for n in range(50):
-        fmu.doStep(0.5 + n * 0.01, 0.01)
-    outputs = [variable.name for variable in cs.description.modelVariables if variable.causality == "output"]
-    command = [sys.executable, "-c", CONTINUE, unpacked(any_scene, version), "0.5"]
-    done = subprocess.run(command, input=data, capture_output=True, check=False, cwd=Path(fmpy.__file__).parents[1])
-    assert done.returncode == 0, done.stderr.decode()
-    assert done.stdout.decode().split() == [value.hex() for value in cs.get(*outputs)]
-
-
 def test_state_of_event_mode_is_refused_without_it(scene_of, drive):
     scene = scene_of("three_cart")
     one = with_event_mode(lambda *kind, **options: drive(scene, *kind, **options))
@@ -243,17 +196,6 @@ def test_state_of_event_mode_is_refused_without_it(scene_of, drive):
     other.refused(lambda: other.fmu.setFMUState(state), "with event mode")
     one.fmu.setFMUState(state)
     one.fmu.freeFMUState(state)
-
-
-def test_reset_equals_a_fresh_instance(any_scene, drive):
-    used, fresh = drive(any_scene, "cs", "3.0").initialise(v=np.ones(any_scene.nq)).run(0.3, 30), drive(any_scene, "cs", "3.0")
-    used.fmu.reset()
-    data = []
-    for cs in (used, fresh):
-        state = cs.fmu.getFMUState()
-        data.append(cs.fmu.serializeFMUState(state))
-        cs.fmu.freeFMUState(state)
-    assert data[0] == data[1]
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_order_four_through_touch_and_release(scene: Scene) -> None:
     end = scene.task.horizon
     parts = [Piece(end / 2, np.array([12.0, 3.0])[: scene.nu]), Piece(end, np.array([-20.0, 1.0])[: scene.nu])]
     times = np.linspace(0.0, end, 61)
-    truth = true_motion(Equations(scene), parts, times)
+    truth, _ = true_motion(Equations(scene), parts, times)
     states = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
     inputs = None
     if scene.nu:

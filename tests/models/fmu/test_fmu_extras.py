@@ -141,21 +141,3 @@ def test_equal_bytes_anywhere_and_all_deflated(scene_of, tmp_path, monkeypatch, 
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert not any(entry.filename.startswith("/") or "\\" in entry.filename or ".." in entry.filename for entry in entries)
     assert {"documentation/index.html", "documentation/licenses/license.txt"} <= {entry.filename for entry in entries}
-
-
-@both
-def test_every_state_input_and_parameter_is_furnished(any_scene, version):
-    description = fmpy.read_model_description(str(build_fmu(any_scene, version)))
-    names = variable_names(any_scene)
-    for variable in description.modelVariables:
-        if variable.name in (*names.q, *names.v):
-            assert float(variable.nominal) > 0
-        if variable.causality in ("input", "parameter"):
-            assert variable.start is not None
-        if variable.name != names.integrator:
-            assert variable.unit in {unit.name for unit in description.unitDefinitions if unit.baseUnit is not None}
-    for row in (*description.outputs, *description.derivatives, *description.initialUnknowns, *description.eventIndicators):
-        assert len(row.dependencies) == len(row.dependenciesKind)
-    experiment = description.defaultExperiment
-    assert float(experiment.stepSize) == any_scene.task.step
-    assert float(experiment.tolerance) > 0

@@ -27,18 +27,6 @@ def drive_on(driver, start, steps=30, step=0.01):
     return np.array(rows)
 
 
-def test_saved_state_restores_bit_for_bit(any_scene, drive):
-    cs = drive(any_scene, "cs").initialise()
-    drive_on(cs, 0.0)
-    state = cs.fmu.getFMUstate()
-    before, once = everything(cs), drive_on(cs, 0.3)
-    assert everything(cs) != before
-    cs.fmu.setFMUstate(state)
-    assert everything(cs) == before
-    np.testing.assert_array_equal(drive_on(cs, 0.3), once)
-    cs.fmu.freeFMUstate(state)
-
-
 def test_serialised_state_carries_over_to_another_instance(any_scene, drive):
     one, other = drive(any_scene, "cs").initialise(), drive(any_scene, "cs")
     drive_on(one, 0.0)
@@ -62,39 +50,6 @@ def test_state_of_one_fmu_type_is_refused_by_the_other(scene_of, drive):
     state = cs.fmu.deSerializeFMUstate(everything(me))
     cs.refused(lambda: cs.fmu.setFMUstate(state), "other FMU type")
     cs.refused(lambda: cs.fmu.setFMUstate(fmi2FMUstate()), "missing")
-
-
-@pytest.mark.parametrize("kind", ["cs", "me"])
-def test_reset_equals_a_fresh_instance(any_scene, drive, kind):
-    used, fresh = drive(any_scene, kind), drive(any_scene, kind)
-    if kind == "cs":
-        drive_on(used.initialise(v=np.ones(any_scene.nq)), 0.0)
-    else:
-        used.continuous(v=np.ones(any_scene.nq))
-        used.states = np.linspace(-1, 1, 2 * any_scene.nq)
-        used.event()
-    used.fmu.terminate()
-    used.fmu.reset()
-    assert everything(used) == everything(fresh)
-    used.initialise()
-    fresh.initialise()
-    assert everything(used) == everything(fresh)
-
-
-def test_instances_do_not_disturb_each_other(any_scene, drive):
-    alone = drive_on(drive(any_scene, "cs").initialise(), 0.0)
-    one, other, bystander = (drive(any_scene, kind).initialise() for kind in ("cs", "cs", "me"))
-    other.fmu.reset()
-    other.initialise(v=np.full(any_scene.nq, 0.7), internal_step=1e-3)
-    together = []
-    for n in range(30):
-        if one.names.u:
-            one.set_all(one.names.u, 6.0 * np.cos(n + np.arange(any_scene.nu)))
-        one.fmu.doStep(n * 0.01, 0.01)
-        other.fmu.doStep(n * 0.02, 0.02)
-        together.append(one.get(*one.names.q, *one.names.v, *one.names.lam, one.names.kinetic_energy))
-    np.testing.assert_array_equal(together, alone)
-    np.testing.assert_array_equal(bystander.get(*bystander.names.q, *bystander.names.v), any_scene.task.start)
 
 
 def test_wrong_guid_name_or_callbacks_give_no_instance(scene_of, drive, unpacked):

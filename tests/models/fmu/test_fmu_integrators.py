@@ -17,15 +17,27 @@ def chosen(driver, name, **values):
     return driver.initialise(**values)
 
 
+# scene, start, inputs, end [s], and the coarsest internal step of the fourth order [s]
+THROUGH_CONTACT = ("three_cart", (2.0, 3.0, 4.0, 0.0, 0.0, 0.0), [8.0, -5.0], 1.5, 0.03)  # two of them
+SMOOTH = ("oscillator", (1.0, 0.0), [], 2.0, 0.03)
+TURNING = ("two_link_arm", (1.4, -0.3, 0.0, 0.0), [3.0, -1.0], 0.3, 0.015)  # M depends on q
+AT_A_WALL = ("two_link_arm", (1.0, -0.3, -0.5, 0.0), [3.0, -1.0], 0.5, 0.005)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ORDERS)
-@pytest.mark.parametrize(("scene", "q", "u", "end"), [("oscillator", None, [], 2.0), ("three_cart", None, [8.0, -5.0], 1.5)])
-def test_order(scene_of, drive, name, scene, q, u, end):
-    """three_cart goes through two contacts on the way."""
-    scene = scene_of(scene)
-    want = true_motion(Equations(scene), [Piece(end, np.array(u))], np.array([end]))[0]
-    steps = (1e-3 if ORDERS[name] == 1 else 0.03) / 2.0 ** np.arange(4)
-    errors = [np.abs(chosen(drive(scene, "cs"), name, u=u, internal_step=step).run(end, 5).state() - want).max() for step in steps]
+@pytest.mark.parametrize(
+    ("name", "motion"),
+    [*((name, motion) for name in ORDERS for motion in (SMOOTH, THROUGH_CONTACT)), ("runge_kutta", TURNING), ("runge_kutta", AT_A_WALL)],
+)
+def test_order(scene_of, drive, name, motion):
+    scene, start, u, end, coarsest = motion
+    scene = scene_of(scene).with_task(start=start)
+    want = true_motion(Equations(scene), [Piece(end, np.array(u))], np.array([end]))[0][0]
+    steps = (1e-3 if ORDERS[name] == 1 else coarsest) / 2.0 ** np.arange(4)
+    q, v = np.split(np.array(start), 2)
+    errors = [
+        np.abs(chosen(drive(scene, "cs"), name, q=q, v=v, u=u, internal_step=step).run(end, 5).state() - want).max() for step in steps
+    ]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert abs(slope - ORDERS[name]) < 0.25, (slope, errors)
 

@@ -1,7 +1,5 @@
 """The model structure of an FMU, kept between processes: what is read back is what the equations say."""
 
-from __future__ import annotations
-
 import pytest
 import sympy as sp
 

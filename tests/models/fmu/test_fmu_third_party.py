@@ -238,7 +238,7 @@ def test_casadi_integrates_and_differentiates_the_model_exchange(scene, unpacked
     u = held(scene, 2.0, -1.0, 0.2)
     equations, end, _ = first_change(scene, u, LONGEST)
     got = by_casadi(unpacked(scene, version), end, u)
-    agree(scene, f"casadi, FMI {version}", got["x"], true_motion(equations, [Piece(end, u)], np.array([end]))[0])
+    agree(scene, f"casadi, FMI {version}", got["x"], true_motion(equations, [Piece(end, u)], np.array([end]))[0][0])
     np.testing.assert_allclose(got["backward"], got["forward"], rtol=1e-12, atol=1e-12)
 
 
@@ -258,4 +258,4 @@ def test_casadi_goes_through_contact(scene, unpacked, agree):
     _, end, _ = first_change(inside, u, min(LONGEST, scene.task.horizon / 4))
     assert modes(equations, np.array(reached), u) != modes(equations, np.array(scene.task.start, dtype=float), u)
     got = by_casadi(unpacked(inside), end, u)["x"]
-    agree(scene, "casadi, in contact", got, true_motion(equations, [Piece(after + end, u)], np.array([after + end]))[0])
+    agree(scene, "casadi, in contact", got, true_motion(equations, [Piece(after + end, u)], np.array([after + end]))[0][0])

@@ -131,14 +131,3 @@ def test_declared_dependencies_are_those_of_the_equations(any_scene, drive):
     for row, unknown in enumerate(unknowns):
         influences = {known for column, known in enumerate(knowns) if seen[row, column]}
         assert influences == declared[unknown], unknown
-
-
-def test_start_values_nominals_and_ranges_agree_between_xml_and_binary(any_scene, drive):
-    me = drive(any_scene, "me").initialise()
-    given = [variable for variable in me.description.modelVariables if variable.start is not None and variable.type == "Real"]
-    np.testing.assert_array_equal(me.get(*(variable.name for variable in given)), [float(variable.start) for variable in given])
-    assert {variable.name for variable in given} == {*me.names.q, *me.names.v, *me.names.u, *me.names.parameters, "internal_step"}
-    np.testing.assert_array_equal(me.get(*me.names.q, *me.names.v), any_scene.task.start)
-    states = [variable for variable in me.description.modelVariables if variable.name in (*me.names.q, *me.names.v)]
-    np.testing.assert_array_equal(me.nominals, [float(variable.nominal) for variable in states])
-    assert me.description.numberOfEventIndicators == any_scene.nc

@@ -110,7 +110,7 @@ def test_the_judge_integrates_no_reference_results(held, monkeypatch):
     """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
     from models.fmu import description as experiment
 
-    monkeypatch.setattr(experiment, "true_motion_and_method", lambda *arguments: pytest.fail("integrated"))
+    monkeypatch.setattr(experiment, "true_motion", lambda *arguments: pytest.fail("integrated"))
     scene, plan = held
     assert judge(scene.with_parameters(m=1.0 + 1e-9), plan).holds
 

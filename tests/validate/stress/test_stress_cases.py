@@ -3,8 +3,6 @@
 In a campaign it is selected by its name, measured in a child, stored, used again, and a row of the report.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

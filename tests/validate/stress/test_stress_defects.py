@@ -1,7 +1,5 @@
 """Seeded defects: a wrong sign, a wrong step or a loosened tolerance in the product makes the stress case fail that is there for it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -282,7 +280,6 @@ def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(mo
         return rolled(replace(scene, contacts=contacts), **given)
 
     metres = h16_units._solved(load_scene("three_cart"))
-    assert metres.cost is not None
     dearer = replace(metres, cost=(1.0 + 1e-5) * metres.cost)
     monkeypatch.setattr(h16_units, "_solved", lambda scene: metres if scene.length == 1.0 else dearer)
     monkeypatch.setattr(h16_units, "rolled", shifted)

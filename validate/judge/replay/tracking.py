@@ -292,12 +292,11 @@ class FlowDerivative:
 
     def __init__(self, kernel: Kernel, steps: int) -> None:
         scene = kernel.scene
-        self._scene, self._steps, self._functions = scene, steps, kernel.bound_functions()
+        self._scene, self._steps, self._kernel = scene, steps, kernel
         nq, nodes = scene.nq, (steps + 1, scene.nq)
         self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
         self._u_bar, self._start_bar, self._end_bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros(2 * nq)
         self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
-        self._kernel = kernel
         start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
         self._rollout_of = start, u, *made
         self._adjoint_of = *made, u, None, None, None, self._end_bar.ctypes.data, 0.0, self._u_bar.ctypes.data
@@ -322,13 +321,13 @@ class FlowDerivative:
         """
         scene, nq = self._scene, self._scene.nq
         self._start[:], self._u[:] = state, u
-        head = (self._steps, h, self._kernel.parameters_of(h).ctypes.data, ContactLaw.RELU.value, 0.0)
-        if self._functions.rollout(*head, *self._rollout_of) < self._steps:
+        head, library = self._kernel.head(self._steps, h, ContactLaw.RELU, None), self._kernel.library
+        if library.kernel_rollout(*head, *self._rollout_of) < self._steps:
             raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
         by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
         for row in range(2 * nq):
             self._end_bar[row] = 1.0
-            failed = self._functions.adjoint(*head, *self._adjoint_of, self._rows)
+            failed = library.kernel_adjoint(*head, *self._adjoint_of, self._rows)
             self._end_bar[row] = 0.0
             if failed:
                 raise KernelError(f"scene {scene.name}: the mass matrix is not positive definite along the rollout.")

@@ -103,20 +103,6 @@ def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most:
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
-def distance(state: np.ndarray, goal: np.ndarray) -> float:
-    """Euclidean norm of state - goal; what is NaN in the goal is free.
-
-    Parameters
-    ----------
-    state, goal : (n,) positions [m or rad], velocities [m/s or rad/s], or both.
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
-    """
-    return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
-
-
 def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Largest max(x - upper, lower - x, 0) of each column.
 

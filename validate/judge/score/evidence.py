@@ -66,12 +66,12 @@ class Evidence:
 
     @cached_property
     def goal(self) -> np.ndarray:
-        """The goal, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]; NaN where the end is free. Raises nothing."""
+        """The goal, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]; NaN where the end is free."""
         return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
 
     @cached_property
     def h(self) -> np.ndarray:
-        """Steps of the plan, (steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it. Raises nothing."""
+        """Steps of the plan, (steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it."""
         h = np.diff(self.trajectory.t)
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
@@ -137,7 +137,7 @@ class Evidence:
 
     @cached_property
     def length(self) -> np.ndarray:
-        """L, the scene's nominal penetration of each contact, (nc,) [m]. Raises nothing."""
+        """L, the scene's nominal penetration of each contact, (nc,) [m]."""
         return np.array([contact.nominal for contact in self.scene.contacts])
 
     @property
@@ -471,7 +471,7 @@ class Evidence:
 
     @property
     def opened_q(self) -> np.ndarray:
-        """Positions of the replay of the inputs alone, as far as it got, (n, nq) [m or rad]; without one the plan's. Raises nothing."""
+        """Positions of the replay of the inputs alone, as far as it got, (n, nq) [m or rad]; without one the plan's."""
         return self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
 
     @property

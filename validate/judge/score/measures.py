@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.scene import Scene
-from models.scene.goal import goal_state
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Hold
 from validate.judge.replay.subject import Subject
@@ -118,19 +118,19 @@ def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 def terminal_error(case: Evidence) -> float:
     """Euclidean distance of the plan's end from the goal, over what the goal gives."""
-    return eq.distance(case.end, case.goal)
+    return distance(case.end, case.goal)
 
 
 def terminal_position_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([eq.distance(case.q[-1], case.goal[:nq])]), allowed=case.printing("q") * np.sqrt(nq))
+    return Measured(values=np.array([distance(case.q[-1], case.goal[:nq])]), allowed=case.printing("q") * np.sqrt(nq))
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([eq.distance(case.v[-1], case.goal[nq:])]), allowed=case.printing("v") * np.sqrt(nq))
+    return Measured(values=np.array([distance(case.v[-1], case.goal[nq:])]), allowed=case.printing("v") * np.sqrt(nq))
 
 
 def cost(case: Evidence) -> float:
@@ -217,19 +217,19 @@ def replay_error(case: Evidence) -> Measured:
 
 def replay_terminal_error(case: Evidence) -> tuple[float, float]:
     """Euclidean distance of the replay's end from the goal, and its error."""
-    return eq.distance(case.replay_end, case.goal), case.error.state
+    return distance(case.replay_end, case.goal), case.error.state
 
 
 def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
     """Euclidean distance of the replay's last positions from the goal, and its error."""
     # The norm over positions differs by at most as much as each of them does.
     error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
-    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
+    return distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
 
 
 def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
     """Euclidean distance of the replay's last velocities from the goal, and its error."""
-    return eq.distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
+    return distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
 
 
 def replay_cost(case: Evidence) -> tuple[float, float]:
@@ -380,7 +380,7 @@ def law_error(case: Evidence) -> Measured:
 
 def discrete_terminal_error(case: Evidence) -> float:
     """Euclidean distance from the goal of the end of the plan's own time step under the true contact law."""
-    return eq.distance(case.true_end, case.goal)
+    return distance(case.true_end, case.goal)
 
 
 def discrete_terminal(part: str, value: Callable[[Evidence], float]) -> Callable[[Evidence], Measured]:
@@ -397,12 +397,12 @@ def discrete_terminal(part: str, value: Callable[[Evidence], float]) -> Callable
 
 def discrete_position(case: Evidence) -> float:
     """The same of the positions alone."""
-    return eq.distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
+    return distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
 
 
 def discrete_velocity(case: Evidence) -> float:
     """The same of the velocities alone."""
-    return eq.distance(case.true_end[case.scene.nq :], case.goal[case.scene.nq :])
+    return distance(case.true_end[case.scene.nq :], case.goal[case.scene.nq :])
 
 
 # The judge

@@ -31,7 +31,7 @@ def half_unit(values: np.ndarray, most: float) -> float:
 
     Returns
     -------
-    0 where all digits are given, or so few that they are the number: half a unit would be more than 5e-4 of `most`. Raises nothing.
+    0 where all digits are given, or so few that they are the number: half a unit would be more than 5e-4 of `most`.
     """
     sizes = np.abs(values[values != 0.0])
     if not sizes.size:

@@ -45,7 +45,7 @@ class _Simulated:
 
 @dataclass
 class _Planned:
-    """Of the three carts. ratios, costs, errors: of those with a plan; told: the others, in words; wrong: what is neither."""
+    """Of the three carts. ratios, costs, errors: of those with a plan; unstable, out_of_reach: ratios that are told to be so; wrong: what is neither."""
 
     limit: float
     ratios: list[float] = field(default_factory=list)

@@ -15,6 +15,7 @@ import python_loops
 from foreign_fmu import build_foreign
 
 from models.catalog import load_scene
+from models.codegen import compiler
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.fmu import build_fmu
@@ -162,7 +163,7 @@ def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables]
     def none() -> None:
         raise MachineError("no C compiler was found.")
 
-    monkeypatch.setattr(loops, "find_compiler", none)
+    monkeypatch.setattr(compiler, "find_compiler", none)
     loops.load.cache_clear()
     try:
         with pytest.raises(MachineError, match="no C compiler"):

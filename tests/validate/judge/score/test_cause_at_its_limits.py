@@ -1,14 +1,12 @@
 """The one word of a verdict: why inputs do not give the motion, at each limit and just beside it, and what says its cause by its own name."""
 
-from __future__ import annotations
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from models.catalog import load_scene
-from models.trajectory import Trajectory, uniform_grid
+from tests.validate.judge.score.test_score_verdict import scored
 from validate.judge.score import Metric, Question, Verdict
-from validate.judge.score.cause import ScoredPlan, cause_of
+from validate.judge.score.cause import cause_of
 
 
 def metric(name: str, value: float, question: Question = Question.SHOWN, limit: float | None = None, ok: bool | None = None) -> Metric:
@@ -17,12 +15,9 @@ def metric(name: str, value: float, question: Question = Question.SHOWN, limit: 
 
 def cause(*metrics: Metric) -> str:
     """Of a plan that violates by these."""
-    scene = load_scene("three_cart")
-    steps = scene.task.steps
-    states, forces = np.zeros((steps + 1, 3)), np.zeros((steps, 2))
-    plan = Trajectory(t=uniform_grid(scene.task.step, steps), q=states, v=states, u=forces, lam=forces)
-    found = {item.name: item for item in metrics}
-    return cause_of(ScoredPlan(scene=scene, trajectory=plan, replay=None, metrics=found, verdict=Verdict.VIOLATES, questions={}))
+    made = scored(*metrics, scheme=None, questions={})
+    assert cause_of(replace(made, verdict=Verdict.HOLDS)) == ""
+    return cause_of(made)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@ A body of two coordinates of different units and sizes rests far from its contac
 that can be followed by hand, on either side.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -8,7 +8,6 @@ import pytest
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.errors import SceneError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
@@ -33,8 +32,6 @@ def test_the_replay_meets_every_closed_form(name: str):
     assert result.verdict is Verdict.CONSISTENT, result.why  # nothing is asked of a motion that nobody plans
     assert {answer.measure for answer in scene.answers} - {""} <= set(MEASURES)
     metric = result.metric("answer_error")
-    assert metric is not None
-    assert metric.value is not None
     assert metric.value < 0.1
     # each answer alone is watched: moved by ten tolerances, it is found
     for index, answer in enumerate(scene.answers):
@@ -56,14 +53,6 @@ def test_a_contact_that_never_closes_is_not_measured():
     assert "no contact closes" in result.why
 
 
-@pytest.mark.slow
-def test_an_unknown_measure_is_named():
-    scene = load_scene("bouncing_mass")
-    unknown = replace(scene, answers=(replace(scene.answers[0], measure="colour"),))
-    with pytest.raises(SceneError, match="measured by 'colour', but the measures are closing time"):
-        judged(unknown)
-
-
 def test_contact_forces_change_by_penetration_and_by_its_rate():
     """Kelvin-Voigt: k and c. Hunt-Crossley, F = b phi (1 + d phi'): at most b times the largest share F / (b phi), and b d times the largest depth."""
     scene = load_scene("damped_collision")
@@ -72,10 +61,10 @@ def test_contact_forces_change_by_penetration_and_by_its_rate():
     gap = np.array([[-0.1, -0.2], [0.3, -0.4], [-0.5, 0.0]])
     lam = np.array([[9.0, 1.5 * b * 0.2], [0.0, 0.5 * b * 0.4], [9.0, 7.0]])
     case = SimpleNamespace(equations=scene, k=np.array([k, b]), replay_gap=gap, replay=SimpleNamespace(lam=lam))
-    by_depth, by_rate = Evidence.slopes.func(case)  # type: ignore[arg-type]
+    by_depth, by_rate = Evidence.slopes.func(case)
     assert by_depth == pytest.approx([k, 1.5 * b])
     assert by_rate == pytest.approx([c, d * b * 0.4])
     lam[0, 1] = 0.0  # no share is above 1 then
-    assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])  # type: ignore[arg-type]
+    assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])
     case = SimpleNamespace(equations=load_scene("three_cart"), k=np.array([30.0, 31.0]))
-    assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]  # type: ignore[arg-type]
+    assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]

@@ -1,7 +1,5 @@
 """What the metrics are computed from, by numbers that can be followed by hand: costs on any grid, printed digits, forces and motions in between."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 from types import SimpleNamespace
@@ -162,9 +160,9 @@ def test_slip_is_that_of_least_size_at_the_ends_of_a_step():
 
 def test_without_inertia_a_step_takes_up_all_of_a_force():
     given = SimpleNamespace(equations=SimpleNamespace(relaxation_index=1, parameters=[SimpleNamespace(value=9.0), SimpleNamespace(value=0.5)]), h=np.array([0.25, 1.0]))  # fmt: skip
-    assert Evidence._of_steps(given, np.array([[2.0], [3.0]])).tolist() == [[4.0], [1.5]]  # type: ignore[arg-type]
+    assert Evidence._of_steps(given, np.array([[2.0], [3.0]])).tolist() == [[4.0], [1.5]]
     given.equations.relaxation_index = None
-    assert Evidence._of_steps(given, np.array([[2.0], [3.0]])).tolist() == [[2.0], [3.0]]  # type: ignore[arg-type]
+    assert Evidence._of_steps(given, np.array([[2.0], [3.0]])).tolist() == [[2.0], [3.0]]
 
 
 @pytest.mark.parametrize("t", [[0.0, 0.01, 0.02, 0.03], [0.0, 0.01, 0.03, 0.06]], ids=["equal steps", "unequal steps"])
@@ -219,7 +217,7 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
     start_q, start_v = np.array([2.0, 2.45, 4.0]), np.array([1.0, -1.0, 0.0])
     replay = SimpleNamespace(t=np.array([0.0, 0.1, 0.15, 0.2]), q=np.array([start_q] * 4), v=np.array([start_v] * 4), applied=None)
     case.__dict__ |= {"step_of": np.array([0, 1, 1]), "duration": np.array([0.1, 0.05, 0.05])}
-    case._replay = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)  # type: ignore[assignment]
+    case._replay = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)
     found = case._penetrations_within(2)
     assert found.shape == (1001, 2)
     # From t = 0.15 s on with u1 = 20 - 100 (t - 0.1) N.
@@ -232,17 +230,17 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
         depth += (s[1] - s[0]) * rate
         depths.append(depth)
     assert found[:, 0] == pytest.approx(np.array(depths)[::20], abs=3e-4)
-    case._replay.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])  # type: ignore[union-attr]
+    case._replay.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])
     pulled = case._penetrations_within(2)[-1, 0]
     assert pulled - found[-1, 0] == pytest.approx(-60.0 * 0.05**2 / 2, rel=0.05)
 
 
 def test_what_has_left_every_bound_says_when():
     case = carts([0.0, 0.01])
-    case._replay = SimpleNamespace(outcome=ReplayOutcome.DIVERGED, t=np.array([0.0, 0.25, 0.75]), ok=False)  # type: ignore[assignment]
+    case._replay = SimpleNamespace(outcome=ReplayOutcome.DIVERGED, t=np.array([0.0, 0.25, 0.75]), ok=False)
     with pytest.raises(LeavesBounds, match=r"leaves every bound after 0\.75 s"):
         case.replay  # noqa: B018
-    case._replay = SimpleNamespace(outcome=ReplayOutcome.CRASHED, t=np.array([0.0]), ok=False, message="")  # type: ignore[assignment]
+    case._replay = SimpleNamespace(outcome=ReplayOutcome.CRASHED, t=np.array([0.0]), ok=False, message="")
     with pytest.raises(Unmeasured, match=r"did not get to the end: The FMU crashed\.$"):
         case.replay  # noqa: B018
 
@@ -250,9 +248,9 @@ def test_what_has_left_every_bound_says_when():
 def test_the_motion_with_the_inputs_alone_is_the_replays_as_far_as_it_got():
     case = carts([0.0, 0.01], q=np.array([[2.0, 2.4, 4.0], [2.0, 3.0, 4.0]]))
     assert (case.opened_q is case.trajectory.q, case.opened_lam.tolist()) == (True, [pytest.approx([3.0, 0.0]), [0.0, 0.0]])
-    case._replay = SimpleNamespace(t=np.zeros(0), q=None, lam=None)  # type: ignore[assignment]
+    case._replay = SimpleNamespace(t=np.zeros(0), q=None, lam=None)
     assert case.opened_q is case.trajectory.q
-    case._replay = SimpleNamespace(t=np.zeros(1), q="its own", lam="and its forces")  # type: ignore[assignment]
+    case._replay = SimpleNamespace(t=np.zeros(1), q="its own", lam="and its forces")
     assert (case.opened_q, case.opened_lam) == ("its own", "and its forces")
 
 
@@ -331,7 +329,7 @@ def stepper(kernel: Falling, t: list[float], u: list[float], hold: Hold = Hold.Z
     plan = Trajectory(
         t=np.array(t), q=states, v=states, u=np.array(u)[:, None], lam=states[1:], hold=hold, u_end=None if end is None else np.array([end])
     )
-    return Stepper(kernel, HeldInputs(plan), plan.t, np.diff(plan.t))  # type: ignore[arg-type]
+    return Stepper(kernel, HeldInputs(plan), plan.t, np.diff(plan.t))
 
 
 def size_of(dv: np.ndarray) -> np.ndarray:
@@ -381,7 +379,7 @@ def test_a_position_that_changes_counts_as_a_velocity_over_its_step():
         lam, ends = Falling.rollouts(kernel, x, u, h)
         return lam, ends + np.array([0.055 / u.shape[1], 0.0])
 
-    kernel.rollouts = off  # type: ignore[method-assign]
+    kernel.rollouts = off
     stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
     assert kernel.parts[-1][1] == 200
 
@@ -398,6 +396,6 @@ def test_departures_arrive_at_each_next_position():
 def test_a_position_that_is_never_reached_is_missed():
     """It moves as it likes: the best of all tries is told, and by how much it misses."""
     kernel = Falling()
-    kernel.rollouts = lambda x, u, h: (np.zeros((len(x), 1, 1)), np.hstack([np.clip(x[:, 1:], -1.0, 1.0), x[:, 1:]]))  # type: ignore[method-assign,assignment]
+    kernel.rollouts = lambda x, u, h: (np.zeros((len(x), 1, 1)), np.hstack([np.clip(x[:, 1:], -1.0, 1.0), x[:, 1:]]))
     found = stepper(kernel, [0.0, 0.5], [0.0]).departures(np.array([[0.0], [3.0]]), np.array([0.5]), np.array([1.0]))
     assert found.missed.ravel() == pytest.approx([2.0], abs=1e-3)

@@ -1,7 +1,5 @@
 """How a metric is measured, on cases of two or three numbers that the other evidence does not hide."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,19 +1,14 @@
-"""The judge on the paper's plans, remade here with the compiled kernel alone."""
-
-from __future__ import annotations
+"""The judge on the paper's plans."""
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from example_scenes import solve
 
 from models.catalog import load_scene
-from models.codegen.kernel import Rollout, load_kernel
-from models.contact_law import ContactLaw
 from models.fmu import build_fmu
 from models.scene import Scene
-from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 from validate.judge.replay.run import replay
 from validate.judge.score import Question, Score, Verdict, score
 from validate.judge.score.table import TABLE
@@ -26,73 +21,19 @@ def scene() -> Scene:
     return load_scene("three_cart")
 
 
-def _plan(rollout: Rollout, u: np.ndarray) -> Trajectory:
-    return Trajectory(t=uniform_grid(0.01, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
-
-
 @pytest.fixture(scope="module")
 def plans(scene: Scene) -> dict[str, Trajectory]:
-    """The paper's gradient descent rows, its softplus collocation rows (by Newton's method on the inputs), and an exact plan."""
-    kernel, goal, start = load_kernel(scene), np.array(scene.task.goal), np.array(scene.task.start)
+    """The paper's gradient descent rows, its softplus collocation rows, and an exact plan."""
     made: dict[str, Trajectory] = {}
-
-    def descend(u: np.ndarray, iterations: int, law: ContactLaw, eps: float | None) -> np.ndarray:
-        for _ in range(iterations):
-            rollout = kernel.rollout(start, u, 0.01, law, eps)
-            q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
-            q_bar[-1], v_bar[-1] = (rollout.q[-1] - goal[:3]) / 3, (rollout.v[-1] - goal[3:]) / 3
-            u = u - 500 * (kernel.adjoint(rollout, u, q_bar, v_bar)[0] + 1e-5 * u)
-        return u
-
-    def miss(u: np.ndarray, law: ContactLaw, eps: float | None) -> tuple[np.ndarray, Rollout]:
-        rollout = kernel.rollout(start, u, 0.01, law, eps)
-        return np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal, rollout
-
-    def terminal_jacobian(rollout: Rollout, u: np.ndarray) -> np.ndarray:
-        rows = []
-        for index in range(6):
-            q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
-            (q_bar if index < 3 else v_bar)[-1, index % 3] = 1.0
-            rows.append(kernel.adjoint(rollout, u, q_bar, v_bar)[0].ravel())
-        return np.array(rows)
-
-    def collocate(u: np.ndarray, law: ContactLaw, eps: float) -> np.ndarray:
-        def merit(u: np.ndarray) -> float:
-            return float((u**2).sum() + 1e4 * np.abs(miss(u, law, eps)[0]).sum())
-
-        for _ in range(400):
-            error, rollout = miss(u, law, eps)
-            jacobian = terminal_jacobian(rollout, u)
-            step = (jacobian.T @ np.linalg.solve(jacobian @ jacobian.T, jacobian @ u.ravel() - error)).reshape(u.shape) - u
-            if np.abs(step).max() < 1e-9:
-                break
-            length, before = 1.0, merit(u)
-            while merit(u + length * step) > before and length > 1e-4:
-                length /= 2
-            u = u + length * step
-        return u
-
-    def reach(u: np.ndarray) -> np.ndarray:
-        for _ in range(60):
-            error, rollout = miss(u, ContactLaw.RELU, None)
-            jacobian = terminal_jacobian(rollout, u)
-            u = u - 0.7 * (jacobian.T @ np.linalg.solve(jacobian @ jacobian.T, error)).reshape(u.shape)
-        return u
-
-    u = np.zeros((STEPS, 2))
+    plan = None
     for eps, iterations in ((1e-3, 15), (1e-5, 14), (1e-7, 11)):
-        u = descend(u, iterations, ContactLaw.SOFTPLUS, eps)
-        made[f"softplus_gd {eps:g}"] = _plan(kernel.rollout(start, u, 0.01, ContactLaw.SOFTPLUS, eps), u)
-    warm = descend(u, 10, ContactLaw.RELU, None)
-    made["relu_gd warm"] = _plan(kernel.rollout(start, warm, 0.01), warm)
-    cold = descend(np.zeros((STEPS, 2)), 200, ContactLaw.RELU, None)
-    made["relu_gd cold"] = _plan(kernel.rollout(start, cold, 0.01), cold)
-    u = made["softplus_gd 0.001"].u
+        plan = made[f"softplus_gd {eps:g}"] = solve(scene, "softplus_gd", eps, plan, iterations=iterations).trajectory
+    made["relu_gd warm"] = solve(scene, "relu_gd", None, plan, iterations=10).trajectory
+    made["relu_gd cold"] = solve(scene, "relu_gd", iterations=200).trajectory
+    plan = None
     for eps in (1e-3, 1e-5, 1e-7):
-        u = collocate(u, ContactLaw.SOFTPLUS, eps)
-        made[f"softplus_dc {eps:g}"] = _plan(kernel.rollout(start, u, 0.01, ContactLaw.SOFTPLUS, eps), u)
-    u = reach(warm)
-    made["exact"] = _plan(kernel.rollout(start, u, 0.01), u)
+        plan = made[f"softplus_dc {eps:g}"] = solve(scene, "softplus_dc", eps, plan).trajectory
+    made["exact"] = solve(scene, "mpcc", search=False).trajectory
     return made
 
 
@@ -147,9 +88,9 @@ def test_plans_under_the_true_law_have_no_physics_error_at_all(scores: dict[str,
     assert result.value("physics_scaled") == 0.0
     assert result.value("law_error") == 0.0
     assert result.value("terminal_error") == result.value("discrete_terminal_error")
-    # Between plan and replay there is nothing but the grid: measured 4e-3, 4e-3 and 1.1e-2 (this exact plan pushes hard).
+    # Between plan and replay there is nothing but the grid: measured 4e-3, 4e-3 and 7e-3.
     assert result.value("replay_error") == result.value("grid_error")
-    assert 1e-3 < (result.value("grid_error") or 0) < 1.2e-2
+    assert 1e-3 < (result.value("grid_error") or 0) < 8e-3
 
 
 def test_an_exact_plan_holds_and_misses_the_continuous_goal_by_the_grid_alone(scores: dict[str, Score]):
@@ -167,8 +108,6 @@ def test_ghost_impulse_tells_soft_plans_from_true_ones(scores: dict[str, Score])
         if name.startswith("softplus_gd"):
             continue  # not replayed
         ghost, missed = result.metric("ghost_impulse"), result.metric("missed_impulse")
-        assert ghost is not None
-        assert missed is not None
         assert {ghost.ok, missed.ok} == {name not in expected}, name
         assert ghost.value == pytest.approx(expected.get(name, 0.0), rel=1e-2, abs=3e-3)
 
@@ -178,7 +117,6 @@ def test_the_replay_checks_itself(scores: dict[str, Score]):
         assert (result.value("energy_residual") or 0) < 1e-10
         assert 0 < (result.value("energy_residual_relative") or 0) < 1e-10
         metric = result.metric("replay_error")
-        assert metric is not None
         assert 0 < metric.error <= 1e-8
 
 

@@ -1,7 +1,5 @@
 """What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,41 +7,24 @@ import numpy as np
 import pytest
 
 from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
 from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
 from validate.judge.score import Metric, Question, Verdict, cause
-from validate.judge.score.cause import ScoredPlan, explain
 from validate.judge.score.verdict import (
     EFFORT,
-    answers,
 )
-
-# What each cause needs to be said, and what keeps it unsaid
-
-
-def of_case(*metrics: Metric, replay: object = None, scene: object = SCENE, plan: Trajectory | None = None, **more: object) -> str:
-    """As `told`, of another scene, plan or replay."""
-    task = SCENE.task
-    states = np.zeros((task.steps + 1, 3))
-    given = plan or Trajectory(
-        t=uniform_grid(task.step, task.steps), q=states, v=states, u=np.zeros((task.steps, 2)), lam=np.zeros((task.steps, 2)),
-        scheme=Scheme.SEMI_IMPLICIT_EULER,
-    )  # fmt: skip
-    named = {"verdict": Verdict.VIOLATES, "questions": answers(metrics)} | more
-    return explain(ScoredPlan(scene=scene, trajectory=given, replay=replay, metrics={item.name: item for item in metrics}, **named))  # type: ignore[arg-type]
 
 
 def test_feedback_that_fails_too_says_by_what():
     tracked: Any = SimpleNamespace(tracked="a replay", ok=True)
     effort = metric(EFFORT, False, value=0.5, limit=0.25, unit="1")
     said = " With feedback too: the RMS effort of the feedback is 50 % of the half-range of the inputs, limit 25 %."
-    assert of_case(MISS, effort, replay=tracked).endswith(said)
-    assert "With feedback" not in of_case(MISS, replay=tracked)
-    assert "With feedback" not in of_case(MISS, effort, replay=None)
-    assert "With feedback" not in of_case(MISS, effort, replay=SimpleNamespace(tracked=None, ok=True))
+    assert told(MISS, effort, replay=tracked).endswith(said)
+    assert "With feedback" not in told(MISS, replay=tracked)
+    assert "With feedback" not in told(MISS, effort, replay=None)
+    assert "With feedback" not in told(MISS, effort, replay=SimpleNamespace(tracked=None, ok=True))
     fine = metric("start_error", False, value=0.1, limit=1e-6)
-    assert "With feedback" not in of_case(fine, BELOW, effort, replay=tracked), "the inputs alone give the motion"
-    alone = of_case(effort, BELOW)
+    assert "With feedback" not in told(fine, BELOW, effort, replay=tracked), "the inputs alone give the motion"
+    alone = told(effort, BELOW)
     assert alone.startswith("the RMS effort of the feedback is 50 %"), "what fails with feedback alone is quoted"
 
 
@@ -53,12 +34,12 @@ def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
     gap = np.array([[0.1, 0.2], [-0.1, -0.3], [0.0, 0.1]])
     left, right = SCENE.contacts
     for replay_gap, contact in ((gap, right), (gap[:, ::-1], left)):
-        why = of_case(deep, replay=SimpleNamespace(ok=True, gap=replay_gap, tracked=None))
+        why = told(deep, replay=SimpleNamespace(ok=True, gap=replay_gap, tracked=None))
         assert f"beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, " in why
         assert contact.depth_reason in why
     for replayed in (None, SimpleNamespace(ok=False, gap=gap, tracked=None)):
-        assert "beyond the depth" not in of_case(deep, replay=replayed)
-    assert "beyond the depth" not in of_case(deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace())
+        assert "beyond the depth" not in told(deep, replay=replayed)
+    assert "beyond the depth" not in told(deep, replay=SimpleNamespace(ok=True, gap=gap, tracked=None), scene=SimpleNamespace())
 
 
 @pytest.mark.parametrize(
@@ -75,27 +56,27 @@ def test_a_depth_is_blamed_on_the_contact_that_is_nearest_to_its_own_end():
     ],
 )
 def test_each_metric_that_fails_first_has_its_cause(first: Metric, says: str):
-    assert says in of_case(first)
+    assert says in told(first)
 
 
 def test_a_law_that_the_motion_contradicts_is_not_blamed():
     same = "; its inputs give its motion all the same: if another integrator made it"
     for name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
-        assert same in of_case(metric(name, False), BELOW)
+        assert same in told(metric(name, False), BELOW)
 
 
 def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_order():
     missed = metric("missed_impulse", False, unit="N s")
     order = metric("grid_order", None, value=1.0, limit=None, unit="1")
-    assert ": discretisation error 0.079 m" in of_case(missed, GRID, order)
+    assert ": discretisation error 0.079 m" in told(missed, GRID, order)
     for others in (
         (GRID,),
         (order,),
         (order, metric("grid_error", None, value=None, limit=None)),
         (GRID, metric("grid_order", None, value=None, limit=None)),
     ):
-        assert "discretisation" not in of_case(missed, *others)
-    assert "discretisation" not in of_case(metric("friction_violation", False, unit="N"), GRID, order)
+        assert "discretisation" not in told(missed, *others)
+    assert "discretisation" not in told(metric("friction_violation", False, unit="N"), GRID, order)
 
 
 STEP = SCENE.task.step
@@ -122,37 +103,27 @@ STEP = SCENE.task.step
 )
 def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], says: str):
     given = {"value": 0.08, "limit": 0.06, "grid": 0.08, "scheme": Scheme.SEMI_IMPLICIT_EULER} | changes
-    task = SCENE.task
-    states = np.zeros((task.steps + 1, 3))
-    plan = Trajectory(
-        t=uniform_grid(task.step, task.steps),
-        q=states,
-        v=states,
-        u=np.zeros((task.steps, 2)),
-        lam=np.zeros((task.steps, 2)),
-        scheme=given["scheme"],
-    )
     first = metric("replay_terminal_position_error", False, value=given["value"], limit=given["limit"])
     metrics = [first, metric("grid_error", None, value=given["grid"], limit=None)]
     metrics += [metric("law_error", None, value=given["law"], limit=None)] if "law" in given else []
     metrics += [metric_of_growth(given["growth"])] if "growth" in given else []
-    assert says in of_case(*metrics, plan=plan)
+    assert says in told(*metrics, scheme=given["scheme"])
 
 
 @pytest.mark.parametrize("name", ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"])
 def test_contact_forces_that_fail_are_not_called_correct(name: str):
-    why = of_case(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
+    why = told(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
     assert "driven by" in why
-    cause = of_case(metric("replay_error", False), GRID, metric_of_growth(500.0), metric(name, False))
+    cause = told(metric("replay_error", False), GRID, metric_of_growth(500.0), metric(name, False))
     assert "the contact forces are correct" not in cause
 
 
 def test_a_grid_that_nobody_knows_leaves_instability_or_nothing():
     unknown = metric("grid_error", None, value=None, limit=None)
     for others in ((), (unknown,)):
-        assert of_case(STRAY, *others).endswith("limit 0.06 m.")
-        assert "; unstable in the open loop (amplification 500)." in of_case(STRAY, *others, metric_of_growth(500.0))
-    broken = of_case(STRAY, GRID, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
+        assert told(STRAY, *others).endswith("limit 0.06 m.")
+        assert "; unstable in the open loop (amplification 500)." in told(STRAY, *others, metric_of_growth(500.0))
+    broken = told(STRAY, GRID, metric("defect", False, value=2e-3, limit=1e-6, unit="m"))
     assert "limit 0.06 m: it does not satisfy its declared scheme (residual 0.002 m), limit 1e-06 m" in broken
 
 
@@ -172,23 +143,23 @@ def test_undecided_for_the_last_reasons():
     )
     blurred = metric("replay_error", None, value=0.0599, error=1e-4)
     decided = SimpleNamespace(error=SimpleNamespace(would_decide="a better FMU"), tracked=None)
-    assert of_case(blurred, verdict=Verdict.UNDECIDED, replay=decided).endswith("What would decide it: a better FMU.")
-    assert "What would decide it" not in of_case(metric("replay_error", None, value=None), verdict=Verdict.UNDECIDED, replay=decided)
+    assert told(blurred, verdict=Verdict.UNDECIDED, replay=decided).endswith("What would decide it: a better FMU.")
+    assert "What would decide it" not in told(metric("replay_error", None, value=None), verdict=Verdict.UNDECIDED, replay=decided)
 
 
 def test_what_an_fmu_shows_is_said_by_the_numbers_of_its_questions():
     asked = {Question.TASK: "yes", Question.MOTION: "yes", Question.GOAL: "not asked", Question.JUDGE: "yes"}
     fmu: Any = SimpleNamespace(task=SimpleNamespace(has_goal=False))
-    assert of_case(BELOW, scene=fmu, verdict=Verdict.HOLDS, questions=asked).startswith(
+    assert told(BELOW, scene=fmu, verdict=Verdict.HOLDS, questions=asked).startswith(
         "holds for what this FMU shows (questions 1, 4); closest"
     )
     one = {Question.TASK: "yes"}
-    assert of_case(scene=fmu, verdict=Verdict.HOLDS, questions=one) == "holds for what this FMU shows (question 1)."
-    assert of_case(scene=fmu, verdict=Verdict.CONSISTENT, questions=one) == (
+    assert told(scene=fmu, verdict=Verdict.HOLDS, questions=one) == "holds for what this FMU shows (question 1)."
+    assert told(scene=fmu, verdict=Verdict.CONSISTENT, questions=one) == (
         "consistent for what this FMU shows (question 1); the map asks for nothing: give it a [goal] with its limits."
     )
-    assert of_case(verdict=Verdict.CONSISTENT, questions=one).startswith("consistent; the scene asks for nothing: no limit on its goal")
-    assert of_case(scene=fmu, verdict=Verdict.NOT_APPLICABLE) == "inputs alone claim nothing, and the map asks for nothing."
+    assert told(verdict=Verdict.CONSISTENT, questions=one).startswith("consistent; the scene asks for nothing: no limit on its goal")
+    assert told(scene=fmu, verdict=Verdict.NOT_APPLICABLE) == "inputs alone claim nothing, and the map asks for nothing."
 
 
 def test_only_what_holds_by_a_replay_names_its_grid_and_a_limit_of_nothing_is_no_measure():

@@ -1,7 +1,5 @@
 """The table of metrics row by row, and how a row becomes a metric: limits of the scene, of the table, waived, out of bounds, not measured."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -168,7 +166,7 @@ def test_growth_is_measured_where_there_is_one():
     assert [row.measure(case) for row in GROWTH] == pytest.approx([math.exp(6.0), 3.0])
     for row in GROWTH:
         with pytest.raises(Unmeasured):
-            row.measure(SimpleNamespace(opened=SimpleNamespace(growth=None)))  # type: ignore[arg-type]
+            row.measure(SimpleNamespace(opened=SimpleNamespace(growth=None)))
 
 
 def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
@@ -181,8 +179,8 @@ def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
         assert (twin.question, twin.unit, twin.applies, twin.needs, twin.default, twin.of_replay) == (
             row.question, row.unit, row.applies, row.needs, row.default, False,
         )  # fmt: skip
-    one = MetricEntry(name="x", question=Question.MOTION, unit=lambda scene: "m", meaning="", measure=lambda case: case, of_replay=True)  # type: ignore[arg-type,return-value]
-    assert module._twin(one).measure(SimpleNamespace(tracked=7.0)) == 7.0  # type: ignore[arg-type]
+    one = MetricEntry(name="x", question=Question.MOTION, unit=lambda scene: "m", meaning="", measure=lambda case: case, of_replay=True)
+    assert module._twin(one).measure(SimpleNamespace(tracked=7.0)) == 7.0
 
 
 def metric_of(measured: Any, *, question: Question = Question.MOTION, default: tuple[float, str] | None = (0.5, "of the table"),
@@ -196,7 +194,7 @@ def metric_of(measured: Any, *, question: Question = Question.MOTION, default: t
 
     entry = MetricEntry(name="x", question=question, unit=lambda scene: "m", meaning="far", measure=measure, default=default, needs=needs)
     scene = SimpleNamespace(limit=lambda name: limit if name == "x" else None, nf=1, nc=1, frictions=())
-    return _metric(entry, SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=missing, scheme=scheme)))  # type: ignore[arg-type]
+    return _metric(entry, SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=missing, scheme=scheme)))
 
 
 def said(metric: Metric) -> tuple[Any, ...]:
@@ -267,7 +265,7 @@ def test_what_presses_on_a_friction_must_be_said():
 
 
 def test_the_component_that_decides_is_the_worst_against_its_own_limit():
-    measured = Measured(values=(5.0, 3.0), error=(0.5, 0.25), scales=(10.0, 1.0), allowed=(1.0, 2.0), units=("m", "rad"), base=0.125)  # type: ignore[arg-type]
+    measured = Measured(values=(5.0, 3.0), error=(0.5, 0.25), scales=(10.0, 1.0), allowed=(1.0, 2.0), units=("m", "rad"), base=0.125)
     found = _worst(measured, limited=False)
     assert (found.value, found.error, found.scale, found.allowed, found.base, found.unit) == (3.0, 0.25, 1.0, 2.0, 0.125, "rad")
     found = _worst(measured, limited=True)
@@ -303,15 +301,15 @@ def test_a_replay_belongs_to_the_nodes_of_its_plan():
     def replay(**changes: Any) -> Any:
         return SimpleNamespace(**({"scene": "s", "ok": True, "knots": np.array([0, 2, 3]), "t": np.array([0.0, 0.5, 1.0, 2.0])} | changes))
 
-    _check_belongs(scene, plan, replay())  # type: ignore[arg-type]
-    _check_belongs(scene, plan, replay(ok=False, knots=np.array([0])))  # type: ignore[arg-type]
+    _check_belongs(scene, plan, replay())
+    _check_belongs(scene, plan, replay(ok=False, knots=np.array([0])))
     for changes, part in (
         ({"scene": "other"}, "scene other"),
         ({"knots": np.array([0, 1])}, "2 nodes"),
         ({"knots": np.array([0, 1, 3])}, "3 nodes"),
     ):
         with pytest.raises(TrajectoryError, match=part):
-            _check_belongs(scene, plan, replay(**changes))  # type: ignore[arg-type]
+            _check_belongs(scene, plan, replay(**changes))
 
 
 # From metrics to a score
@@ -339,12 +337,12 @@ def asking(**ok: bool | None) -> tuple[Metric, ...]:
 )
 def test_who_asks_for_an_end_or_a_cost_asks_for_something(name: str):
     scene, plan = SimpleNamespace(nc=1, nf=1), SimpleNamespace(has_states=True, missing=frozenset())
-    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(**{name: True})) is Verdict.HOLDS  # type: ignore[arg-type]
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(**{name: True})) is Verdict.HOLDS
     shown = tuple(replace(metric, limit=None) for metric in asking(**{name: True}))
-    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, shown) is Verdict.CONSISTENT  # type: ignore[arg-type]
-    assert _of_what_is_asked(scene, plan, Verdict.HOLDS_WITH_FEEDBACK, ()) is Verdict.CONSISTENT  # type: ignore[arg-type]
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS, shown) is Verdict.CONSISTENT
+    assert _of_what_is_asked(scene, plan, Verdict.HOLDS_WITH_FEEDBACK, ()) is Verdict.CONSISTENT
     for verdict in (Verdict.VIOLATES, Verdict.UNDECIDED):
-        assert _of_what_is_asked(scene, plan, verdict, ()) is verdict  # type: ignore[arg-type]
+        assert _of_what_is_asked(scene, plan, verdict, ()) is verdict
 
 
 @pytest.mark.parametrize(
@@ -358,7 +356,7 @@ def test_who_claims_nothing_is_not_judged_where_nothing_is_asked(has_states: boo
     scene, plan = SimpleNamespace(nc=nc, nf=nf), SimpleNamespace(has_states=has_states, missing=frozenset(missing))
     assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(replay_error=True)) is (
         Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
-    )  # type: ignore[arg-type]
+    )
 
 
 @pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
@@ -382,17 +380,17 @@ def test_the_other_hold_passes_where_every_metric_of_the_motion_does(
             meaning="",
             limit=None if word == "shown" else 1.0,
             ok=None if word == "shown" else word,
-        )  # type: ignore[arg-type]
+        )
 
     monkeypatch.setattr(score_module, "_metric", measured)
     states = np.zeros((3, 1))
     plan = Trajectory(t=np.array([0.0, 0.1, 0.2]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)), hold=hold)
     scene, other = load_scene("wall_pendulum"), SimpleNamespace(ok=True)
-    assert score_module._passes_otherwise(scene, plan, other) is all(word is True for word in ok)  # type: ignore[arg-type]
+    assert score_module._passes_otherwise(scene, plan, other) is all(word is True for word in ok)
     assert {held for held, _ in holds} == {Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER}
     assert all(replayed is other for _, replayed in holds)
     assert not score_module._passes_otherwise(scene, plan, None)
-    assert not score_module._passes_otherwise(scene, plan, SimpleNamespace(ok=False))  # type: ignore[arg-type]
+    assert not score_module._passes_otherwise(scene, plan, SimpleNamespace(ok=False))
 
 
 def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_replays():
@@ -404,7 +402,7 @@ def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_re
         measure=lambda case: (_ for _ in ()).throw(Unmeasured("unseen.")),
         default=(0.5, "r"),
         needs=(),
-    )  # type: ignore[arg-type,return-value]
+    )
     trajectory = SimpleNamespace(missing=frozenset(), scheme=None)
 
     class Case:
@@ -421,7 +419,7 @@ def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_re
     for subject, replayed, of_replay, is_open in (
         (scene, "there", False, True), (scene, "there", True, True), (foreign, "there", True, False), (foreign, None, True, True), (foreign, None, False, False),
     ):  # fmt: skip
-        metric = _metric(replace(fails, of_replay=of_replay, unit=lambda scene: "m"), Case(subject, replayed))  # type: ignore[arg-type]
+        metric = _metric(replace(fails, of_replay=of_replay, unit=lambda scene: "m"), Case(subject, replayed))
         assert (metric.limit is not None, metric.reason, metric.value, metric.default) == (is_open, "unseen.", None, True)
 
 

@@ -3,8 +3,6 @@
 The exact motions are SciPy's, of equations written down here once more.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -218,10 +216,10 @@ def test_a_scene_without_inertia_is_forgiven_what_was_printed():
     unit = np.sqrt(13.0)  # of a speed of 1 in both
     first = 2.0 * 0.3 / 0.5 - ((0.02 + 0.01 * 3.0) / 0.5 + 0.5 * 0.02) * unit
     second = 3.0 * 0.2 / 0.25 - ((0.02 + 0.01 * 1.0) / 0.25 + 0.25 * 0.02) * unit
-    assert _without_inertia(case, h, v) == pytest.approx([first / 0.5, second / 0.5])  # type: ignore[arg-type]
+    assert _without_inertia(case, h, v) == pytest.approx([first / 0.5, second / 0.5])
     assert asked[0] is v
     told["q"] = 1.0
-    assert _without_inertia(case, h, v).tolist() == [0.0, 0.0]  # type: ignore[arg-type]
+    assert _without_inertia(case, h, v).tolist() == [0.0, 0.0]
 
 
 # By hand: two coordinates, steps of 1/2 and 1/4 s, M = diag(4, 9), everything printed
