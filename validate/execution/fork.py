@@ -1,7 +1,7 @@
 """A child that is a fork of this process, for code of our own: it has imported already what it needs, which takes a third of a replay.
 
     if can_fork():
-        child = Fork(folder, work, temporary=folder / "tmp", output=file)       # calls work(folder) there
+        child = Fork("module:work", folder, temporary=folder / "tmp", output=file)      # calls work(folder) there
         child.wait(60.0), child.end()                                           # whether it ended; how, and what it cost
 
 Foreign code gets a process of its own (validate.execution.process), of which whatever it starts is found. Here nothing is looked for. When this process
@@ -10,6 +10,7 @@ is killed, the child removes its folder and ends.
 
 from __future__ import annotations
 
+import importlib
 import os
 import select
 import shutil
@@ -18,9 +19,8 @@ import socket
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import IO, NoReturn
+from typing import IO
 
 from validate.execution.process import Ended
 
@@ -31,9 +31,11 @@ def can_fork() -> bool:
 
 
 class Fork:
-    """See the module docstring. work never returns."""
+    """See the module docstring."""
 
-    def __init__(self, folder: Path, work: Callable[[Path], NoReturn], *, temporary: Path, output: IO[bytes]) -> None:
+    def __init__(self, work: str, folder: Path, *, temporary: Path, output: IO[bytes]) -> None:
+        module, _, name = work.partition(":")
+        function = getattr(importlib.import_module(module), name)
         sys.stdout.flush()
         sys.stderr.flush()
         self._line, line = socket.socketpair()  # each side hears the end of the other
@@ -48,7 +50,7 @@ class Fork:
                 tempfile.tempdir = str(temporary)
                 os.chdir(temporary)
                 threading.Thread(target=_end_with, args=(line, folder), daemon=True).start()
-                work(folder)
+                function(folder)
             finally:
                 os._exit(1)
         line.close()

@@ -229,9 +229,7 @@ def _start(folder: Path, token: str | None, output: IO[bytes]) -> ChildProcess |
     temporary = folder / TEMPORARY
     if token is not None:
         return ChildProcess("validate.execution.isolated_child", [str(folder)], token=token, temporary=temporary, output=output)
-    from validate.execution.isolated_child import run_and_exit  # which imports this module
-
-    return Fork(folder, run_and_exit, temporary=temporary, output=output)
+    return Fork("validate.execution.isolated_child:run_and_exit", folder, temporary=temporary, output=output)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
