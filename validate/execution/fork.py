@@ -1,7 +1,7 @@
 """A child that is a fork of this process, for code of our own: it has imported already what it needs, which takes a third of a replay.
 
     if can_fork():
-        child = Fork(main, folder, output=folder / "output.txt")        # calls main(folder) there
+        child = Fork("module:main", folder, output=folder / "output.txt")    # calls main(folder) there
         child.wait(60.0), child.end()                                   # whether it ended; how, and what it cost
 
 Foreign code gets a process of its own under a supervisor (validate.execution.process), which finds whatever it starts. Here nothing is looked for. When
@@ -10,6 +10,7 @@ this process is killed, the child removes its folder and ends.
 
 from __future__ import annotations
 
+import importlib
 import os
 import select
 import shutil
@@ -35,7 +36,9 @@ class Fork:
 
     _ended: Ended | None = None
 
-    def __init__(self, work: Callable[[Path], int | None], folder: Path, *, output: Path) -> None:
+    def __init__(self, function: str, folder: Path, *, output: Path) -> None:
+        module, _, name = function.partition(":")
+        work = getattr(importlib.import_module(module), name)
         sys.stdout.flush()
         sys.stderr.flush()
         self._line, line = socket.socketpair()  # each side hears the end of the other

@@ -207,11 +207,8 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
 
 
 def _start(folder: Path, ours: bool) -> Child | Fork:
-    if not ours or not can_fork():
-        return Child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)
-    from validate.execution.isolated_child import main  # which imports this module
-
-    return Fork(main, folder, output=folder / OUTPUT)
+    child = Fork if ours and can_fork() else Child
+    return child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

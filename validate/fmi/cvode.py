@@ -119,9 +119,9 @@ class Cvode:
         y: np.ndarray,
         *,
         rates: Any,
-        indicators: Any = None,
+        indicators: Any = 0,
         count: int = 0,
-        data: int | None = None,
+        data: int = 0,
         rtol: float,
         absolute: np.ndarray,
         min_step: float,
@@ -131,8 +131,7 @@ class Cvode:
         self.method, self.y, self.absolute = method, y, absolute
         self.rtol, self.min_step, self.max_step, self.max_steps = rtol, min_step, max_step, max_steps
         self.time, self.roots = 0.0, np.zeros(count, dtype=np.int32)
-        self.memory: int | None = None
-        self.vector: int | None = None
+        self.memory = self.vector = 0  # addresses, 0 without a solver
         self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in (rates, indicators, data))
         self._made: list[tuple[Callable[[Any], Any], Any]] = []  # what is to be freed, and by what
 
@@ -204,4 +203,4 @@ class Cvode:
         while self._made:
             free, place = self._made.pop()
             free(place)
-        self.memory = self.vector = None
+        self.memory = self.vector = 0

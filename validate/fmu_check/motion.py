@@ -228,7 +228,7 @@ class Exchange:
         Raises FMICallException, Fault.
         """
         instance = self.instance
-        if self._solver.memory is not None or inputs.size:
+        if self._solver.memory or inputs.size:
             instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)

@@ -408,7 +408,7 @@ def test_a_node_that_is_not_known_leaves_the_tree_unknown(monkeypatch: pytest.Mo
     monkeypatch.setattr(stationarity, "steepest_direction", lambda *_: (-2e-6, np.eye(402)[0]))
     assert steepest_piece(at, 1e-6)[0] == -2e-6
     for total, slope in ((1e-6, 0.0), (1.1e-6, -2e-6)):
-        known_to = Decision(exists=True, residual=1e-7, y=np.zeros(2), total=total)
+        known_to = MultiplierDecision(exists=True, residual=1e-7, y=np.zeros(2), total=total)
         monkeypatch.setattr(stationarity, "decide", lambda *_, known_to=known_to: known_to)
         assert steepest_piece(at, 1e-6)[0] == slope, "multipliers that leave the tolerance in all"
 
