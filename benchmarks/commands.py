@@ -18,6 +18,7 @@ _MEASURED = {
     "replay": ("replay", "How fast and how exact the replay is, beside FMPy's own simulation."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
+    "plans": ("suite.plans", "Exact plans by every pipeline, on scenes with friction and random rows of carts."),
     "mpec-peers": ("mpec.peers", "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss."),
     "mpec-sets": ("mpec.sets", "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima."),
     "mpec-growth": ("mpec.growth", "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025."),
