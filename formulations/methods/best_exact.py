@@ -27,6 +27,8 @@ _WAYS = (
     ("relaxed_lcp", RELAXED_EPS[0], RELAXED_EPS[-1]),
     ("softplus_dc", SOFTPLUS_EPS[0], SOFTPLUS_EPS[-1]),
 )
+# Part of a cost by which two are the same.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +49,7 @@ class BestExactSession(Session):
         self._method.check_stage(eps, time_limit)
         ends = monotonic() + time_limit
         found = list(self._found(warm_start, ends))
-        ranked = [solution for _, solution in found if solution.trajectory is not None]
-        best = min(ranked, key=_rank, default=found[-1][1])
+        best = _best([solution for _, solution in found])
         spent = Seconds(**{name: sum(getattr(each.seconds, name) for _, each in found) for name in asdict(Seconds())})
         attempts = tuple(
             Attempt(number=number, start=words, outcome=each.outcome, cost=each.cost, seconds=each.seconds.cpu)
@@ -101,9 +102,14 @@ def _after(walked: Solution, exact: Solution) -> Solution:
     return replace(exact, iterations=walked.iterations + exact.iterations, seconds=Seconds(**seconds))
 
 
-def _rank(solution: Solution) -> tuple[bool, float]:
-    """Solved before what is not, then the cheaper."""
-    return solution.outcome is not Outcome.SOLVED, float("inf") if solution.cost is None else solution.cost
+def _best(found: list[Solution]) -> Solution:
+    """The cheapest that is solved, the first of those that differ by rounding; where none is, the cheapest plan, else the last word."""
+    solved = [each for each in found if each.outcome is Outcome.SOLVED]
+    priced = [(each.cost, each) for each in solved or found if each.cost is not None]
+    if not priced:
+        return found[-1]
+    least = min(cost for cost, _ in priced)
+    return next(each for cost, each in priced if cost <= least + _SAME * abs(least))
 
 
 class BestExact(Method[BestExactOptions]):

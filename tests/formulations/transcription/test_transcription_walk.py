@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from formulations.ipopt import IpoptResult
@@ -75,7 +77,7 @@ def test_cheap_steps_grow_and_failed_ones_shrink(monkeypatch: pytest.MonkeyPatch
     solution = solved("relaxed_lcp", first_eps=0.1)
     assert solution.outcome is Outcome.SOLVED
     assert asked[-1] == 1e-4
-    assert max(before / after for before, after in zip(asked[:-1], asked[1:], strict=True)) <= 3.0
+    assert max(before / after for before, after in pairwise(asked)) <= 3.0
 
 
 def test_a_walk_that_ends_early_hands_on_its_last_plan(monkeypatch: pytest.MonkeyPatch):
