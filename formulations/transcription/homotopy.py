@@ -159,7 +159,8 @@ class Stage:
         if known is not None and here > eps:
             self._solver.load(known.plan)
             words = f"The walk to eps = {eps:g} ended at {here:.3g}."
-            outcome = Outcome.STALLED if result.outcome in (Outcome.SOLVED, Outcome.INFEASIBLE) else result.outcome
+            limit = Outcome.TIME_LIMIT if self._budget.is_over else Outcome.ITERATION_LIMIT
+            outcome = {Outcome.SOLVED: limit, Outcome.INFEASIBLE: Outcome.STALLED}.get(result.outcome, result.outcome)
             result = replace(result, outcome=outcome, message=f"{ended(result.message)} {words}".lstrip())
         return result, here
 
