@@ -202,7 +202,7 @@ _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 
 _STRETCH = 4  # of the longest stride: the first on a detour
 # Detours by a repetition: those that cost up to this part more, of these so many of the cheapest, each for so many plans before the best of them goes
 # on. Three carts moved by 0.6 m: two pushes on the left cost 1.4 and 2.2 % more than one, and less after one and two plans; 7.4 % less in the end.
-_DEARER, _REPEATED, _SHORT = 0.1, 4, 10
+_DEARER, _REPEATED, _SHORT = 0.05, 3, 10
 
 
 Answer = TypeVar("Answer", bound=ModesAnswer)
