@@ -10,14 +10,15 @@ import pytest
 from benchmarks.suite.plans import compared, rows, task
 
 
-def test_tasks_are_seeded_and_bodies_stand_apart_at_their_goal():
-    for seed in range(20):
+def test_tasks_are_seeded_and_cannot_be_done_without_contact():
+    for seed in range(8):
         scene = task(seed)
-        assert scene.nq == 3 + seed % 4
+        n = scene.nq
+        assert n == 3 + seed % 4
         assert task(seed).task == scene.task
-        for end in (scene.task.start, scene.task.goal):
-            assert np.diff(np.array(end[: scene.nq], dtype=float)).min() >= 0.5 + 0.01 - 1e-12
-        assert all(value == 0.0 for value in (*scene.task.start[scene.nq :], *scene.task.goal[scene.nq :]))
+        assert scene.task.goal is not None
+        moved = np.array(scene.task.goal[:n], dtype=float) - np.array(scene.task.start[:n])
+        assert np.abs(moved[1:-1]).min() > 0.0, "nobody but its neighbours moves a cart in between"
     assert [name for name, _ in rows(2, "carts")] == ["3 carts, 0", "4 carts, 1"]
 
 
