@@ -5,6 +5,8 @@ contact for less than half of the time and stop after 4 of 5 s, have led: it can
 `above` is how much more a plan costs than the cheapest that a pipeline found, as a part of it.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
