@@ -19,6 +19,7 @@ _MEASURED = {
     "commands": ("command_times", "CPU seconds of the commands that one waits for."),
     "shooting": ("shooting", "One gradient iteration, layer by layer."),
     "mpcc": ("mpcc", "`mpcc` from a cold start on the paper's scene and on random rows of carts."),
+    "plans": ("suite.plans", "Exact plans by every pipeline, on scenes with friction and random rows of carts."),
     "mpec-peers": ("mpec.peers", "Strict complementarity beside CasADi, nosnoc, pympcc and mpecss."),
     "mpec-sets": ("mpec.sets", "A folder of MPECs, `.nl` or Pyomo: answers, certificates, published optima."),
     "mpec-growth": ("mpec.growth", "`mpec_ipopt` on a membrane over an obstacle, from 100 pairs to 3025."),

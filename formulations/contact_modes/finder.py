@@ -16,6 +16,7 @@ from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import SearchResult, flip_wrong_signs, search_sequences
 from formulations.contact_modes.starts import random_plan
 from formulations.grids import coarse_scene, on_grid, plan_of
+from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
 from formulations.transcription.feasibility import nearest
 from formulations.transcription.method import SolveBudget
@@ -48,6 +49,7 @@ class Finder:
     def __init__(self, scene: Scene, kernel: Kernel, options: MpccOptions, scene_models: SceneModels) -> None:
         self._scene, self._kernel, self._options, self._models = scene, kernel, options, scene_models
         self._is_linear = scene_models.is_linear
+        self._is_walked = False  # relaxed complementarity was: whatever the start, its plan is the same
         self._random_failed = False  # all random inputs were corrected once, and none of them gave a plan
         self._on_coarse: Finder | None = None
         self._most_work = 0.0  # of the search under way, once it has a plan
@@ -98,12 +100,18 @@ class Finder:
         if budget.is_over:
             return
         first = coarse[0] if coarse is not None else start if start is not None else modes_of
-        had_plan = False
-        for plan in self._stages(budget, first, STAGE_ITERATIONS):
+        had_plan, most = False, budget.most_work
+        budget.most_work = min(most, budget.work + 0.5e6 * self._options.first_work)  # the rest is for other sources
+        stages = self._stages(budget, first, STAGE_ITERATIONS)
+        budget.most_work = most
+        for plan in stages:
             had_plan = True
             yield plan, 0
         if not had_plan and not budget.is_over and self._is_out_of_reach(budget):
             return
+        plan = None if budget.is_late or self._is_walked else self._relaxed(budget)
+        if plan is not None:
+            yield plan, 0
         yield None, 0
         for plan in self._corrected(budget, first):
             yield plan, 0
@@ -124,6 +132,19 @@ class Finder:
         ending = homotopy.run(budget, self._ipopt_options(own.homotopy_tolerance), begin_at, stages.append, most_iterations)
         self._ending = self._reason(*ending)
         return stages[: -_STAGES - 1 : -1]
+
+    def _relaxed(self, budget: SolveBudget) -> Trajectory | None:
+        """The plan of relaxed complementarity, walked down from a loose bound: none of its forces acts at a distance.
+
+        Two fingers that carry a disc have no softplus plan after 348 iterations, and modes that have a plan are read off here after 121. Its own rules
+        limit the work of the walk; what is done with its plan may cost as much as a first one once more.
+        """
+        with load_method("relaxed_lcp").open(self._scene, {"first_eps": RELAXED_FROM}) as session:
+            found = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
+        budget.told(found)
+        self._is_walked = True
+        budget.most_work = min(self._most_work, budget.work + 0.5e6 * self._options.first_work)
+        return found.trajectory
 
     def _corrected(self, budget: SolveBudget, first: Trajectory | None) -> Iterator[Trajectory]:
         """Random inputs, and those of a plan, corrected to end on the goal through softplus contact that grows sharper."""

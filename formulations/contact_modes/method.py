@@ -101,10 +101,10 @@ def why_not(scene: Scene) -> str | None:
     if not scene.inputs:
         return without_inputs(scene, "plan")
     if scene.nf:
-        return f"scene {scene.name} has friction, and open and closed contacts alone do not say where it sticks; strict_lcp plans it."
+        return f"scene {scene.name} has friction, and open and closed contacts alone do not say where it sticks; best_exact and strict_lcp plan it."
     if scene.damped:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
-        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; strict_lcp plans it."
+        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; best_exact and strict_lcp plan it."
     try:
         for field, expression, _, _ in named_expressions(scene):  # what is smooth as it was written is so once it is derived
             check_smooth(scene, field, (expression,))

@@ -8,9 +8,9 @@ A mode sequence says for each contact in which intervals of steps it is closed. 
 Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first order: such pairs are switched before anything is
 tried. Then intervals that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the others
 intervals are repeated (a second push costs less than one twice as strong): none of the small moves gets there. With a stride of one step intervals are
-also merged, dropped, split and added. A move that helped is tried again at once. At last detours: an interval is dropped, or two are merged, although
-that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time. The search knows its problem by one question:
-is there a plan with these modes below this cost?
+also merged, dropped, split and added. A move that helped is tried again at once. At last detours: an interval is dropped, two are merged, or one is repeated,
+although that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time, or one becomes two where that pays
+only once the other contact has moved. The search knows its problem by one question: is there a plan with these modes below this cost?
 """
 
 from __future__ import annotations
@@ -200,6 +200,9 @@ _NEGATIVE = 1e-6  # a multiplier [cost per N] that is clearly not zero
 _ALONE = 20  # pairs that are switched one by one where switching them together does not help
 _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 20 are enough
 _STRETCH = 4  # of the longest stride: the first on a detour
+# Detours by a repetition: those that cost up to this part more, of these so many of the cheapest, each for so many plans before the best of them goes
+# on. Three carts moved by 0.6 m: two pushes on the left cost 1.4 and 2.2 % more than one, and less after one and two plans; 7.4 % less in the end.
+_DEARER, _REPEATED, _SHORT = 0.05, 3, 10
 
 
 Answer = TypeVar("Answer", bound=ModesAnswer)
@@ -271,23 +274,41 @@ class _Search(Generic[Answer]):
         return self._best
 
     def _detours(self, stride: int) -> bool:
-        """Whether one of the moves to fewer sequence, dearer as it may be, leads to a cheaper plan by shifts."""
+        """Whether a plan of fewer intervals, or of one repeated, dearer as it may be, leads to a cheaper one by shifts."""
         begin, sequence = self._best, mode_sequence(self._best.closed)
         for move in fewer(sequence):
-            moved = move.apply(sequence, self._steps)
-            if moved is None or self._is_over():
-                continue
-            self._tried += 1
-            start = self._improve(closed_steps(moved, self._steps), begin, np.inf)
-            if start is None:
-                continue
-            way = _Search(start, self._improve, self._is_over, _DETOUR)
-            end = way.shift(_STRETCH * stride)
-            self._tried += way.found(complete=True).tried
-            if end.cost < begin.cost - _GAIN * abs(begin.cost):
-                self._best = end
+            start = self._moved(move, sequence, np.inf)
+            if start is not None and self._taken(self._shifted(start, stride, _DETOUR), begin):
                 return True
-        return False
+        most = (1.0 + _DEARER) * begin.cost if begin.cost > 0.0 else np.inf
+        starts = [start for move in repetitions(sequence, self._steps) if (start := self._moved(move, sequence, most)) is not None]
+        ways = [self._shifted(start, stride, _SHORT) for start in sorted(starts, key=lambda start: start.cost)[:_REPEATED]]
+        if not ways:
+            return False
+        best = min(ways, key=lambda way: way.cost)
+        return self._taken(best, begin) or self._taken(self._shifted(best, stride, _DETOUR), begin)
+
+    def _moved(self, move: Move, sequence: ModeSequence, below: float) -> Answer | None:
+        """The plan of a sequence after a move, if it costs less than this."""
+        moved = move.apply(sequence, self._steps)
+        if moved is None or self._is_over():
+            return None
+        self._tried += 1
+        return self._improve(closed_steps(moved, self._steps), self._best, below)
+
+    def _shifted(self, start: Answer, stride: int, most: int) -> Answer:
+        """Where shifts lead from a plan while no more than so many others are tried."""
+        way = _Search(start, self._improve, self._is_over, most)
+        end = way.shift(_STRETCH * stride)
+        self._tried += way.found(complete=True).tried
+        return end
+
+    def _taken(self, end: Answer, begin: Answer) -> bool:
+        """Whether it is cheaper, and the best from now on."""
+        if not end.cost < begin.cost - _GAIN * abs(begin.cost):
+            return False
+        self._best = end
+        return True
 
     def _any(self, moves: Iterable[Move]) -> bool:
         """Whether one of the moves helped; each is tried for as long as it does."""

@@ -54,6 +54,13 @@ class RelaxedLCPOptions(BarrierOptions):
         lower=0.0,
         upper=1.0,
     )
+    first_eps: float = option(
+        0.0,
+        "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost",
+        unit="N^2",
+        lower=0.0,
+        upper=0.99,
+    )
 
 
 class RelaxedLCPSession(Session):
@@ -76,7 +83,9 @@ class RelaxedLCPSession(Session):
             outcome = Outcome.INFEASIBLE if failure.outcome is Outcome.INFEASIBLE else Outcome.STALLED
             return self._homotopy.not_tried(failure, outcome)
         budget = self._solver.begin(eps, warm_start, time_limit)
-        result = self._found(budget, eps, warm_start)
+        with self._homotopy.stage(budget) as stage:
+            first = max(eps, self._options.first_eps)
+            result, eps = stage.walk(eps, first, lambda first: self._found(stage, budget, first, warm_start))
         return self._homotopy.solution(budget, eps, warm_start, result)
 
     def _rules(self, eps: float) -> StageRules:
@@ -97,24 +106,22 @@ class RelaxedLCPSession(Session):
             takes_duals=eps <= options.duals_from,
             may_release_goal=False,
             sharpest=float(softest) * math.log(2.0) / math.sqrt(eps),
+            sharper=lambda factor: eps / factor**2,
             law=ContactLaw.RELU,
             plan_limits=plan_limits,
             promises=promises,
         )
 
-    def _found(self, budget: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
+    def _found(self, stage: Stage, budget: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve the model, which holds the start already."""
         if self._scene.task.steps <= self._longest or self._solver.last is not None:  # a later stage starts from a plan of this grid
-            with self._homotopy.stage(budget) as stage:
-                return self._reached_cold(stage, budget, eps) if start is None else stage.reach(eps, start)
+            return self._reached_cold(stage, budget, eps) if start is None else stage.reach(eps, start)
         on_coarser = SolveBudget(budget.remaining)
         coarse = self._from_coarser_grid(on_coarser, eps, start)
+        stage.include(on_coarser)
         if coarse is not None:
             self._solver.load(coarse)
-        with self._homotopy.stage(budget) as stage:
-            result = stage.reach(eps, start if coarse is None else coarse)
-        budget.include(on_coarser)
-        return result
+        return stage.reach(eps, start if coarse is None else coarse)
 
     def _from_coarser_grid(self, budget: SolveBudget, eps: float, start: Trajectory | None) -> Trajectory | None:
         """A plan of every second step, on this grid, or None if there is none."""
@@ -125,7 +132,8 @@ class RelaxedLCPSession(Session):
             session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
             start = None if start is None else on_grid(start, coarse)
             session._solver.prepare(eps, start)
-        session._found(budget, eps, start)
+        with session._homotopy.stage(budget) as stage:
+            session._found(stage, budget, eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 

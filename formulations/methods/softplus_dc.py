@@ -33,6 +33,9 @@ class SoftplusDCOptions(TranscriptionOptions):
         lower=0.0,
         upper=1.0,
     )
+    first_eps: float = option(
+        0.0, "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost", lower=0.0, upper=0.5
+    )
 
 
 class SoftplusDCSession(Session):
@@ -56,7 +59,7 @@ class SoftplusDCSession(Session):
             return self._homotopy.not_tried(failure, Outcome.STALLED)
         budget = self._homotopy.solver.begin(eps, warm_start, time_limit)
         with self._homotopy.stage(budget) as stage:
-            result = stage.reach(eps, warm_start)
+            result, eps = stage.walk(eps, max(eps, self._options.first_eps), lambda first: stage.reach(first, warm_start))
         return self._homotopy.solution(budget, eps, warm_start, result)
 
     def _rules(self, eps: float) -> StageRules:
@@ -69,6 +72,7 @@ class SoftplusDCSession(Session):
             takes_duals=eps <= options.duals_from,
             may_release_goal=scene.nc > 0 and scene.task.has_goal,
             sharpest=sharpness(eps, scene.length),
+            sharper=lambda factor: eps**factor,
             law=ContactLaw.SOFTPLUS,
             plan_limits=dict.fromkeys(("dynamics_defect", "contact_law", "regularised_friction"), _BROKEN),
             promises={**options.promises(), **dict.fromkeys(("contact_law", "regularised_friction"), options.plan_tolerance)},

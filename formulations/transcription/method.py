@@ -6,7 +6,7 @@ And which functions of SymPy have a form in Pyomo.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time
@@ -114,7 +114,7 @@ class StageRules:
     ipopt: options of every solve; cold: further ones for a start without a plan; cold_work, warm_work: of one solve, None: as much as `max_iter` says;
     takes_duals: whether a stage that follows another of the session starts with its multipliers too; may_release_goal: whether a cold start whose
     multipliers run away is begun again without its goal; sharpest: sharpness b [1/m] of softplus contact that goes as far from the true law as the
-    method's own contact; law: the contact law that the plan is held against; plan_limits: largest residuals of a last iterate that was not solved
+    method's own contact; sharper: the eps at which contact is sharper by a factor; law: the contact law that the plan is held against; plan_limits: largest residuals of a last iterate that was not solved
     and is handed on all the same; promises: largest residuals with which the outcome may be SOLVED.
     """
 
@@ -125,6 +125,7 @@ class StageRules:
     takes_duals: bool
     may_release_goal: bool
     sharpest: float
+    sharper: Callable[[float], float]
     law: ContactLaw
     plan_limits: Mapping[str, float]
     promises: Mapping[str, float]
@@ -205,6 +206,14 @@ class SolveBudget:
             solver=self.solver,
             history=self.columns,
         )
+
+    def told(self, found: Solution) -> None:
+        """What the stage of another method spent in this budget's time; its own rules limit its work."""
+        self.iterations += found.iterations
+        self.solver = self.solver or found.solver
+        for name in ("build", "translate", "evaluate", "linear_algebra"):
+            setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
+        self.history = {name: values + list(found.history.get(name, ())) for name, values in self.history.items()}
 
     @property
     def columns(self) -> dict[str, tuple[float, ...]]:

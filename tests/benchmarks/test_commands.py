@@ -80,6 +80,7 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("rejudge", "."), "there is no campaign in this folder"),
         (("report", "no_such_folder"), "there is no campaign in this folder"),
         (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
+        (("plans", "--only", "nobody"), "no scene or task has 'nobody' in its name"),
     ],
 )
 def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, tmp_path):

@@ -92,6 +92,27 @@ def test_two_pushes_become_one() -> None:
 
 
 @pytest.mark.slow
+def test_one_push_becomes_two_though_that_is_dearer_at_first() -> None:
+    """Moved by 0.6 m, one push on the left costs 630.7, and so do all that repeat it until the right cart comes later."""
+    scene = SCENE.with_task(goal=(2.6, 3.6, 4.6, 0.0, 0.0, 0.0))
+    solution = solved(scene)
+    check(solution, scene)
+    assert solution.cost is not None
+    assert solution.cost <= 584.19
+    assert solution.trajectory is not None
+    assert [len(row) for row in mode_sequence(solution.trajectory.lam > 0)] == [2, 1]
+
+
+@pytest.mark.slow
+def test_where_softplus_contact_leads_nowhere_relaxed_contact_does() -> None:
+    """Two fingers carry a disc: no softplus plan within half of `first_work`."""
+    solution = solved(load_scene("two_finger"))
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert solution.cost is not None
+    assert solution.cost <= 45.62
+
+
+@pytest.mark.slow
 def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
     """The modes of the coarser grid touch at three steps, with multipliers of -5.9 at least."""
     scene = SCENE.with_task(steps=620, step=5.0 / 620)

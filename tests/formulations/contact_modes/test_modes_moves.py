@@ -226,3 +226,54 @@ def test_the_search_takes_a_detour_to_fewer_intervals() -> None:
         landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)), landscape.improve, stride=2, is_over=lambda: False, far=False
     )
     assert near.best.cost == 5.0
+
+
+def pushes(closed: np.ndarray) -> Plan:
+    """One push costs 10 at (30, 36); two cost 10.4 beside a second contact at (60, 66), and 6 where that has moved on to (80, 86)."""
+    left, right = mode_sequence(closed)
+    cost = 1e3
+    if len(right) == 1 and len(left) in (1, 2):
+        place = 60 if len(left) == 1 else 80
+        base = 10.0 if len(left) == 1 else 6.0
+        cost = base + 0.22 * abs(right[0][0] - place) / 2 + 0.22 * abs(right[0][1] - place - 6) / 2 + 5.0 * (left[0] != (30, 36))
+        cost += 0.001 * abs(left[-1][0] - 45) + 0.001 * abs(left[-1][1] - 51) if len(left) == 2 else 0.0
+    return Plan(closed, cost, np.zeros(closed.shape), np.zeros(closed.shape))
+
+
+def test_the_search_takes_a_detour_to_more_intervals() -> None:
+    """A repetition is dearer until the other contact has moved; what it leads to is cheaper than where the search stood."""
+    asked: list[float] = []
+
+    def improve(closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
+        plan = pushes(closed)
+        asked.append(plan.cost)
+        return plan if plan.cost < below else None
+
+    one = pushes(closed_steps((((30, 36),), ((60, 66),)), 150))
+    assert one.cost == 10.0
+    assert (
+        min(
+            pushes(closed_steps(moved, 150)).cost
+            for move in repetitions(mode_sequence(one.closed), 150)
+            if (moved := move.apply(mode_sequence(one.closed), 150))
+        )
+        > 10.0
+    )
+    found = search_sequences(one, improve, stride=2, is_over=lambda: False)
+    assert found.complete
+    assert mode_sequence(found.best.closed) == (((30, 36), (45, 51)), ((80, 86),))
+    assert found.tried == len(asked)
+
+
+def test_detours_keep_to_what_may_be_tried() -> None:
+    asked: list[float] = []
+
+    def improve(closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
+        asked.append(below)
+        plan = pushes(closed)
+        return plan if plan.cost < below else None
+
+    one = pushes(closed_steps((((30, 36),), ((60, 66),)), 150))
+    found = search_sequences(one, improve, stride=2, is_over=lambda: len(asked) >= 30)
+    assert not found.complete
+    assert len(asked) == 30

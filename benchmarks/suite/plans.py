@@ -1,0 +1,153 @@
+"""`plans`: exact plans by every pipeline that ends in one, on scenes with friction and on random rows of carts: outcome, cost, iterations, CPU seconds.
+
+A task is n = 3, 4, 5, 6, 3, .. carts (`cart_chain`) at random places, at rest. Its goal is where random pushes of both ends inwards, that press every
+contact for less than half of the time and stop after 4 of 5 s, have led: it can be reached for certain, and what is not solved is a failure.
+`above` is how much more a plan costs than the cheapest that a pipeline found, as a part of it.
+"""
+
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.options import POSITIVE, out_option
+from benchmarks.records import Table
+from benchmarks.results import store_tables
+from formulations.pipelines import find_pipeline, pipeline_names, solve_stages
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.scene import Scene
+from models.scenes.cart_chain import LENGTH, cart_chain
+
+EXACT = ("strict", "relaxed+strict", "softplus_dc+strict", "mpcc", "best_exact")
+SCENES = ("transport", "hopper_planar", "push_box", "two_finger", "two_finger_lift")
+_STEPS, _SECONDS = 300, 5.0
+_PUSHED, _PIECES = 240, 8  # steps with pushes, of so many sizes
+_MEAN, _SPREAD = 3.0, 5.0  # [N]
+_LEFT = 1e-6  # of rows and products of the reference: with more it is no exact plan
+_COLUMNS = ("outcome", "verdict", "cost", "above", "iterations", "cpu")
+
+
+def task(seed: int) -> Scene:
+    """See the module docstring."""
+    n = 3 + seed % 4
+    random = np.random.default_rng((seed, n))
+    start = np.concatenate([2.0 + np.concatenate([[0.0], np.cumsum(LENGTH + random.uniform(0.05, 0.5, n - 1))]), np.zeros(n)])
+    scene = cart_chain(n).with_task(start=tuple(start), steps=_STEPS, step=_SECONDS / _STEPS)
+    kernel, pieces = load_kernel(scene), np.arange(_PUSHED) * _PIECES // _PUSHED
+    while True:
+        u = np.zeros((_STEPS, 2))
+        u[:_PUSHED] = np.array([_MEAN, -_MEAN]) + random.uniform(-_SPREAD, _SPREAD, (_PIECES, 2))[pieces]
+        rollout = kernel.rollout(start, u, scene.task.step)
+        pressed = rollout.lam > 0.0
+        if pressed.any(axis=0).all() and pressed.mean() < 0.5:
+            return scene.with_task(goal=(*map(float, rollout.q[-1]), *map(float, rollout.v[-1])))
+
+
+def rows(tasks: int, only: str) -> Iterator[tuple[str, Scene]]:
+    """The scenes and tasks whose names contain this text."""
+    for name in SCENES:
+        if only in name:
+            yield name, load_scene(name)
+    for seed in range(tasks):
+        scene = task(seed)
+        name = f"{scene.nq} carts, {seed}"
+        if only in name:
+            yield name, scene
+
+
+def solved(name: str, scene: Scene, pipeline: str, time_limit: float, judged: bool) -> dict[str, Any]:
+    """What a pipeline finds, in this process."""
+    begin = process_time()
+    stages = list(solve_stages(scene, find_pipeline(pipeline), time_limit=time_limit))
+    last, seconds = stages[-1], process_time() - begin
+    row = {"row": name, "pipeline": pipeline, "outcome": last.outcome.name, "cost": last.cost, "cpu": seconds}
+    row["iterations"] = sum(stage.iterations for stage in stages)
+    if judged and last.trajectory is not None:
+        from validate.judge.judgement import judge
+
+        row["verdict"] = judge(scene, last.trajectory).verdict.value
+    return row
+
+
+def reference(name: str, scene: Scene) -> dict[str, Any]:
+    """What CasADi finds: products bounded by ever smaller eps, from our softplus plan."""
+    import casadi as ca
+    import pyomo.environ as pyo
+
+    from benchmarks.mpec.program import of_pyomo
+    from benchmarks.mpec.solvers import casadi_scholtes
+    from formulations.transcription.build import build_model, load_plan
+
+    begin = process_time()
+    start = list(solve_stages(scene, find_pipeline("softplus_dc+strict")))[-2].trajectory
+    model: Any = build_model(scene)
+    if start is not None:
+        load_plan(model, start)
+    program, variables = of_pyomo(model)
+    x = casadi_scholtes(program, lambda point: None)
+    for variable, value in zip(variables, x, strict=True):
+        variable.set_value(value, skip_validation=True)
+    function = ca.Function("left", [program.x], [program.rows, program.first * program.second])
+    rows, products = (np.array(part).ravel() for part in function(x))
+    left = max(np.maximum(program.rows_lower - rows, rows - program.rows_upper).max(), products.max(initial=0.0))
+    outcome = Outcome.SOLVED if left <= _LEFT else Outcome.STALLED
+    return {
+        "row": name,
+        "pipeline": "casadi",
+        "outcome": outcome.name,
+        "cost": pyo.value(model.objective_cost),
+        "cpu": process_time() - begin,
+    }
+
+
+def compared(found: Sequence[dict[str, Any]]) -> None:
+    """Write `above` into the rows of one scene."""
+    costs = [row["cost"] for row in found if row["outcome"] == Outcome.SOLVED.name]
+    for row in found:
+        if costs and row["outcome"] == Outcome.SOLVED.name:
+            row["above"] = row["cost"] / min(costs) - 1.0
+
+
+@click.command()
+@click.option("--only", default="", metavar="TEXT", help="Scenes and tasks whose name contains this text.")
+@click.option(
+    "--pipeline", "pipelines", multiple=True, type=click.Choice(pipeline_names()), metavar="NAME", help="Instead of all exact ones."
+)
+@click.option("--tasks", type=click.IntRange(min=0), default=20, show_default=True, help="Random rows of carts.")
+@click.option("--time-limit", type=POSITIVE, default=600.0, show_default=True, metavar="SECONDS", help="Wall time, for a row.")
+@click.option("--casadi", "with_casadi", is_flag=True, help="Beside CasADi, from our softplus plan, for the rows of carts.")
+@click.option("--judge", "judged", is_flag=True, help="Replay the plans of the scenes and judge them.")
+@out_option
+def command(only: str, pipelines: tuple[str, ...], tasks: int, time_limit: float, with_casadi: bool, judged: bool, out: Path) -> int:
+    """Exact plans by every pipeline, on scenes with friction and on random rows of carts."""
+    runs: list[dict[str, Any]] = []
+    for name, scene in rows(tasks, only):
+        found = []
+        for pipeline in pipelines or EXACT:
+            found.append(solved(name, scene, pipeline, time_limit, judged and name in SCENES))
+            click.echo(f"{name} x {pipeline}: {found[-1]['outcome']}, {found[-1]['cost']}, {found[-1]['cpu']:.1f} CPU s", err=True)
+        if with_casadi and name not in SCENES:
+            found.append(reference(name, scene))
+        compared(found)
+        runs += found
+    if not runs:
+        raise click.UsageError(f"no scene or task has {only!r} in its name; there are {', '.join(SCENES)}, '3 carts, 0' ..")
+    done = {name: [row for row in runs if row["pipeline"] == name] for name in dict.fromkeys(row["pipeline"] for row in runs)}
+    told = Table(
+        caption="; ".join(
+            f"{name}: {sum(row['outcome'] == Outcome.SOLVED.name for row in its)} of {len(its)} solved" for name, its in done.items()
+        ),
+        columns=("row", "pipeline", *_COLUMNS),
+        rows=tuple((row["row"], row["pipeline"], *(row.get(name) for name in _COLUMNS)) for row in runs),
+    )
+    store_tables(out, "plans", "Exact plans by every pipeline", (__doc__ or "").split("\n\n")[0], [told], runs)
+    return 0
