@@ -43,6 +43,9 @@ _DELTA = 1e-9
 # A refined point is the same solution: its objective may differ by this (relative to max(1, |objective|)), and each step by _LONGEST.
 _SAME, _LONGEST = 1e-5, 1e-1
 _GOOD_ENOUGH = 1e-13
+_STAYS_FEASIBLE = 1e-9
+# Where more than this is left and the objective is flatter than _FLAT, Ipopt's tolerance was too loose for it: once more with a tighter one.
+_UNREFINED, _FLAT, _TIGHTEST = 1e-6, 1e-1, 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,15 +61,21 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands."""
     best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
     limit = _SAME * max(1.0, abs(result.objective))
+    feasible = max(_STAYS_FEASIBLE, problem.violation(result.x))  # slopes are of the objective's unit: what they gain is no price for feasibility
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier)
-        if candidate is None or not candidate.error < best.error:
+        if candidate is None or not candidate.error < best.error or problem.violation(candidate.x) > feasible:
             continue
         if abs(problem.sense * problem.objective(candidate.x) - result.objective) <= limit:
             best = candidate
         if best.error <= _GOOD_ENOUGH:
             break
     return best
+
+
+def slope_size(problem: IpoptProblem, x: np.ndarray) -> float:
+    """Largest derivative of the objective at x (n,) [objective per variable]. Raises nothing."""
+    return float(np.max(np.abs(problem.gradient(x)), initial=0.0))
 
 
 def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
@@ -83,7 +92,7 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> fl
     off_low = ~equal & (lagrange < 0) & (g - problem.constraint_lower > 1e-10)
     off_high = ~equal & (lagrange > 0) & (problem.constraint_upper - g > 1e-10)
     loose = np.abs(lagrange[off_low | off_high])
-    scale = max(1.0, float(np.max(np.abs(problem.gradient(x)), initial=0.0)))
+    scale = max(1.0, slope_size(problem, x))
     worst = max(float(np.max(wrong, initial=0.0)), float(np.max(loose, initial=0.0))) / scale
     error = max(problem.violation(x), worst)
     return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
@@ -94,9 +103,11 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
 
+    size = min(1.0, slope_size(problem, x))
+
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
         """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]. Raises nothing."""
-        return (gap <= near) & ((multiplier > gap) | (gap <= 1e-12)) if by_multiplier else gap <= near
+        return (gap <= near) & ((multiplier > gap * size) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)
     at_high = active(high - x, result.zu) & ~at_low
@@ -238,7 +249,7 @@ class Branching:
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
             for start in starts:
                 if self._budget.is_over:
-                    return best, Outcome.TIME_LIMIT
+                    return best, Outcome.TIME_LIMIT if self._budget.is_late else Outcome.ITERATION_LIMIT
                 branch = self._solve_anew(np.array(closed), start)
                 assert self.last is not None
                 outcomes.add(self.last.outcome)
@@ -334,7 +345,7 @@ class Branching:
         usable = result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible)
         if not usable:
             return None
-        better = refined(problem, result)
+        better = self._refined(problem, result, options)
         x = better.x
         first, second = columns.pair_values(x)
         slope = _bound_multipliers(columns, x, better.lagrange)
@@ -347,6 +358,16 @@ class Branching:
             multipliers=slope[held],
             slope=slope,
         )
+
+    def _refined(self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]) -> Refined:
+        better = refined(problem, result)
+        size = slope_size(problem, better.x)
+        if better.error <= _UNREFINED or not 0.0 < size < _FLAT or self._budget.is_over:
+            return better
+        tight = {**options, "tol": max(_TIGHTEST, options["tol"] * size**2)}
+        scaled = self._budget.run(problem, tight, Start(x=better.x))
+        again = refined(problem, scaled) if scaled.solved else better
+        return again if again.error < better.error else better
 
 
 def _bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:

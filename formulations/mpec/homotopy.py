@@ -77,8 +77,12 @@ class Workspace:
         self.strategy.set(self.lifted, eps)
         self.relaxed.problem.refresh(check=False)
 
-    def start(self) -> np.ndarray:
-        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+    def start(self, number: int = 0) -> np.ndarray:
+        """A start in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+
+        Parameters
+        ----------
+        number : 0 for the user's values; else the seed of a random point around them
 
         Returns
         -------
@@ -93,6 +97,8 @@ class Workspace:
         x, _ = problem.start()
         for k in np.flatnonzero(~np.isfinite(x)):
             raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
+        if number:
+            x = _random_start(problem, x, np.random.default_rng(number))
         settle(problem, x, self._slacks())
         return x
 
@@ -108,6 +114,16 @@ class Workspace:
 
     def _slacks(self) -> list[Any]:
         return [*self.lifted.shadow.slack.values(), *(pair.first for pair in self.lifted.pairs)]
+
+
+def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A point (n,) around x: uniform between two finite bounds, else normal with the size of x; never beyond a bound."""
+    low, high = problem.lower, problem.upper
+    around = np.clip(x + np.maximum(1.0, np.abs(x)) * random.normal(size=len(x)), low, high)
+    share = random.uniform(size=len(x))
+    boxed = np.isfinite(low) & np.isfinite(high)
+    around[boxed] = low[boxed] + share[boxed] * (high - low)[boxed]
+    return around
 
 
 def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
@@ -177,12 +193,16 @@ class PathPoint:
 
 
 class WorkBudget:
-    """Time and iterations of a whole solve; `remaining` is None where there is no limit."""
+    """Time and iterations of a whole solve; `remaining` is None where there is no limit.
+
+    most_iterations: of Ipopt, in all; infinite until a first answer is there
+    """
 
     def __init__(self, limit: float | None) -> None:
         if limit is not None and not limit > 0:
             raise ValueError(f"the time limit is a positive number of seconds, not {limit!r}")
         self._deadline = None if limit is None else time.perf_counter() + limit
+        self.most_iterations = math.inf
         self.iterations = 0
         self.solves = 0
 
@@ -192,12 +212,19 @@ class WorkBudget:
         return None if self._deadline is None else max(1e-3, self._deadline - time.perf_counter())
 
     @property
-    def is_over(self) -> bool:
+    def is_late(self) -> bool:
         """Whether the time is over."""
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the time or the iterations are used up."""
+        return self.is_late or self.iterations >= self.most_iterations
+
     def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
-        """Solve within the time that is left, and count the iterations."""
+        """Solve within the time and the iterations that are left, and count them."""
+        if math.isfinite(self.most_iterations):
+            options = {**options, "max_iter": int(min(options["max_iter"], max(1.0, self.most_iterations - self.iterations)))}
         result = solve(problem, options=options, warm_start=start, time_limit=self.remaining)
         self.iterations += result.iterations
         self.solves += 1

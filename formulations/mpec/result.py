@@ -45,7 +45,7 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
 
 def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
-    if budget.is_over:
+    if budget.is_late:
         return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
     if outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
@@ -69,10 +69,37 @@ class Candidate:
         return self.work.relaxed if self.branch is None and self.point is not None else self.work.branches
 
     @property
+    def sense(self) -> int:
+        """1 where the objective is minimised, -1 where it is maximised."""
+        return self.work.branches.problem.sense
+
+    @property
+    def objective(self) -> float:
+        """Of the point, in the model's own sense, without a strategy's penalty; NaN without a point."""
+        if self.branch is not None:
+            return self.branch.objective
+        return math.nan if self.point is None else self.sense * self.work.branches.problem.objective(self.work.branch_point(self.point.x))
+
+    @property
     def x(self) -> np.ndarray | None:
         """Where the point is (columns,) [units of the variables]; None if there is none. Raises nothing."""
         found = self.branch or self.point
         return None if found is None else found.x
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """What one strategy found from one start (0: the user's, else the seed).
+
+    objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was found; only points that are better than those of the
+    attempts before are certified, and SOLVED is withdrawn where the certificate says no
+    """
+
+    strategy: str
+    start: int
+    outcome: Outcome
+    objective: float
+    iterations: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +123,8 @@ class MpecResult:
     variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
     (n,): of bounds; all NaN where there are none
     polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
-    to the point; residual: largest min of a pair; steps: the path; certificate: recomputed from the model (None if switched off)
+    to the point; residual: largest min of a pair; attempts: what each strategy and start found, the answer is the best; steps: their paths
+    certificate: recomputed from the model (None if switched off)
     """
 
     outcome: Outcome
@@ -114,6 +142,7 @@ class MpecResult:
     has_multipliers: bool
     residual: float
     pairs: tuple[PairState, ...]
+    attempts: tuple[Attempt, ...] = ()
     steps: tuple[Step, ...] = ()
     iterations: int = 0
     solves: int = 0
@@ -126,6 +155,12 @@ class MpecResult:
     def solved(self) -> bool:
         """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
+
+    @property
+    def spread(self) -> float:
+        """Between the best and the worst objective of the attempts that found a solution [units of the objective]; 0 for one."""
+        found = [attempt.objective for attempt in self.attempts if attempt.outcome is Outcome.SOLVED]
+        return max(found) - min(found) if found else 0.0
 
     @property
     def has_point(self) -> bool:
@@ -171,11 +206,6 @@ def result_of(
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
     lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
-    objective = math.nan
-    if branch is not None:
-        objective = branch.objective
-    elif candidate.point is not None:
-        objective = _user_objective(candidate, candidate.point.x)
     if branch is not None and with_multipliers:
         given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
         lagrange = np.array([given.get(id(row), 0.0) for row in rows])
@@ -194,8 +224,8 @@ def result_of(
         lagrange=lagrange,
         zl=zl,
         zu=zu,
-        sense=work.branches.problem.sense,
-        objective=objective,
+        sense=candidate.sense,
+        objective=candidate.objective,
         has_objective=work.branches.problem.layout.objective is not None,
         polished=branch is not None,
         has_multipliers=with_multipliers,
@@ -267,9 +297,3 @@ def _own(candidate: Candidate) -> set[int]:
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:
     rows = candidate.work.lifted.shadow.component("user_rows")
     return () if rows is None else tuple(rows.values())
-
-
-def _user_objective(candidate: Candidate, x: np.ndarray) -> float:
-    """The user's objective (without a strategy's penalty) at a point of the relaxation."""
-    problem = candidate.work.branches.problem
-    return problem.sense * problem.objective(candidate.work.branch_point(x))

@@ -57,9 +57,13 @@ def _replace_objective(shadow: Any, penalty: Any) -> None:
 
 
 class Scholtes(Strategy):
-    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0."""
+    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0.
+
+    It starts where pairs hardly bind, and so from what the rest of the problem would like best.
+    """
 
     name = "scholtes"
+    first = 1e3
 
     def attach(self, lifted: Lifted) -> None:
         """Products at most `mpec_bound`."""
@@ -181,7 +185,10 @@ FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 class MpecSettings:
     """How an MPEC is solved.
 
-    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
+    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best certified answer
+    starts: so many starts: the model's values, then random points around them, by seed; all strategies from each
+    work: Ipopt's iterations for what comes after the first success, as a multiple of those up to there; None: 1 a start with at most `search` pairs,
+    else 3; 0: the first success is the answer
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
@@ -192,6 +199,8 @@ class MpecSettings:
     """
 
     strategy: str = "auto"
+    starts: int = 1
+    work: float | None = None
     eps_start: float | None = None
     eps_end: float | None = None
     complementarity_tolerance: float = 1e-6
@@ -242,7 +251,7 @@ def _checked(name: str, value: Any) -> Any:
         if not isinstance(value, (bool, str)) or value not in words:
             raise UnknownOptionError(f"the option '{name}' is True or False, not {value!r}")
         return words[value]
-    if value is None and name in ("eps_start", "eps_end"):
+    if value is None and name in ("eps_start", "eps_end", "work"):
         return None
     return _number(name, value)
 
@@ -252,10 +261,12 @@ def _number(name: str, value: Any) -> float | int:
         number = float(value)
     except (TypeError, ValueError):
         raise UnknownOptionError(f"the option '{name}' is a number, not {value!r}") from None
-    if name in ("max_biactive", "search", "step_iterations"):
-        if isinstance(value, bool) or number < 0 or not number.is_integer():
-            raise UnknownOptionError(f"the option '{name}' is a whole number of at least 0, not {value!r}")
+    if name in ("max_biactive", "search", "step_iterations", "starts"):
+        least = int(name == "starts")
+        if isinstance(value, bool) or number < least or not number.is_integer():
+            raise UnknownOptionError(f"the option '{name}' is a whole number of at least {least}, not {value!r}")
         return int(number)
-    if isinstance(value, bool) or not 0.0 < number < math.inf:
-        raise UnknownOptionError(f"the option '{name}' is a positive number, not {value!r}")
+    if isinstance(value, bool) or not 0.0 <= number < math.inf or (number == 0.0 and name != "work"):
+        kind = "a number of at least 0" if name == "work" else "a positive number"
+        raise UnknownOptionError(f"the option '{name}' is {kind}, not {value!r}")
     return number
