@@ -57,13 +57,21 @@ class Refined:
     error: float
 
 
-def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
-    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands."""
-    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
+def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Refined:
+    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands.
+
+    Raises nothing.
+
+    Parameters
+    ----------
+    problem, result : a problem, and where Ipopt ended
+    size : of the objective's derivatives, by which errors are measured where those at the point are smaller [objective per variable]
+    """
+    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange, size))
     limit = _SAME * max(1.0, abs(result.objective))
     feasible = max(_STAYS_FEASIBLE, problem.violation(result.x))  # slopes are of the objective's unit: what they gain is no price for feasibility
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
-        candidate = _newton(problem, result, near, by_multiplier)
+        candidate = _newton(problem, result, near, by_multiplier, size)
         if candidate is None or not candidate.error < best.error or problem.violation(candidate.x) > feasible:
             continue
         if abs(problem.sense * problem.objective(candidate.x) - result.objective) <= limit:
@@ -78,7 +86,15 @@ def slope_size(problem: IpoptProblem, x: np.ndarray) -> float:
     return float(np.max(np.abs(problem.gradient(x)), initial=0.0))
 
 
-def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
+def _size_of_slopes(problem: IpoptProblem, x: np.ndarray) -> float:
+    """Largest derivative of the objective at x (n,) and a step of max(1, |x|) from it on either side; 1 at most, and where there is none."""
+    step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
+    sizes = [slope_size(problem, point) for point in (x, x + step, x - step)]
+    found = max((size for size in sizes if np.isfinite(size)), default=0.0)
+    return min(1.0, found) if found > 0.0 else 1.0
+
+
+def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size: float) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
     low, high = problem.lower, problem.upper
     slope = problem.lagrangian_gradient(x, lagrange)
@@ -92,13 +108,13 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> fl
     off_low = ~equal & (lagrange < 0) & (g - problem.constraint_lower > 1e-10)
     off_high = ~equal & (lagrange > 0) & (problem.constraint_upper - g > 1e-10)
     loose = np.abs(lagrange[off_low | off_high])
-    scale = max(1.0, slope_size(problem, x))
+    scale = max(size, slope_size(problem, x))
     worst = max(float(np.max(wrong, initial=0.0)), float(np.max(loose, initial=0.0))) / scale
     error = max(problem.violation(x), worst)
     return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
 
 
-def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool) -> Refined | None:
+def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool, floor: float) -> Refined | None:
     """Newton on what is active if everything within `near` of its limit is (and, by_multiplier, pulls harder than it is far)."""
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
@@ -132,7 +148,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         y[rows] = step[len(free) :]
         if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (1 + np.max(np.abs(x), initial=0.0)):
             break
-    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y))
+    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y, floor))
 
 
 def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray, rows: np.ndarray, target: np.ndarray) -> np.ndarray | None:
@@ -186,12 +202,13 @@ class Branch:
 class Branching:
     """The branches of one problem: each solved at most once from a point of the relaxation, and improved pair by pair."""
 
-    def __init__(self, work: Workspace, settings: MpecSettings, budget: WorkBudget) -> None:
+    def __init__(self, work: Workspace, start: np.ndarray, settings: MpecSettings, budget: WorkBudget) -> None:
         self._work, self._settings, self._budget = work, settings, budget
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
         self.unbounded = False  # whether some branch turned out to be
+        self._size = _size_of_slopes(work.branches.problem, work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
         """The best branch reached from a point of the relaxation; None if the branch read off has no solution.
@@ -360,13 +377,13 @@ class Branching:
         )
 
     def _refined(self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]) -> Refined:
-        better = refined(problem, result)
-        size = slope_size(problem, better.x)
+        better = refined(problem, result, self._size)
+        size = min(self._size, slope_size(problem, better.x))
         if better.error <= _UNREFINED or not 0.0 < size < _FLAT or self._budget.is_over:
             return better
         tight = {**options, "tol": max(_TIGHTEST, options["tol"] * size**2)}
         scaled = self._budget.run(problem, tight, Start(x=better.x))
-        again = refined(problem, scaled) if scaled.solved else better
+        again = refined(problem, scaled, self._size) if scaled.solved else better
         return again if again.error < better.error else better
 
 

@@ -55,6 +55,8 @@ logger = logging.getLogger(__name__)
 # The pairs are decided early where two steps in a row agree on all of them, below this eps; the branch is believed where it is strongly
 # stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
+# A step whose multipliers do not fit has decided the pairs where their smaller sides are below this.
+_DECIDED = 1e-6
 # Multipliers with a larger residual (relative) are not handed out.
 _WRONG_MULTIPLIERS = 1e-4
 # What counts as a better objective, relative to max(1, |objective|).
@@ -178,7 +180,7 @@ def _run_strategy(
     lifted = lift(model)
     work = Workspace(lifted, strategy)
     start = work.start(number)
-    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, settings, budget)
+    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, start, settings, budget)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
     if not lifted.pairs:
@@ -192,7 +194,7 @@ def _run_strategy(
         closed = first < second
         clear = before is not None and np.array_equal(closed, before)
         before = closed
-        if settings.polish and last.eps <= _EARLY_EPS and clear and last.result.solved:
+        if settings.polish and last.eps <= _EARLY_EPS and clear and (last.result.solved or natural_residual(first, second) <= _DECIDED):
             branch = branching.polish(last.x)
             if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
                 break

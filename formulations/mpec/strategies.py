@@ -28,13 +28,14 @@ class Strategy(ABC):
     """A way to make all pairs smooth.
 
     name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
-    the multipliers of the step before
+    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w
     """
 
     name: str
     first: float = 1.0
     last: float = 1e-9
     warm_below: float = 1e-4
+    bounds_products: bool = False
 
     @abstractmethod
     def attach(self, lifted: Lifted) -> None:
@@ -64,6 +65,7 @@ class Scholtes(Strategy):
 
     name = "scholtes"
     first = 1e3
+    bounds_products = True
 
     def attach(self, lifted: Lifted) -> None:
         """Products at most `mpec_bound`."""
