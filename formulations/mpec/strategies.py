@@ -201,10 +201,10 @@ class MpecSettings:
     """
 
     strategy: str = "auto"
-    starts: int = 1
-    work: float | None = None
     eps_start: float | None = None
     eps_end: float | None = None
+    starts: int = 1
+    work: float | None = None
     complementarity_tolerance: float = 1e-6
     polish: bool = True
     certificate: bool = True
