@@ -32,15 +32,16 @@ import logging
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
 from pyomo.common.collections import Bunch
-from pyomo.common.tee import capture_output
+from pyomo.common.tee import TeeStream, capture_output
 from pyomo.core.base import Block, Suffix
 from pyomo.core.base.label import NumericLabeler
 from pyomo.core.base.symbol_map import SymbolMap
@@ -107,6 +108,7 @@ class PyomoAnswer:
 
     is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`, None for no point that is worth loading
     multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
+    pair_multipliers: (complementarity, (of its first argument, of its second)), in the same signs
     """
 
     outcome: Outcome
@@ -121,6 +123,7 @@ class PyomoAnswer:
     multipliers: tuple[np.ndarray, np.ndarray, np.ndarray] | None
     iterations: int
     wall: float
+    pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
     @property
     def condition(self) -> tuple[SolverStatus, TerminationCondition]:
@@ -157,13 +160,15 @@ class PyomoAnswer:
         if self.x is None:
             return
         write_point(self.variables, self.x)
-        components = (("dual", self.equations), ("ipopt_zL_out", self.variables), ("ipopt_zU_out", self.variables))
-        for k, (name, owners) in enumerate(components):
+        found: dict[str, Any] = dict.fromkeys(("dual", "ipopt_zL_out", "ipopt_zU_out"), ())
+        if self.multipliers is not None:
+            owners = (self.equations, self.variables, self.variables)
+            found = {name: zip(owner, values.tolist(), strict=True) for name, owner, values in zip(found, owners, self.multipliers, strict=True)}
+        for name, values in {**found, "pair_dual": self.pair_multipliers}.items():
             suffix = model.component(name)
             if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
                 suffix.clear()
-                if self.multipliers is not None:
-                    suffix.update(zip(owners, self.multipliers[k].tolist(), strict=True))
+                suffix.update(values)
 
     def carry(self, results: SolverResults) -> SolverResults:
         """The same results with the point in them, for `model.solutions.load_from(results)`."""
@@ -273,9 +278,10 @@ class PyomoPlugin(ABC):
         warmstart: bool = False,
         options: Mapping[str, Any] | None = None,
         options_string: str = "",
+        logfile: str | Path | None = None,
         **ignored: Any,
     ) -> SolverResults:
-        """Translate, solve and (by default) load.
+        """Translate, solve and (by default) load. `logfile` takes Ipopt's log, and how it ended.
 
         As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt leaves the model as it was.
 
@@ -285,6 +291,8 @@ class PyomoPlugin(ABC):
             for what cannot be treated, before anything runs
         ValueError
             for a result that is an error, unless load_solutions is False
+        OSError
+            for a log file that cannot be written
         """
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:
@@ -296,10 +304,17 @@ class PyomoPlugin(ABC):
         self.last_result = None
         chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}
         chosen.pop("solver", None)
-        if tee:
-            chosen.setdefault("print_level", 5)
-        with capture_output(sys.stdout, capture_fd=True) if tee else nullcontext():
-            results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+        with ExitStack() as stack:
+            log = None if logfile is None else stack.enter_context(Path(logfile).open("w", encoding="utf-8"))
+            streams = [stream for stream in (sys.stdout if tee else None, log) if stream is not None]
+            if streams:
+                chosen.setdefault("print_level", 5)
+                with capture_output(TeeStream(*streams), capture_fd=True):
+                    results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+            else:
+                results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+            if log is not None:
+                log.write(f"{self.title}: {answer.message}\n")
         if not load_solutions:
             return answer.carry(results)
         if results.solver.status == SolverStatus.error:

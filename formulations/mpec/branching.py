@@ -123,7 +123,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
         """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]. Raises nothing."""
-        return (gap <= near) & ((multiplier > gap * size) | (gap <= 1e-12)) if by_multiplier else gap <= near
+        return (gap <= near) & ((multiplier > size * np.minimum(gap, near)) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)
     at_high = active(high - x, result.zu) & ~at_low

@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
+from pyomo.core.base.var import VarData
+from pyomo.core.expr import value
 
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
+from formulations.mpec.lifted import relation_of
 from formulations.mpec.strategies import MpecSettings
 from formulations.solution import Outcome
 
@@ -123,7 +126,8 @@ class MpecResult:
     variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
     (n,): of bounds; all NaN where there are none
     polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
-    to the point; residual: largest min of a pair; attempts: what each strategy and start found, the answer is the best; steps: their paths
+    to the point; residual: largest min of a pair; pair_multipliers: (complementarity, (of its first argument, of its second)), the change of the
+    objective when what the argument is compared with grows; attempts: what each strategy and start found, the answer is the best; steps: their paths
     certificate: recomputed from the model (None if switched off)
     """
 
@@ -142,6 +146,7 @@ class MpecResult:
     has_multipliers: bool
     residual: float
     pairs: tuple[PairState, ...]
+    pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
     attempts: tuple[Attempt, ...] = ()
     steps: tuple[Step, ...] = ()
     iterations: int = 0
@@ -231,6 +236,7 @@ def result_of(
         has_multipliers=with_multipliers,
         residual=residual,
         pairs=() if x is None else _pair_states(candidate, x, with_multipliers),
+        pair_multipliers=_pair_multipliers(candidate) if with_multipliers else (),
         certificate=certificate,
         options=MappingProxyType({
             **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
@@ -285,6 +291,23 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
             if sign:
                 add(pair.condition, argument, sign * multiplier)
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
+
+
+def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, float]], ...]:
+    """Of each complementarity, in the model's own sense; a side that is a variable's own bound once more has the multiplier of that bound too."""
+    found = multipliers_of(candidate)
+    told = []
+    for condition, sides in found.pairs.items():
+        both = list(sides)
+        for k, side in enumerate(condition._args):
+            lower, body, upper = relation_of(side, condition)
+            z = found.bounds.get(body, 0.0) if isinstance(body, VarData) else 0.0
+            bound, own = (lower, body.lb) if z > 0.0 else (upper, body.ub) if z < 0.0 else (None, None)
+            if bound is not None and value(bound) == own:
+                both[k] += z
+                del found.bounds[body]
+        told.append((condition, (candidate.sense * both[0], candidate.sense * both[1])))
+    return tuple(told)
 
 
 def _own(candidate: Candidate) -> set[int]:

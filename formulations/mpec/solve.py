@@ -113,6 +113,9 @@ def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
         rows=tuple(smooth.users[id(result.rows[k])] for k in rows),
         lagrange=result.lagrange[rows],
         pairs=tuple(pair for pair in result.pairs if pair not in own),
+        pair_multipliers=tuple(
+            (smooth.users[id(pair)], both) for pair, both in result.pair_multipliers if id(pair) in smooth.users
+        ),
     )
 
 
@@ -294,6 +297,7 @@ class MpecIpopt(PyomoPlugin):
             multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
             iterations=result.iterations,
             wall=result.seconds,
+            pair_multipliers=result.pair_multipliers,
         )
         return answer.results(self.title, model), answer
 
