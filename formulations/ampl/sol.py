@@ -49,7 +49,11 @@ def write_sol(
     lines += [str(number) for number in (header.rows, len(duals), header.variables, len(values))]
     lines += [*tolerance, *map(_number, duals), *map(_number, values), f"objno {max(objective - 1, 0)} {code}"]
     for name, numbers in of_rows.items():
-        lines += [f"suffix {_REAL_OF_ROWS} {len(numbers)} {len(name) + 1} 0 0", name, *(f"{row} {_number(x)}" for row, x in numbers.items())]
+        lines += [
+            f"suffix {_REAL_OF_ROWS} {len(numbers)} {len(name) + 1} 0 0",
+            name,
+            *(f"{row} {_number(x)}" for row, x in numbers.items()),
+        ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

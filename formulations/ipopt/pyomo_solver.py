@@ -163,7 +163,9 @@ class PyomoAnswer:
         found: dict[str, Any] = dict.fromkeys(("dual", "ipopt_zL_out", "ipopt_zU_out"), ())
         if self.multipliers is not None:
             owners = (self.equations, self.variables, self.variables)
-            found = {name: zip(owner, values.tolist(), strict=True) for name, owner, values in zip(found, owners, self.multipliers, strict=True)}
+            found = {
+                name: zip(owner, values.tolist(), strict=True) for name, owner, values in zip(found, owners, self.multipliers, strict=True)
+            }
         for name, values in {**found, "pair_dual": self.pair_multipliers}.items():
             suffix = model.component(name)
             if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():

@@ -69,7 +69,9 @@ def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Re
     """
     best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange, size))
     limit = _SAME * max(1.0, abs(result.objective))
-    feasible = max(_STAYS_FEASIBLE, problem.violation(result.x))  # slopes are of the objective's unit: what they gain is no price for feasibility
+    feasible = max(
+        _STAYS_FEASIBLE, problem.violation(result.x)
+    )  # slopes are of the objective's unit: what they gain is no price for feasibility
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier, size)
         if candidate is None or not candidate.error < best.error or problem.violation(candidate.x) > feasible:

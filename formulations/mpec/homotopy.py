@@ -311,7 +311,9 @@ class Path:
         problem, options = self._work.relaxed.problem, {**options, **self._regularised, **self._settings.ipopt}
         result = self._budget.run(problem, options, begins)
         if not self._regularised and repeats_constraints(result) and not self._budget.is_over:
-            self._regularised = {"perturb_always_cd": "yes"}  # products that rows imply repeat them: from here on, as here, the rows' block is regularised
+            self._regularised = {
+                "perturb_always_cd": "yes"
+            }  # products that rows imply repeat them: from here on, as here, the rows' block is regularised
             again = self._budget.run(problem, {**options, **self._regularised}, begins)
             result = again if again.solved else result
         self._steps.append(

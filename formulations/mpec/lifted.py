@@ -96,7 +96,15 @@ def _condition(data: Any) -> Condition:
 
 
 def relation_of(side: Any, data: Any) -> tuple[Any, Any, Any]:
-    """(lower, body, upper) of one argument of `complements`; a bound is None where there is none."""
+    """(lower, body, upper) of one argument of `complements`; a bound is None where there is none.
+
+    Raises
+    ------
+    ModelRefusedError
+        for a strict inequality, a range with variable bounds, and what is neither an expression nor a relation
+    MissingValueError
+        where a bound has no value
+    """
     kind = side.__class__
     if kind is EqualityExpression:
         return 0.0, side.arg(0) - side.arg(1), 0.0

@@ -295,17 +295,17 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
 
 def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, float]], ...]:
     """Of each complementarity, in the model's own sense; a side that is a variable's own bound once more has the multiplier of that bound too."""
-    found = multipliers_of(candidate)
-    told = []
+    found, told = multipliers_of(candidate), []
+    bounds = ComponentMap(found.bounds.items())
     for condition, sides in found.pairs.items():
         both = list(sides)
         for k, side in enumerate(condition._args):
             lower, body, upper = relation_of(side, condition)
-            z = found.bounds.get(body, 0.0) if isinstance(body, VarData) else 0.0
+            z = bounds.get(body, 0.0) if isinstance(body, VarData) else 0.0
             bound, own = (lower, body.lb) if z > 0.0 else (upper, body.ub) if z < 0.0 else (None, None)
             if bound is not None and value(bound) == own:
                 both[k] += z
-                del found.bounds[body]
+                del bounds[body]  # of two pairs with this side one has it
         told.append((condition, (candidate.sense * both[0], candidate.sense * both[1])))
     return tuple(told)
 

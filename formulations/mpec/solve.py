@@ -113,9 +113,7 @@ def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
         rows=tuple(smooth.users[id(result.rows[k])] for k in rows),
         lagrange=result.lagrange[rows],
         pairs=tuple(pair for pair in result.pairs if pair not in own),
-        pair_multipliers=tuple(
-            (smooth.users[id(pair)], both) for pair, both in result.pair_multipliers if id(pair) in smooth.users
-        ),
+        pair_multipliers=tuple((smooth.users[id(pair)], both) for pair, both in result.pair_multipliers if id(pair) in smooth.users),
     )
 
 
@@ -137,10 +135,12 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
             outcome = result.outcome
             if best is None or _rank(result) < _rank(best):
                 best = result
-        attempts.append(
-            Attempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before)
-        )
-        if budget.is_over or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or (not candidate.work.lifted.pairs and settings.starts == 1):
+        attempts.append(Attempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before))
+        if (
+            budget.is_over
+            or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)
+            or (not candidate.work.lifted.pairs and settings.starts == 1)
+        ):
             break
         if best.solved and math.isinf(budget.most_iterations):
             first_success = budget.iterations
