@@ -28,7 +28,7 @@ from formulations.solution import Outcome
 # A pair counts as biactive where both sides are below this, and as wanting the other branch where its multiplier is below -_WANTING.
 _BIACTIVE, _WANTING = 1e-6, 1e-6
 # What counts as a better objective, relative to max(1, |objective|).
-_BETTER = 1e-9
+BETTER = 1e-9
 # A branch is a smooth problem started near its solution, or one without any: no need to insist.
 _BRANCH_ITERATIONS = 200
 # Ipopt's codes for a point that it takes for a solution, in its own scaling.
@@ -326,7 +326,7 @@ class Branching:
         return other if other is not None and self._is_better(other, branch) else None
 
     def _is_better(self, other: Branch, branch: Branch) -> bool:
-        return self._sense(other) < self._sense(branch) - _BETTER * max(1.0, abs(branch.objective))
+        return self._sense(other) < self._sense(branch) - BETTER * max(1.0, abs(branch.objective))
 
     def _solve(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
         key = np.packbits(closed).tobytes()

@@ -31,7 +31,7 @@ from pyomo.opt import SolverFactory, SolverResults
 from formulations.ipopt.contrib_solver import register
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
-from formulations.mpec.branching import Branch, Branching
+from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
@@ -59,8 +59,6 @@ _EARLY_EPS, _NEAR = 1e-3, 1e-2
 _DECIDED = 1e-6
 # Multipliers with a larger residual (relative) are not handed out.
 _WRONG_MULTIPLIERS = 1e-4
-# What counts as a better objective, relative to max(1, |objective|).
-_SAME = 1e-9
 # Iterations for further strategies and starts, as a multiple of those up to the first success: with at most `search` pairs, and with more.
 _SMALL_WORK, _WORK = 1.0, 3.0
 # An attempt is begun where at least this share of the iterations of the first success is left.
@@ -124,10 +122,13 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     steps: list[Step] = []
     attempts: list[Attempt] = []
     searched: list[Branch] = []
-    first_success = 0
+    first_success, has_pairs = 0, True
     for start, name in itertools.product(range(settings.starts), settings.strategies):
+        if not has_pairs and name != settings.strategies[0]:
+            continue  # without pairs all strategies are the same
         before = budget.iterations
         candidate = _run_strategy(model, STRATEGIES[name], start, settings, budget, steps, searched)
+        has_pairs = bool(candidate.work.lifted.pairs)
         outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
         if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
             result = _judged(model, candidate, settings, budget)
@@ -136,11 +137,7 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
             if best is None or _rank(result) < _rank(best):
                 best = result
         attempts.append(Attempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before))
-        if (
-            budget.is_over
-            or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)
-            or (not candidate.work.lifted.pairs and settings.starts == 1)
-        ):
+        if budget.is_over or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
         if best.solved and math.isinf(budget.most_iterations):
             first_success = budget.iterations
@@ -162,7 +159,7 @@ def _further_work(settings: MpecSettings, pairs: int) -> float:
 
 
 def _better(objective: float) -> float:
-    return _SAME * max(1.0, abs(objective))
+    return BETTER * max(1.0, abs(objective))
 
 
 def _attempts_in_words(attempts: list[Attempt]) -> str:

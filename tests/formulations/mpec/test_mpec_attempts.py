@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import MpecSettings, Stationarity, certify, load, solve_mpec
+from formulations.mpec.homotopy import Workspace
+from formulations.mpec.lifted import lift
+from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
 
 
@@ -57,18 +61,26 @@ def test_what_comes_after_the_first_success_stays_within_the_work(work):
 
 def test_an_attempt_cut_short_is_told_and_loses():
     result = solve_mpec(valley(), several(work=0.6))
-    assert result.attempts[-1].outcome in (Outcome.ITERATION_LIMIT, Outcome.SOLVED)
+    assert [attempt.outcome for attempt in result.attempts] == [Outcome.SOLVED, Outcome.ITERATION_LIMIT]
     assert result.solved
+    assert result.message.endswith("scholtes iteration limit")
     assert result.certificate.holds
 
 
 def test_a_start_is_random_within_the_bounds():
-    m = valley(start=1.0)
-    m.x[0].setub(1.5)
-    m.only = pyo.Constraint(expr=m.x[0] <= 1.5)
-    result = solve_mpec(m, several(starts=3, work=10.0))
-    assert result.solved
-    assert [variable.value for variable in m.x.values()] == [3.0, 3.0, 3.0], "the model is only read"
+    m = valley()
+    m.x[0].setlb(1.0), m.x[0].setub(3.0)
+    m.x[1].setub(1.0)
+    work = Workspace(lift(m), STRATEGIES["scholtes"])
+    place = work.relaxed.place
+    starts = np.array([work.start(number) for number in range(200)])
+    first, second, free = (starts[1:, place[id(m.x[k])]] for k in range(3))
+    assert (starts[0, place[id(m.x[0])]], starts[0, place[id(m.x[2])]]) == (2.0, 2.0)
+    assert 1.0 <= first.min() < 1.1
+    assert 2.9 < first.max() <= 3.0
+    assert second.max() == 1.0
+    assert 1.5 < free.std() < 2.5, "normal, with the size of the value"
+    assert np.array_equal(starts[7], work.start(7))
 
 
 @pytest.mark.parametrize("unit", [1e6, 1.0, 1e-3, 1e-6])
@@ -87,6 +99,15 @@ def test_a_cost_in_another_unit_has_the_same_answer_and_is_stationary_at_the_sam
     assert certify(m).b_stationary is True
     m.z.value = 1e-4
     assert certify(m).b_stationary is False
+
+
+@pytest.mark.parametrize(("slope", "holds"), [(2e-5, True), (9e-4, True), (1.1e-3, False), (2e-2, False)])
+def test_a_slope_counts_against_the_largest_derivative(slope, holds):
+    """The cost rises by 100 with x, which is at its bound, and falls with y by little."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=0.0, bounds=(0, None)), pyo.Var(initialize=1.0)
+    m.cost = pyo.Objective(expr=100 * m.x - slope * m.y)
+    assert certify(m).b_stationary is holds
 
 
 def test_a_flat_objective_is_refined_without_a_price_in_feasibility():
