@@ -129,8 +129,8 @@ def _profile(rows: list[dict[str, Any]]) -> Table:
         costs = [row["sense"] * cost for cost, _ in answers.values() if cost is not None]
         if not costs:
             continue
-        good = {
-            name: seconds
+        good: dict[str, float] = {
+            name: float(seconds or 0.0)
             for name, (cost, seconds) in answers.items()
             if cost is not None and row["sense"] * cost <= min(costs) + REACHED * max(1.0, abs(min(costs)))
         }
