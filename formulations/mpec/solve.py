@@ -61,6 +61,8 @@ _DECIDED = 1e-6
 _WRONG_MULTIPLIERS = 1e-4
 # Iterations for further strategies and starts, as a multiple of those up to the first success: with at most `search` pairs, and with more.
 _SMALL_WORK, _WORK = 1.0, 3.0
+# But no more than this, iterations times entries of derivatives: some 15 CPU s.
+_ENTRIES = 2e7
 # An attempt is begun where at least this share of the iterations of the first success is left.
 _WORTHWHILE = 0.5
 # Both parts of an absolute value below this: the answer lies on its kink.
@@ -141,7 +143,7 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
             break
         if best.solved and math.isinf(budget.most_iterations):
             first_success = budget.iterations
-            budget.most_iterations = (1.0 + _further_work(settings, len(candidate.work.lifted.pairs))) * first_success
+            budget.most_iterations = first_success + _further_iterations(settings, candidate, first_success)
         if budget.most_iterations - budget.iterations < _WORTHWHILE * first_success:
             break
     assert best is not None  # there is always a strategy
@@ -152,10 +154,11 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     )  # fmt: skip
 
 
-def _further_work(settings: MpecSettings, pairs: int) -> float:
+def _further_iterations(settings: MpecSettings, candidate: Candidate, first_success: int) -> float:
     if settings.work is not None:
-        return settings.work
-    return settings.starts * (_SMALL_WORK if pairs <= settings.search else _WORK)
+        return settings.work * first_success
+    share = _SMALL_WORK if len(candidate.work.lifted.pairs) <= settings.search else _WORK
+    return settings.starts * min(share * first_success, _ENTRIES / candidate.work.branches.problem.nonzeros)
 
 
 def _better(objective: float) -> float:
