@@ -10,20 +10,19 @@ Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are fille
 option warm_start_init_point=yes) `dual`, `ipopt_zL_in`, `ipopt_zU_in` start the next solve where the model exports them. After a solve
 `solver.last_result` is the IpoptResult: history, unscaled residuals, where the time went.
 
-Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is made once more with its option
-perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no leaves it at one solve.
+Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is
+made once more with its option perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no
+leaves it at one solve.
 
-Multipliers between Ipopt's signs and Pyomo's.
-
-Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
+Signs of multipliers. Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
 model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
 the bounds of a variable, so zU is negative when minimising.
 
 `PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are registered here:
 
-class Solver(PyomoPlugin):
-    title = "name_in_the_factory"
-    def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
+    class Solver(PyomoPlugin):
+        title = "name_in_the_factory"
+        def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
 """
 
 from __future__ import annotations

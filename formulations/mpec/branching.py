@@ -34,7 +34,7 @@ _BRANCH_ITERATIONS = 200
 # Ipopt's codes for a point that it takes for a solution, in its own scaling.
 _CLAIMS_SUCCESS = (0, 1)
 
-
+# Newton's steps of one guess: it converges quadratically or not at all.
 _STEPS = 6
 # Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat directions.
 _DENSE = 150
@@ -42,7 +42,9 @@ _DENSE = 150
 _DELTA = 1e-9
 # A refined point is the same solution: its objective may differ by this (relative to max(1, |objective|)), and each step by _LONGEST.
 _SAME, _LONGEST = 1e-5, 1e-1
+# A guess that leaves no more than this is not improved on.
 _GOOD_ENOUGH = 1e-13
+# A refined point may violate rows and bounds by this, or by as much as Ipopt's did.
 _STAYS_FEASIBLE = 1e-9
 # Where more than this is left and the objective is flatter than _FLAT, Ipopt's tolerance was too loose for it: once more with a tighter one.
 _UNREFINED, _FLAT, _TIGHTEST = 1e-6, 1e-1, 1e-14

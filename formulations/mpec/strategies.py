@@ -174,11 +174,9 @@ class Direct(Scholtes):
 
 
 STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), L1Penalty(), Elastic(), Direct())}
-
-
 STRATEGY_NAMES = tuple(STRATEGIES)
 # The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
-# 500 steps (cost, iterations): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
+# 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
 # 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 
