@@ -3,6 +3,7 @@
     python -m benchmarks mpec-sets --from DIR --optima optima.csv
 
 DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a CSV of `name, .., published_optimum`.
+With `--peer`, CasADi and Ipopt are given each problem too (Scholtes, `benchmarks.mpec.solvers`), and a performance profile stands beside the table.
 The child's own answer is not believed: rows, bounds, pairs and stationarity are recomputed from the values of the model's variables, and where rows are
 linear and the objective is convex a tree of convex programs bounds the global optimum (`benchmarks.mpec.proved`).
 """
@@ -36,7 +37,9 @@ REACHED = 1e-4
 # CPU seconds for reading the model and judging the point.
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published", "against it", "bound", "class", "primal", "complementarity", "dual",
-            "CPU s", "remark")  # fmt: skip
+            "CPU s", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
+# Times of the faster one at which a performance profile is told.
+_TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
 
 def load(path: Path) -> Any:
@@ -87,6 +90,61 @@ def solve_one(path: Path, limit: float, proof_seconds: float) -> dict[str, Any]:
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in told.items()}
 
 
+def solve_by_peer(path: Path) -> dict[str, Any]:
+    """What CasADi and Ipopt find of one problem, judged by the same certificate, as JSON data."""
+    import numpy as np
+    import pyomo.environ as pyo
+
+    from benchmarks.mpec.program import of_pyomo
+    from benchmarks.mpec.solvers import casadi_scholtes
+    from formulations.mpec import certify
+
+    model = load(path)
+    began = time.process_time()
+    try:
+        program, variables = of_pyomo(model)
+        point = casadi_scholtes(program, lambda x: None)
+    except Exception as error:  # noqa: BLE001 - whatever a peer raises stands in its row
+        return {"peer_reason": f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"}
+    seconds = time.process_time() - began
+    if not np.all(np.isfinite(point)):
+        return {"peer_reason": "the point holds numbers that are not finite"}
+    for variable, number in zip(variables, point.tolist(), strict=True):
+        variable.set_value(number, skip_validation=True)
+    found = certify(model)
+    cost = sum(pyo.value(item) for item in model.component_data_objects(pyo.Objective, active=True))
+    return {"peer_objective": cost if math.isfinite(cost) else None, "peer_feasible": found.feasible, "peer_s": seconds}
+
+
+def _profile(rows: list[dict[str, Any]]) -> Table:
+    """Share of the problems on which a solver has the better answer (to REACHED) within so many times the CPU seconds of the faster that has it."""
+    times: dict[str, list[float]] = {"mpec_ipopt": [], "casadi_scholtes": []}
+    for row in rows:
+        if "peer_s" not in row and "peer_reason" not in row:
+            continue
+        answers = {
+            "mpec_ipopt": (row.get("objective") if row["status"] == "solved" else None, row.get("solve_s")),
+            "casadi_scholtes": (row.get("peer_objective") if row.get("peer_feasible") else None, row.get("peer_s")),
+        }
+        costs = [row["sense"] * cost for cost, _ in answers.values() if cost is not None]
+        if not costs:
+            continue
+        good: dict[str, float] = {
+            name: float(seconds or 0.0)
+            for name, (cost, seconds) in answers.items()
+            if cost is not None and row["sense"] * cost <= min(costs) + REACHED * max(1.0, abs(min(costs)))
+        }
+        for name, known in times.items():
+            known.append(good[name] / min(good.values()) if name in good else math.inf)
+    lines = [
+        (name, *(f"{sum(ratio <= most and math.isfinite(ratio) for ratio in ratios) / len(ratios):.0%}" for most in _TIMES))
+        for name, ratios in times.items()
+        if ratios
+    ]
+    columns = ("solver", *(f"within {most:g} times" if math.isfinite(most) else "at all" for most in _TIMES))
+    return Table(caption=f"Performance profile of {len(times['mpec_ipopt'])} problems.", columns=columns, rows=tuple(lines))
+
+
 def _published(path: Path) -> dict[str, float]:
     with path.open(encoding="utf-8", newline="") as lines:
         rows = list(csv.DictReader(lines))
@@ -117,22 +175,31 @@ def _against(row: dict[str, Any], published: float | None) -> str:
     return "better" if difference < 0 else f"worse by {difference:.2g}"
 
 
-def _run(path: Path, limit: float, proof: float, folder: Path) -> dict[str, Any]:
-    target = folder / f"{path.stem}.json"
-    done = run_child("benchmarks.mpec.sets", str(path), str(target), f"{limit:g}", f"{proof:g}", cpu_limit=limit + proof + _BESIDE)
+def _run(path: Path, limit: float, proof: float, with_peer: bool, folder: Path) -> dict[str, Any]:
+    told, reason = _child(path, folder, (f"{limit:g}", f"{proof:g}"), limit + proof + _BESIDE)
+    row = {"problem": path.stem, **told} if told else {"problem": path.stem, "status": "no answer", "sense": 1, "message": reason}
+    if with_peer:
+        told, reason = _child(path, folder, (), limit + _BESIDE)
+        row |= told or {"peer_reason": reason}
+    return row
+
+
+def _child(path: Path, folder: Path, limits: tuple[str, ...], cpu_limit: float) -> tuple[dict[str, Any], str]:
+    """What a child wrote, or nothing and why."""
+    target = folder / f"{path.stem}-{len(limits)}.json"
+    done = run_child("benchmarks.mpec.sets", str(path), str(target), *limits, cpu_limit=cpu_limit)
     if target.exists():
-        return {"problem": path.stem, **json.loads(target.read_text(encoding="utf-8"))}
+        return json.loads(target.read_text(encoding="utf-8")), ""
     last = (done.stderr.strip().splitlines() or ["no word"])[-1]
-    reason = (
-        f"stopped after {limit + 20:g} CPU s" if done.returncode == -signal.SIGXCPU else f"ended with code {done.returncode}: {last[:200]}"
-    )
-    return {"problem": path.stem, "status": "no answer", "message": reason}
+    ended = f"ended with code {done.returncode}: {last[:200]}"
+    return {}, f"stopped after {cpu_limit:g} CPU s" if done.returncode == -signal.SIGXCPU else ended
 
 
 def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | None, ...]:
     return (
         row["problem"], row.get("variables"), row.get("rows"), row.get("pairs"), row["status"], row.get("objective"), published,
         _against(row, published), row.get("bound"), row.get("class"), row.get("primal"), row.get("complementarity"), row.get("dual"), row.get("solve_s"),
+        row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason", "infeasible" if "peer_s" in row else None), row.get("peer_s"),
         "" if row["status"] == "solved" else row["message"][:160],
     )  # fmt: skip
 
@@ -160,10 +227,11 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
 @click.option(
     "--proof", type=FiniteRange(min=0.0), default=10.0, show_default=True, metavar="SECONDS", help="Of the proof of one global bound."
 )
+@click.option("--peer", "with_peer", is_flag=True, help="CasADi with Ipopt beside ours.")
 @click.option("-k", "part", default="", metavar="TEXT", help="Only problems whose name holds this.")
 @click.option("-j", "jobs", type=COUNT, default=os.cpu_count() or 1, show_default=True, help="So many at a time.")
 @out_option
-def command(folder: Path, optima: Path | None, limit: float, proof: float, part: str, jobs: int, out: Path) -> int:
+def command(folder: Path, optima: Path | None, limit: float, proof: float, with_peer: bool, part: str, jobs: int, out: Path) -> int:
     """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
     files = sorted(path for path in folder.iterdir() if path.suffix in (".nl", ".py") and part in path.stem)
     if not files:
@@ -171,7 +239,7 @@ def command(folder: Path, optima: Path | None, limit: float, proof: float, part:
     published = _published(optima) if optima is not None else {}
     with temporary_folder("touchstone-sets-") as work, ThreadPoolExecutor(jobs) as pool:
         rows = []
-        for row in pool.map(lambda path: _run(path, limit, proof, work), files):
+        for row in pool.map(lambda path: _run(path, limit, proof, with_peer, work), files):
             click.echo(
                 "  ".join(
                     str(word)
@@ -185,7 +253,8 @@ def command(folder: Path, optima: Path | None, limit: float, proof: float, part:
         rows=tuple(_line(row, published.get(row["problem"])) for row in rows),
         notes=tuple(_notes(rows, published)),
     )
-    store_tables(out, f"mpec-sets-{folder.name}", f"MPECs of {folder.name}", (__doc__ or "").split("\n\n")[0], [table], rows, quiet=True)
+    tables = [table, _profile(rows)] if with_peer else [table]
+    store_tables(out, f"mpec-sets-{folder.name}", f"MPECs of {folder.name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
     with (out / f"mpec-sets-{folder.name}.csv").open("w", encoding="utf-8", newline="") as lines:
         csv.writer(lines).writerows([_COLUMNS, *table.rows])
     click.echo("\n".join(table.notes))
@@ -193,5 +262,5 @@ def command(folder: Path, optima: Path | None, limit: float, proof: float, part:
 
 
 if __name__ == "__main__":
-    told = solve_one(Path(sys.argv[1]), float(sys.argv[3]), float(sys.argv[4]))
+    told = solve_one(Path(sys.argv[1]), *map(float, sys.argv[3:])) if sys.argv[3:] else solve_by_peer(Path(sys.argv[1]))
     Path(sys.argv[2]).write_text(json.dumps(told), encoding="utf-8")

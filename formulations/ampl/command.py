@@ -91,18 +91,21 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
     target = problem.file.with_suffix(".sol")
     duals: Sequence[float] = ()
     values: Sequence[float] = ()
+    of_rows: dict[str, dict[int, float]] = {}
     try:
         result = solve_mpec(problem.model, read_settings(others), time_limit=own["timelimit"])
         message, code = f"{NAME}: {_sentence(result)}", _code(result)
         if result.has_point:
-            duals, values = _duals(problem, result), _values(problem, result)
+            duals, values, of_rows = _duals(problem, result), _values(problem, result), _suffixes(problem, result)
     except (ModelRefusedError, MissingValueError, UnknownOptionError) as error:
         message, code = f"{NAME}: {error}", 500
         if not for_ampl:
             raise _RefusedError(str(error)) from error
     if for_ampl:
         try:
-            write_sol(target, problem.header, message=message, code=code, duals=duals, values=values, objective=own["objno"])
+            write_sol(
+                target, problem.header, message=message, code=code, duals=duals, values=values, objective=own["objno"], of_rows=of_rows
+            )
         except OSError as error:
             raise _RefusedError(f"{target} cannot be written: {error.strerror}.") from error
     return _Answer(message, own["outlev"] if own["outlev"] is not None else int(not for_ampl))
@@ -176,6 +179,13 @@ def _values(problem: NlProblem, result: MpecResult) -> list[float]:
 def _at_rest(variable: Any) -> float:
     value = 0.0 if variable.value is None else float(variable.value)
     return min(max(value, -math.inf if variable.lb is None else variable.lb), math.inf if variable.ub is None else variable.ub)
+
+
+def _suffixes(problem: NlProblem, result: MpecResult) -> dict[str, dict[int, float]]:
+    """`pair_dual` of each row that complements a variable: the multiplier of the variable's side."""
+    found = {id(pair): both for pair, both in result.pair_multipliers}
+    numbers = {k: found[id(row)][1] for k, row in enumerate(problem.rows) if id(row) in found}
+    return {"pair_dual": numbers} if numbers else {}
 
 
 def _duals(problem: NlProblem, result: MpecResult) -> list[float]:

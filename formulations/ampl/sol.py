@@ -1,11 +1,15 @@
-"""AMPL's `.sol` files: how a solve ended, duals and values, in the order of the `.nl` file."""
+"""AMPL's `.sol` files: how a solve ended, duals, values and suffixes, in the order of the `.nl` file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from formulations.ampl.nl import Header
+
+# A suffix's kind: 1 for rows, and 4 for numbers that are not whole.
+_REAL_OF_ROWS = 1 + 4
 
 
 def write_sol(
@@ -17,6 +21,7 @@ def write_sol(
     duals: Sequence[float] = (),
     values: Sequence[float] = (),
     objective: int = 1,
+    of_rows: Mapping[str, Mapping[int, float]] = MappingProxyType({}),
 ) -> None:
     """Write a solution.
 
@@ -29,6 +34,7 @@ def write_sol(
     duals : (rows,) change of the objective by the right-hand side; empty if there are none
     values : (variables,) empty if there is no point
     objective : the objective that was solved, from 1
+    of_rows : suffixes, each with a number for some rows
 
     Raises
     ------
@@ -42,6 +48,12 @@ def write_sol(
     lines += ["", "Options", str(int(count) + 2 * has_tolerance), *options]
     lines += [str(number) for number in (header.rows, len(duals), header.variables, len(values))]
     lines += [*tolerance, *map(_number, duals), *map(_number, values), f"objno {max(objective - 1, 0)} {code}"]
+    for name, numbers in of_rows.items():
+        lines += [
+            f"suffix {_REAL_OF_ROWS} {len(numbers)} {len(name) + 1} 0 0",
+            name,
+            *(f"{row} {_number(x)}" for row, x in numbers.items()),
+        ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -10,20 +10,19 @@ Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are fille
 option warm_start_init_point=yes) `dual`, `ipopt_zL_in`, `ipopt_zU_in` start the next solve where the model exports them. After a solve
 `solver.last_result` is the IpoptResult: history, unscaled residuals, where the time went.
 
-Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is made once more with its option
-perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no leaves it at one solve.
+Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is
+made once more with its option perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no
+leaves it at one solve.
 
-Multipliers between Ipopt's signs and Pyomo's.
-
-Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
+Signs of multipliers. Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
 model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
 the bounds of a variable, so zU is negative when minimising.
 
 `PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are registered here:
 
-class Solver(PyomoPlugin):
-    title = "name_in_the_factory"
-    def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
+    class Solver(PyomoPlugin):
+        title = "name_in_the_factory"
+        def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
 """
 
 from __future__ import annotations
@@ -32,15 +31,16 @@ import logging
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
 from pyomo.common.collections import Bunch
-from pyomo.common.tee import capture_output
+from pyomo.common.tee import TeeStream, capture_output
 from pyomo.core.base import Block, Suffix
 from pyomo.core.base.label import NumericLabeler
 from pyomo.core.base.symbol_map import SymbolMap
@@ -107,6 +107,7 @@ class PyomoAnswer:
 
     is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`, None for no point that is worth loading
     multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
+    pair_multipliers: (complementarity, (of its first argument, of its second)), in the same signs
     """
 
     outcome: Outcome
@@ -121,6 +122,7 @@ class PyomoAnswer:
     multipliers: tuple[np.ndarray, np.ndarray, np.ndarray] | None
     iterations: int
     wall: float
+    pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
     @property
     def condition(self) -> tuple[SolverStatus, TerminationCondition]:
@@ -157,13 +159,17 @@ class PyomoAnswer:
         if self.x is None:
             return
         write_point(self.variables, self.x)
-        components = (("dual", self.equations), ("ipopt_zL_out", self.variables), ("ipopt_zU_out", self.variables))
-        for k, (name, owners) in enumerate(components):
+        found: dict[str, Any] = dict.fromkeys(("dual", "ipopt_zL_out", "ipopt_zU_out"), ())
+        if self.multipliers is not None:
+            owners = (self.equations, self.variables, self.variables)
+            found = {
+                name: zip(owner, values.tolist(), strict=True) for name, owner, values in zip(found, owners, self.multipliers, strict=True)
+            }
+        for name, values in {**found, "pair_dual": self.pair_multipliers}.items():
             suffix = model.component(name)
             if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
                 suffix.clear()
-                if self.multipliers is not None:
-                    suffix.update(zip(owners, self.multipliers[k].tolist(), strict=True))
+                suffix.update(values)
 
     def carry(self, results: SolverResults) -> SolverResults:
         """The same results with the point in them, for `model.solutions.load_from(results)`."""
@@ -273,9 +279,10 @@ class PyomoPlugin(ABC):
         warmstart: bool = False,
         options: Mapping[str, Any] | None = None,
         options_string: str = "",
+        logfile: str | Path | None = None,
         **ignored: Any,
     ) -> SolverResults:
-        """Translate, solve and (by default) load.
+        """Translate, solve and (by default) load. `logfile` takes Ipopt's log, and how it ended.
 
         As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt leaves the model as it was.
 
@@ -285,6 +292,8 @@ class PyomoPlugin(ABC):
             for what cannot be treated, before anything runs
         ValueError
             for a result that is an error, unless load_solutions is False
+        OSError
+            for a log file that cannot be written
         """
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:
@@ -296,10 +305,17 @@ class PyomoPlugin(ABC):
         self.last_result = None
         chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}
         chosen.pop("solver", None)
-        if tee:
-            chosen.setdefault("print_level", 5)
-        with capture_output(sys.stdout, capture_fd=True) if tee else nullcontext():
-            results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+        with ExitStack() as stack:
+            log = None if logfile is None else stack.enter_context(Path(logfile).open("w", encoding="utf-8"))
+            streams = [stream for stream in (sys.stdout if tee else None, log) if stream is not None]
+            if streams:
+                chosen.setdefault("print_level", 5)
+                with capture_output(TeeStream(*streams), capture_fd=True):
+                    results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+            else:
+                results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+            if log is not None:
+                log.write(f"{self.title}: {answer.message}\n")
         if not load_solutions:
             return answer.carry(results)
         if results.solver.status == SolverStatus.error:

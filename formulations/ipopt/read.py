@@ -221,6 +221,9 @@ class TermReader:
         elif factor is not None and (data is not None or _leads_to_wide_sum(inside)):
             carried = 1.0 if data is None else data
             stack.append((inside, weight, carried / factor if divides else carried * factor))
+        elif (multiplied := _variable_and_wide_sum(node)) is not None:
+            variable, summands = multiplied
+            stack.extend((variable * summand, weight, data) for summand in reversed(summands))
         else:
             self._term(row, weight, node, data)
 
@@ -334,6 +337,19 @@ def _data_factor(node: Any) -> tuple[Any, Any, bool]:
     if _is_data(left):
         return right, left, False
     return (left, right, False) if _is_data(right) else (node, None, False)
+
+
+def _variable_and_wide_sum(node: Any) -> tuple[Any, Sequence[Any]] | None:
+    """(variable, summands) of a variable times a wide sum; None for anything else.
+
+    A quadratic form x' A x is written as such products. Whole, each row of A is a shape of its own with a dense Hessian, to be generated and compiled:
+    with 100 variables that is 6 of 8 CPU s. Multiplied out they are terms of one shape.
+    """
+    if _kind_of(node) == _PRODUCT:
+        for variable, others in (node.args, node.args[::-1]):
+            if _kind_of(variable) == _LEAF and _kind_of(others) == _SUM and others.nargs() > _WIDE_SUM:
+                return variable, others.args
+    return None
 
 
 def _leads_to_wide_sum(node: Any) -> bool:

@@ -28,13 +28,13 @@ from formulations.solution import Outcome
 # A pair counts as biactive where both sides are below this, and as wanting the other branch where its multiplier is below -_WANTING.
 _BIACTIVE, _WANTING = 1e-6, 1e-6
 # What counts as a better objective, relative to max(1, |objective|).
-_BETTER = 1e-9
+BETTER = 1e-9
 # A branch is a smooth problem started near its solution, or one without any: no need to insist.
 _BRANCH_ITERATIONS = 200
 # Ipopt's codes for a point that it takes for a solution, in its own scaling.
 _CLAIMS_SUCCESS = (0, 1)
 
-
+# Newton's steps of one guess: it converges quadratically or not at all.
 _STEPS = 6
 # Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat directions.
 _DENSE = 150
@@ -42,7 +42,12 @@ _DENSE = 150
 _DELTA = 1e-9
 # A refined point is the same solution: its objective may differ by this (relative to max(1, |objective|)), and each step by _LONGEST.
 _SAME, _LONGEST = 1e-5, 1e-1
+# A guess that leaves no more than this is not improved on.
 _GOOD_ENOUGH = 1e-13
+# A refined point may violate rows and bounds by this, or by as much as Ipopt's did.
+_STAYS_FEASIBLE = 1e-9
+# Where more than this is left and the objective is flatter than _FLAT, Ipopt's tolerance was too loose for it: once more with a tighter one.
+_UNREFINED, _FLAT, _TIGHTEST = 1e-6, 1e-1, 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,13 +59,24 @@ class Refined:
     error: float
 
 
-def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
-    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands."""
-    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
+def refined(problem: IpoptProblem, result: IpoptResult, size: float = 1.0) -> Refined:
+    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands.
+
+    Raises nothing.
+
+    Parameters
+    ----------
+    problem, result : a problem, and where Ipopt ended
+    size : of the objective's derivatives, by which errors are measured where those at the point are smaller [objective per variable]
+    """
+    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange, size))
     limit = _SAME * max(1.0, abs(result.objective))
+    feasible = max(
+        _STAYS_FEASIBLE, problem.violation(result.x)
+    )  # slopes are of the objective's unit: what they gain is no price for feasibility
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
-        candidate = _newton(problem, result, near, by_multiplier)
-        if candidate is None or not candidate.error < best.error:
+        candidate = _newton(problem, result, near, by_multiplier, size)
+        if candidate is None or not candidate.error < best.error or problem.violation(candidate.x) > feasible:
             continue
         if abs(problem.sense * problem.objective(candidate.x) - result.objective) <= limit:
             best = candidate
@@ -69,7 +85,20 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     return best
 
 
-def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
+def slope_size(problem: IpoptProblem, x: np.ndarray) -> float:
+    """Largest derivative of the objective at x (n,) [objective per variable]. Raises nothing."""
+    return float(np.max(np.abs(problem.gradient(x)), initial=0.0))
+
+
+def _size_of_slopes(problem: IpoptProblem, x: np.ndarray) -> float:
+    """Largest derivative of the objective at x (n,) and a step of max(1, |x|) from it on either side; 1 at most, and where there is none."""
+    step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
+    sizes = [slope_size(problem, point) for point in (x, x + step, x - step)]
+    found = max((size for size in sizes if np.isfinite(size)), default=0.0)
+    return min(1.0, found) if found > 0.0 else 1.0
+
+
+def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, size: float) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
     low, high = problem.lower, problem.upper
     slope = problem.lagrangian_gradient(x, lagrange)
@@ -83,20 +112,22 @@ def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> fl
     off_low = ~equal & (lagrange < 0) & (g - problem.constraint_lower > 1e-10)
     off_high = ~equal & (lagrange > 0) & (problem.constraint_upper - g > 1e-10)
     loose = np.abs(lagrange[off_low | off_high])
-    scale = max(1.0, float(np.max(np.abs(problem.gradient(x)), initial=0.0)))
+    scale = max(size, slope_size(problem, x))
     worst = max(float(np.max(wrong, initial=0.0)), float(np.max(loose, initial=0.0))) / scale
     error = max(problem.violation(x), worst)
     return error if np.isfinite(error) and np.isfinite(g).all() else float("inf")
 
 
-def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool) -> Refined | None:
+def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multiplier: bool, floor: float) -> Refined | None:
     """Newton on what is active if everything within `near` of its limit is (and, by_multiplier, pulls harder than it is far)."""
     x, y = result.x.copy(), result.lagrange.copy()
     low, high = problem.lower, problem.upper
 
+    size = min(1.0, slope_size(problem, x))
+
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
         """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]. Raises nothing."""
-        return (gap <= near) & ((multiplier > gap) | (gap <= 1e-12)) if by_multiplier else gap <= near
+        return (gap <= near) & ((multiplier > size * np.minimum(gap, near)) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)
     at_high = active(high - x, result.zu) & ~at_low
@@ -121,7 +152,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         y[rows] = step[len(free) :]
         if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (1 + np.max(np.abs(x), initial=0.0)):
             break
-    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y))
+    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y, floor))
 
 
 def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray, rows: np.ndarray, target: np.ndarray) -> np.ndarray | None:
@@ -175,12 +206,13 @@ class Branch:
 class Branching:
     """The branches of one problem: each solved at most once from a point of the relaxation, and improved pair by pair."""
 
-    def __init__(self, work: Workspace, settings: MpecSettings, budget: WorkBudget) -> None:
+    def __init__(self, work: Workspace, start: np.ndarray, settings: MpecSettings, budget: WorkBudget) -> None:
         self._work, self._settings, self._budget = work, settings, budget
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
         self.unbounded = False  # whether some branch turned out to be
+        self._size = _size_of_slopes(work.branches.problem, work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
         """The best branch reached from a point of the relaxation; None if the branch read off has no solution.
@@ -238,7 +270,7 @@ class Branching:
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
             for start in starts:
                 if self._budget.is_over:
-                    return best, Outcome.TIME_LIMIT
+                    return best, Outcome.TIME_LIMIT if self._budget.is_late else Outcome.ITERATION_LIMIT
                 branch = self._solve_anew(np.array(closed), start)
                 assert self.last is not None
                 outcomes.add(self.last.outcome)
@@ -296,7 +328,7 @@ class Branching:
         return other if other is not None and self._is_better(other, branch) else None
 
     def _is_better(self, other: Branch, branch: Branch) -> bool:
-        return self._sense(other) < self._sense(branch) - _BETTER * max(1.0, abs(branch.objective))
+        return self._sense(other) < self._sense(branch) - BETTER * max(1.0, abs(branch.objective))
 
     def _solve(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
         key = np.packbits(closed).tobytes()
@@ -334,7 +366,7 @@ class Branching:
         usable = result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible)
         if not usable:
             return None
-        better = refined(problem, result)
+        better = self._refined(problem, result, options)
         x = better.x
         first, second = columns.pair_values(x)
         slope = _bound_multipliers(columns, x, better.lagrange)
@@ -347,6 +379,16 @@ class Branching:
             multipliers=slope[held],
             slope=slope,
         )
+
+    def _refined(self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]) -> Refined:
+        better = refined(problem, result, self._size)
+        size = min(self._size, slope_size(problem, better.x))
+        if better.error <= _UNREFINED or not 0.0 < size < _FLAT or self._budget.is_over:
+            return better
+        tight = {**options, "tol": max(_TIGHTEST, options["tol"] * size**2)}
+        scaled = self._budget.run(problem, tight, Start(x=better.x))
+        again = refined(problem, scaled, self._size) if scaled.solved else better
+        return again if again.error < better.error else better
 
 
 def _bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult, MissingValueError, Start, compile_model, solve
+from formulations.ipopt.solve import repeats_constraints
 from formulations.mpec.lifted import Lifted
 from formulations.mpec.strategies import MpecSettings, Strategy
 from formulations.solution import Outcome
@@ -21,6 +22,9 @@ from formulations.solution import Outcome
 # eps goes down by this at first; a step of few iterations makes the next one bolder, one of many makes it more careful.
 _FIRST_FACTOR, _BOLDEST, _MOST_CAREFUL = 0.1, 1e-3, 0.5
 _FEW, _MANY = 15, 120
+# eps does nothing where it is this much larger than all products; after two such steps in a row it goes to the products at once. (After one the same
+# problem, begun anew, may have a better solution: water-net ends at 909.0 instead of 927.3.)
+_IDLE = 1e-2
 # Failed steps in a row, and in all, before the path is given up; the factors by which a first step that fails is tried again: a looser
 # relaxation is easier to satisfy, a tighter one is bounded where a looser one is not.
 _RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
@@ -77,8 +81,12 @@ class Workspace:
         self.strategy.set(self.lifted, eps)
         self.relaxed.problem.refresh(check=False)
 
-    def start(self) -> np.ndarray:
-        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+    def start(self, number: int = 0) -> np.ndarray:
+        """A start in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+
+        Parameters
+        ----------
+        number : 0 for the user's values; else the seed of a random point around them
 
         Returns
         -------
@@ -93,6 +101,8 @@ class Workspace:
         x, _ = problem.start()
         for k in np.flatnonzero(~np.isfinite(x)):
             raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
+        if number:
+            x = _random_start(problem, x, np.random.default_rng(number))
         settle(problem, x, self._slacks())
         return x
 
@@ -108,6 +118,16 @@ class Workspace:
 
     def _slacks(self) -> list[Any]:
         return [*self.lifted.shadow.slack.values(), *(pair.first for pair in self.lifted.pairs)]
+
+
+def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A point (n,) around x: uniform between two finite bounds, else normal with the size of x; never beyond a bound."""
+    low, high = problem.lower, problem.upper
+    around = np.clip(x + np.maximum(1.0, np.abs(x)) * random.normal(size=len(x)), low, high)
+    share = random.uniform(size=len(x))
+    boxed = np.isfinite(low) & np.isfinite(high)
+    around[boxed] = low[boxed] + share[boxed] * (high - low)[boxed]
+    return around
 
 
 def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
@@ -177,12 +197,16 @@ class PathPoint:
 
 
 class WorkBudget:
-    """Time and iterations of a whole solve; `remaining` is None where there is no limit."""
+    """Time and iterations of a whole solve; `remaining` is None where there is no limit.
+
+    most_iterations: of Ipopt, in all; infinite until a first answer is there
+    """
 
     def __init__(self, limit: float | None) -> None:
         if limit is not None and not limit > 0:
             raise ValueError(f"the time limit is a positive number of seconds, not {limit!r}")
         self._deadline = None if limit is None else time.perf_counter() + limit
+        self.most_iterations = math.inf
         self.iterations = 0
         self.solves = 0
 
@@ -192,12 +216,19 @@ class WorkBudget:
         return None if self._deadline is None else max(1e-3, self._deadline - time.perf_counter())
 
     @property
-    def is_over(self) -> bool:
+    def is_late(self) -> bool:
         """Whether the time is over."""
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the time or the iterations are used up."""
+        return self.is_late or self.iterations >= self.most_iterations
+
     def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
-        """Solve within the time that is left, and count the iterations."""
+        """Solve within the time and the iterations that are left, and count them."""
+        if math.isfinite(self.most_iterations):
+            options = {**options, "max_iter": int(min(options["max_iter"], max(1.0, self.most_iterations - self.iterations)))}
         result = solve(problem, options=options, warm_start=start, time_limit=self.remaining)
         self.iterations += result.iterations
         self.solves += 1
@@ -212,6 +243,7 @@ class Path:
 
     def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> None:
         self._work, self._strategy, self._settings, self._budget, self._steps = work, strategy, settings, budget, steps
+        self._regularised: dict[str, Any] = {}
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
@@ -229,7 +261,7 @@ class Path:
         first = settings.eps_start or strategy.first
         last = min(settings.eps_end or strategy.last, first)
         good: PathPoint | None = None
-        eps, factor, failures, tried = first, _FIRST_FACTOR, 0, {first}
+        eps, factor, failures, tried, was_idle = first, _FIRST_FACTOR, 0, {first}, False
         while True:
             result = self._take(eps, start, good)
             if _is_usable(result):
@@ -239,6 +271,10 @@ class Path:
                 if eps <= last:
                     return
                 factor = _next_factor(factor, result.iterations)
+                largest = self._largest_product(good)
+                if largest < _IDLE * eps and was_idle:
+                    eps = largest
+                was_idle = largest < _IDLE * eps
                 eps = max(last, eps * factor)
                 continue
             failures += 1
@@ -257,6 +293,11 @@ class Path:
                 factor = math.sqrt(factor)
                 eps = math.sqrt(eps * good.eps)
 
+    def _largest_product(self, good: PathPoint) -> float:
+        """Largest v w of a pair where eps bounds it; infinite for other strategies."""
+        first, second = self._work.relaxed.pair_values(good.x)
+        return float(np.max(first * second, initial=0.0)) if self._strategy.bounds_products else math.inf
+
     def _take(self, eps: float, start: np.ndarray, good: PathPoint | None) -> IpoptResult:
         begin = time.perf_counter()
         self._work.set(eps)
@@ -267,7 +308,14 @@ class Path:
             before = good.result
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
-        result = self._budget.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
+        problem, options = self._work.relaxed.problem, {**options, **self._regularised, **self._settings.ipopt}
+        result = self._budget.run(problem, options, begins)
+        if not self._regularised and repeats_constraints(result) and not self._budget.is_over:
+            self._regularised = {
+                "perturb_always_cd": "yes"
+            }  # products that rows imply repeat them: from here on, as here, the rows' block is regularised
+            again = self._budget.run(problem, {**options, **self._regularised}, begins)
+            result = again if again.solved else result
         self._steps.append(
             Step(
                 strategy=self._strategy.name,

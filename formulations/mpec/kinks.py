@@ -40,7 +40,7 @@ def smooth_copy(model: Any) -> SmoothCopy:
         copy = model.clone()
         both = [
             zip(*(list(one.component_data_objects(kind, descend_into=Block)) for one in (copy, model)), strict=True)
-            for kind in (pyo.Var, pyo.Constraint)
+            for kind in (pyo.Var, pyo.Constraint, Complementarity)
         ]
         users = {id(mine): theirs for pairs in both for mine, theirs in pairs}
         block = pyo.Block(concrete=True)

@@ -76,7 +76,7 @@ def _condition(data: Any) -> Condition:
     sides = getattr(data, "_args", None)
     if not sides:
         raise ModelRefusedError(f"complementarity '{data.name}' holds no condition: give it complements(.., ..), or deactivate it")
-    relations = tuple(_relation(side, data) for side in sides)
+    relations = tuple(relation_of(side, data) for side in sides)
     bounds = tuple(sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations)
     if any(isinstance(side, EqualityExpression) for side in sides):
         return EqualityCondition(data=data, relations=tuple(enumerate(relations)))
@@ -95,8 +95,16 @@ def _condition(data: Any) -> Condition:
     return BoxCondition(data=data, argument=argument, body=body, lower=lower, upper=upper, free=free)
 
 
-def _relation(side: Any, data: Any) -> tuple[Any, Any, Any]:
-    """(lower, body, upper) of one argument of `complements`; a bound is None where there is none."""
+def relation_of(side: Any, data: Any) -> tuple[Any, Any, Any]:
+    """(lower, body, upper) of one argument of `complements`; a bound is None where there is none.
+
+    Raises
+    ------
+    ModelRefusedError
+        for a strict inequality, a range with variable bounds, and what is neither an expression nor a relation
+    MissingValueError
+        where a bound has no value
+    """
     kind = side.__class__
     if kind is EqualityExpression:
         return 0.0, side.arg(0) - side.arg(1), 0.0

@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
+from pyomo.core.base.var import VarData
+from pyomo.core.expr import value
 
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
+from formulations.mpec.lifted import relation_of
 from formulations.mpec.strategies import MpecSettings
 from formulations.solution import Outcome
 
@@ -45,7 +48,7 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
 
 def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
-    if budget.is_over:
+    if budget.is_late:
         return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
     if outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
@@ -69,10 +72,37 @@ class Candidate:
         return self.work.relaxed if self.branch is None and self.point is not None else self.work.branches
 
     @property
+    def sense(self) -> int:
+        """1 where the objective is minimised, -1 where it is maximised."""
+        return self.work.branches.problem.sense
+
+    @property
+    def objective(self) -> float:
+        """Of the point, in the model's own sense, without a strategy's penalty; NaN without a point."""
+        if self.branch is not None:
+            return self.branch.objective
+        return math.nan if self.point is None else self.sense * self.work.branches.problem.objective(self.work.branch_point(self.point.x))
+
+    @property
     def x(self) -> np.ndarray | None:
         """Where the point is (columns,) [units of the variables]; None if there is none. Raises nothing."""
         found = self.branch or self.point
         return None if found is None else found.x
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """What one strategy found from one start (0: the user's, else the seed).
+
+    objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was found; only points that are better than those of the
+    attempts before are certified, and SOLVED is withdrawn where the certificate says no
+    """
+
+    strategy: str
+    start: int
+    outcome: Outcome
+    objective: float
+    iterations: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +126,9 @@ class MpecResult:
     variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
     (n,): of bounds; all NaN where there are none
     polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
-    to the point; residual: largest min of a pair; steps: the path; certificate: recomputed from the model (None if switched off)
+    to the point; residual: largest min of a pair; pair_multipliers: (complementarity, (of its first argument, of its second)), the change of the
+    objective when what the argument is compared with grows; attempts: what each strategy and start found, the answer is the best; steps: their paths
+    certificate: recomputed from the model (None if switched off)
     """
 
     outcome: Outcome
@@ -114,6 +146,8 @@ class MpecResult:
     has_multipliers: bool
     residual: float
     pairs: tuple[PairState, ...]
+    pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
+    attempts: tuple[Attempt, ...] = ()
     steps: tuple[Step, ...] = ()
     iterations: int = 0
     solves: int = 0
@@ -126,6 +160,12 @@ class MpecResult:
     def solved(self) -> bool:
         """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
+
+    @property
+    def spread(self) -> float:
+        """Between the best and the worst objective of the attempts that found a solution [units of the objective]; 0 for one."""
+        found = [attempt.objective for attempt in self.attempts if attempt.outcome is Outcome.SOLVED]
+        return max(found) - min(found) if found else 0.0
 
     @property
     def has_point(self) -> bool:
@@ -171,11 +211,6 @@ def result_of(
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
     lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
-    objective = math.nan
-    if branch is not None:
-        objective = branch.objective
-    elif candidate.point is not None:
-        objective = _user_objective(candidate, candidate.point.x)
     if branch is not None and with_multipliers:
         given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
         lagrange = np.array([given.get(id(row), 0.0) for row in rows])
@@ -194,13 +229,14 @@ def result_of(
         lagrange=lagrange,
         zl=zl,
         zu=zu,
-        sense=work.branches.problem.sense,
-        objective=objective,
+        sense=candidate.sense,
+        objective=candidate.objective,
         has_objective=work.branches.problem.layout.objective is not None,
         polished=branch is not None,
         has_multipliers=with_multipliers,
         residual=residual,
         pairs=() if x is None else _pair_states(candidate, x, with_multipliers),
+        pair_multipliers=_pair_multipliers(candidate) if with_multipliers else (),
         certificate=certificate,
         options=MappingProxyType({
             **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
@@ -257,6 +293,23 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
 
 
+def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, float]], ...]:
+    """Of each complementarity, in the model's own sense; a side that is a variable's own bound once more has the multiplier of that bound too."""
+    found, told = multipliers_of(candidate), []
+    bounds = ComponentMap(found.bounds.items())
+    for condition, sides in found.pairs.items():
+        both = list(sides)
+        for k, side in enumerate(condition._args):
+            lower, body, upper = relation_of(side, condition)
+            z = bounds.get(body, 0.0) if isinstance(body, VarData) else 0.0
+            bound, own = (lower, body.lb) if z > 0.0 else (upper, body.ub) if z < 0.0 else (None, None)
+            if bound is not None and value(bound) == own:
+                both[k] += z
+                del bounds[body]  # of two pairs with this side one has it
+        told.append((condition, (candidate.sense * both[0], candidate.sense * both[1])))
+    return tuple(told)
+
+
 def _own(candidate: Candidate) -> set[int]:
     """Variables that exist in the shadow only."""
     shadow = candidate.work.lifted.shadow
@@ -267,9 +320,3 @@ def _own(candidate: Candidate) -> set[int]:
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:
     rows = candidate.work.lifted.shadow.component("user_rows")
     return () if rows is None else tuple(rows.values())
-
-
-def _user_objective(candidate: Candidate, x: np.ndarray) -> float:
-    """The user's objective (without a strategy's penalty) at a point of the relaxation."""
-    problem = candidate.work.branches.problem
-    return problem.sense * problem.objective(candidate.work.branch_point(x))

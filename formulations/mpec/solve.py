@@ -18,7 +18,9 @@ The model keeps its components as they were (nothing is transformed in place); v
 
 from __future__ import annotations
 
+import itertools
 import logging
+import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -29,13 +31,14 @@ from pyomo.opt import SolverFactory, SolverResults
 from formulations.ipopt.contrib_solver import register
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
-from formulations.mpec.branching import Branch, Branching
+from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
 from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
+    Attempt,
     Candidate,
     MpecResult,
     is_feasible,
@@ -52,8 +55,16 @@ logger = logging.getLogger(__name__)
 # The pairs are decided early where two steps in a row agree on all of them, below this eps; the branch is believed where it is strongly
 # stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
+# A step whose multipliers do not fit has decided the pairs where their smaller sides are below this.
+_DECIDED = 1e-6
 # Multipliers with a larger residual (relative) are not handed out.
 _WRONG_MULTIPLIERS = 1e-4
+# Iterations for further strategies and starts, as a multiple of those up to the first success: with at most `search` pairs, and with more.
+_SMALL_WORK, _WORK = 1.0, 3.0
+# But no more than this, iterations times entries of derivatives: some 15 CPU s.
+_ENTRIES = 2e7
+# An attempt is begun where at least this share of the iterations of the first success is left.
+_WORTHWHILE = 0.5
 # Both parts of an absolute value below this: the answer lies on its kink.
 _ON_KINK = 1e-6
 
@@ -102,76 +113,127 @@ def _by_users(result: MpecResult, smooth: SmoothCopy) -> MpecResult:
         rows=tuple(smooth.users[id(result.rows[k])] for k in rows),
         lagrange=result.lagrange[rows],
         pairs=tuple(pair for pair in result.pairs if pair not in own),
+        pair_multipliers=tuple((smooth.users[id(pair)], both) for pair, both in result.pair_multipliers if id(pair) in smooth.users),
     )
 
 
 def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
+    """The best of all attempts: strategies from the first start, then from the next, until the work allowed after the first success is done."""
     begin = time.perf_counter()
     best: MpecResult | None = None
     steps: list[Step] = []
-    solved_before = False
-    for name in settings.strategies:
-        candidate = _run_strategy(model, STRATEGIES[name], settings, budget, steps)
-        result = _judged(model, candidate, settings, budget)
-        logger.info("%s on '%s': %s", name, model.name, result.message)
-        if best is None or _rank(result) < _rank(best):
-            best = result
-        if budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
+    attempts: list[Attempt] = []
+    searched: list[Branch] = []
+    first_success, has_pairs = 0, True
+    for start, name in itertools.product(range(settings.starts), settings.strategies):
+        if not has_pairs and name != settings.strategies[0]:
+            continue  # without pairs all strategies are the same
+        before = budget.iterations
+        candidate = _run_strategy(model, STRATEGIES[name], start, settings, budget, steps, searched)
+        has_pairs = bool(candidate.work.lifted.pairs)
+        outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
+        if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
+            result = _judged(model, candidate, settings, budget)
+            logger.info("%s from start %d on '%s': %s", name, start, model.name, result.message)
+            outcome = result.outcome
+            if best is None or _rank(result) < _rank(best):
+                best = result
+        attempts.append(Attempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before))
+        if budget.is_over or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
-        if result.solved and (not candidate.work.lifted.pairs or len(candidate.work.lifted.pairs) > settings.search or solved_before):
-            break  # a small problem is worth a second path: it costs little, and may end in a better solution
-        solved_before = solved_before or result.solved
+        if best.solved and math.isinf(budget.most_iterations):
+            first_success = budget.iterations
+            budget.most_iterations = first_success + _further_iterations(settings, candidate, first_success)
+        if budget.most_iterations - budget.iterations < _WORTHWHILE * first_success:
+            break
     assert best is not None  # there is always a strategy
-    return replace(best, steps=tuple(steps), iterations=budget.iterations, solves=budget.solves, seconds=time.perf_counter() - begin)
+    message = best.message if len(attempts) == 1 else f"{best.message}; {_attempts_in_words(attempts)}"
+    return replace(
+        best, message=message, attempts=tuple(attempts), steps=tuple(steps), iterations=budget.iterations, solves=budget.solves,
+        seconds=time.perf_counter() - begin,
+    )  # fmt: skip
 
 
-def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> Candidate:
-    """One strategy from the model's values: its path, whose steps are added to those before, and the branch it leads to."""
+def _further_iterations(settings: MpecSettings, candidate: Candidate, first_success: int) -> float:
+    if settings.work is not None:
+        return settings.work * first_success
+    share = _SMALL_WORK if len(candidate.work.lifted.pairs) <= settings.search else _WORK
+    return settings.starts * min(share * first_success, _ENTRIES / candidate.work.branches.problem.nonzeros)
+
+
+def _better(objective: float) -> float:
+    return BETTER * max(1.0, abs(objective))
+
+
+def _attempts_in_words(attempts: list[Attempt]) -> str:
+    words = []
+    for attempt in attempts:
+        told = f"{attempt.objective:.6g}" if attempt.outcome is Outcome.SOLVED else attempt.outcome.name.lower().replace("_", " ")
+        words.append(f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {told}")
+    return f"best of {len(attempts)}: {', '.join(words)}"
+
+
+def _run_strategy(
+    model: Any, strategy: Strategy, number: int, settings: MpecSettings, budget: WorkBudget, steps: list[Step], searched: list[Branch]
+) -> Candidate:
+    """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
+
+    searched: branches around which others were tried before, which is not done again
+    """
     lifted = lift(model)
     work = Workspace(lifted, strategy)
-    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, settings, budget)
+    start = work.start(number)
+    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, start, settings, budget)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
     if not lifted.pairs:
-        branch = branching.polish(work.start())
+        branch = branching.polish(start)
         message = "" if branching.last is None else branching.last.message
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
         return Candidate(work=work, branch=branch, point=None, outcome=outcome, message=message)
     before: np.ndarray | None = None
-    for last in path.points(work.start()):
+    for last in path.points(start):
         first, second = work.relaxed.pair_values(last.x)
         closed = first < second
         clear = before is not None and np.array_equal(closed, before)
         before = closed
-        if settings.polish and last.eps <= _EARLY_EPS and clear and last.result.solved:
+        if settings.polish and last.eps <= _EARLY_EPS and clear and (last.result.solved or natural_residual(first, second) <= _DECIDED):
             branch = branching.polish(last.x)
             if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
                 break
     else:
         if last is not None and settings.polish:
             branch = branching.polish(last.x)
-    if branch is not None:
-        branch = branching.search(branch, work.start())
+    if branch is not None and not any(_is_same(branch, known) for known in searched):
+        searched.append(branch)
+        branch = branching.search(branch, start)
+        searched.append(branch)
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
-        branch, outcome, message = _without_branch(work, branching, path, last, settings, budget)
+        branch, outcome, message = _without_branch(work, start, branching, path, last, settings, budget)
     return Candidate(work=work, branch=branch, point=last, outcome=outcome, message=message, unbounded=branching.unbounded)
 
 
+def _is_same(branch: Branch, known: Branch) -> bool:
+    return np.array_equal(branch.closed, known.closed) and abs(branch.objective - known.objective) <= _better(known.objective)
+
+
 def _without_branch(
-    work: Workspace, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, budget: WorkBudget
+    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, budget: WorkBudget
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
     if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not budget.is_over:
-        starts = [work.branch_point(work.start())] if last is None else [work.branch_point(x) for x in (last.x, work.start())]
+        starts = [work.branch_point(start)] if last is None else [work.branch_point(x) for x in (last.x, start)]
         branch, outcome = branching.every_branch(starts)
         if outcome is Outcome.INFEASIBLE:
             reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
             return None, outcome, f"{reason}each of the {2 ** len(work.lifted.pairs)} branches of the problem is infeasible (locally)"
         if outcome is Outcome.SOLVED:
             return branch, outcome, ""
-    if budget.is_over:
+    if budget.is_late:
         return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
+    if budget.is_over:
+        return None, Outcome.ITERATION_LIMIT, "the work that is allowed after the first success was done before the last eps"
     if branching.unbounded:
         return None, Outcome.DIVERGED, "a branch of the problem is unbounded: its objective falls without end at feasible points"
     if last is None or path.gave_up:
@@ -235,6 +297,7 @@ class MpecIpopt(PyomoPlugin):
             multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
             iterations=result.iterations,
             wall=result.seconds,
+            pair_multipliers=result.pair_multipliers,
         )
         return answer.results(self.title, model), answer
 

@@ -28,13 +28,14 @@ class Strategy(ABC):
     """A way to make all pairs smooth.
 
     name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
-    the multipliers of the step before
+    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w
     """
 
     name: str
     first: float = 1.0
     last: float = 1e-9
     warm_below: float = 1e-4
+    bounds_products: bool = False
 
     @abstractmethod
     def attach(self, lifted: Lifted) -> None:
@@ -57,9 +58,14 @@ def _replace_objective(shadow: Any, penalty: Any) -> None:
 
 
 class Scholtes(Strategy):
-    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0."""
+    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0.
+
+    It starts where pairs hardly bind, and so from what the rest of the problem would like best.
+    """
 
     name = "scholtes"
+    first = 1e3
+    bounds_products = True
 
     def attach(self, lifted: Lifted) -> None:
         """Products at most `mpec_bound`."""
@@ -168,11 +174,9 @@ class Direct(Scholtes):
 
 
 STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), L1Penalty(), Elastic(), Direct())}
-
-
 STRATEGY_NAMES = tuple(STRATEGIES)
 # The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
-# 500 steps (cost, iterations): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
+# 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
 # 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 
@@ -181,7 +185,10 @@ FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 class MpecSettings:
     """How an MPEC is solved.
 
-    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
+    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best certified answer
+    starts: so many starts: the model's values, then random points around them, by seed; all strategies from each
+    work: Ipopt's iterations for what comes after the first success, as a multiple of those up to there; 0: the first success is the answer;
+    None: 1 a start with at most `search` pairs, else 3, but of large problems some 15 CPU s a start (counted in iterations, not by a clock)
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
@@ -194,6 +201,8 @@ class MpecSettings:
     strategy: str = "auto"
     eps_start: float | None = None
     eps_end: float | None = None
+    starts: int = 1
+    work: float | None = None
     complementarity_tolerance: float = 1e-6
     polish: bool = True
     certificate: bool = True
@@ -242,7 +251,7 @@ def _checked(name: str, value: Any) -> Any:
         if not isinstance(value, (bool, str)) or value not in words:
             raise UnknownOptionError(f"the option '{name}' is True or False, not {value!r}")
         return words[value]
-    if value is None and name in ("eps_start", "eps_end"):
+    if value is None and name in ("eps_start", "eps_end", "work"):
         return None
     return _number(name, value)
 
@@ -252,10 +261,12 @@ def _number(name: str, value: Any) -> float | int:
         number = float(value)
     except (TypeError, ValueError):
         raise UnknownOptionError(f"the option '{name}' is a number, not {value!r}") from None
-    if name in ("max_biactive", "search", "step_iterations"):
-        if isinstance(value, bool) or number < 0 or not number.is_integer():
-            raise UnknownOptionError(f"the option '{name}' is a whole number of at least 0, not {value!r}")
+    if name in ("max_biactive", "search", "step_iterations", "starts"):
+        least = int(name == "starts")
+        if isinstance(value, bool) or number < least or not number.is_integer():
+            raise UnknownOptionError(f"the option '{name}' is a whole number of at least {least}, not {value!r}")
         return int(number)
-    if isinstance(value, bool) or not 0.0 < number < math.inf:
-        raise UnknownOptionError(f"the option '{name}' is a positive number, not {value!r}")
+    if isinstance(value, bool) or not 0.0 <= number < math.inf or (number == 0.0 and name != "work"):
+        kind = "a number of at least 0" if name == "work" else "a positive number"
+        raise UnknownOptionError(f"the option '{name}' is {kind}, not {value!r}")
     return number

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from pyomo.mpec import Complementarity, complements
 
 from benchmarks.mpec.proved import prove
-from benchmarks.mpec.sets import command
+from benchmarks.mpec.sets import _profile, command
 
 
 def _pairs(sense=pyo.minimize, goals=((1, 2), (3, -1), (2, 2))) -> pyo.ConcreteModel:
@@ -102,3 +102,33 @@ def test_a_folder_without_problems_is_refused(tmp_path):
     result = CliRunner().invoke(command, ["--from", str(tmp_path)])
     assert result.exit_code == 2
     assert "no .nl or .py file" in result.output
+
+
+def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
+    """Ours and the peer's cost and seconds: both right, ours 3 times slower; the peer not feasible; the peer better; a maximum that ours has higher."""
+    rows = [
+        {
+            "status": status,
+            "sense": sense,
+            "objective": mine,
+            "solve_s": 3.0,
+            "peer_objective": theirs,
+            "peer_feasible": feasible,
+            "peer_s": 1.0,
+        }
+        for status, sense, mine, theirs, feasible in (
+            ("solved", 1, 5.0, 5.0004, True),
+            ("solved", 1, 5.0, 4.0, False),
+            ("solved", 1, 5.0, 4.0, True),
+            ("solved", -1, 5.0, 4.0, True),
+        )
+    ]
+    table = _profile([*rows, {"status": "solved", "sense": 1, "objective": 1.0, "solve_s": 1.0}])
+    told = {name: dict(zip(table.columns[1:], shares, strict=True)) for name, *shares in table.rows}
+    assert "4 problems" in table.caption
+    assert (told["mpec_ipopt"]["within 1 times"], told["mpec_ipopt"]["within 4 times"], told["mpec_ipopt"]["at all"]) == (
+        "50%",
+        "75%",
+        "75%",
+    )
+    assert told["casadi_scholtes"]["within 1 times"] == told["casadi_scholtes"]["at all"] == "50%"

@@ -98,7 +98,7 @@ class ActiveSet:
 
     gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; limits: of their multipliers
     first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n, pairs): gradients of the sides
-    scale: largest derivative of the objective, at least 1
+    scale: largest derivative of the objective, at least its size nearby
     """
 
     gradient: np.ndarray
@@ -140,7 +140,7 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
         both=np.flatnonzero(first & second),
         first_normals=local.first_jacobian.T.tocsc(),
         second_normals=local.second_jacobian.T.tocsc(),
-        scale=max(1.0, float(np.max(np.abs(local.gradient), initial=0.0))),
+        scale=max(local.slope_nearby, float(np.max(np.abs(local.gradient), initial=0.0))),
     )
 
 

@@ -128,7 +128,7 @@ def _finite(bound: np.ndarray) -> np.ndarray:
 
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
-# derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
+# derivative of the objective, at the point or around it, where that is less than 1 (`slope_nearby`). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
 FEASIBILITY, COMPLEMENTARITY, STATIONARITY = 1e-6, 1e-6, 1e-5
 # A row, bound or side this near zero is active.
 _ACTIVE = 1e-6

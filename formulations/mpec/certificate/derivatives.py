@@ -279,7 +279,7 @@ class LocalModel:
     """The model to first order at a point.
 
     objective, gradient (n,): of the minimised objective; rows with jacobian (rows, n); bounds of the variables; pairs with gradients first_jacobian,
-    second_jacobian (pairs, n), in the signs of `Pair`
+    second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the point, 1 at most
     """
 
     variables: tuple[Any, ...]
@@ -292,6 +292,7 @@ class LocalModel:
     first_jacobian: sparse.csr_matrix
     second_jacobian: sparse.csr_matrix
     notes: tuple[str, ...] = ()
+    slope_nearby: float = 1.0
 
 
 @contextmanager
@@ -326,6 +327,25 @@ def _filled(source: Any, expression: Any, number: float) -> float:
             f"'{source.name}' needs the Expression '{name}', which is empty: give it a value, or deactivate '{source.name}'"
         )
     return number
+
+
+def _slope_nearby(goal: Any, variables: Sequence[Any], gradient: np.ndarray) -> float:
+    """Largest derivative of the objective a step of max(1, |x|) away, on either side; 1 at most, and where there is none.
+
+    At a point without constraints the derivatives vanish: what little is left of them is measured by those around, so that a cost in another unit is
+    stationary at the same points.
+    """
+    found = float(np.max(np.abs(gradient), initial=0.0))
+    if found >= 1.0:
+        return 1.0
+    x = np.array([math.nan if variable.value is None else variable.value for variable in variables], dtype=float)
+    step = np.maximum(1.0, np.abs(x)) * np.where(np.arange(len(x)) % 2, -1.0, 1.0)
+    for point in (x + step, x - step):
+        with values_set(variables, point.tolist()):
+            slopes = gradients_of([goal], [number_of(goal)]).matrix.data
+        largest = float(np.max(np.abs(slopes), initial=0.0))
+        found = max(found, largest) if math.isfinite(largest) else found
+    return min(1.0, found) if found > 0.0 else 1.0
 
 
 def read_local(model: Any, near: float) -> LocalModel:
@@ -388,6 +408,7 @@ def read_local(model: Any, near: float) -> LocalModel:
         first_jacobian=(flips[0] @ found.matrix[m : m + k]).tocsr(),
         second_jacobian=(flips[1] @ found.matrix[m + k : m + 2 * k]).tocsr(),
         notes=found.notes,
+        slope_nearby=_slope_nearby(goal, found.variables, found.matrix[m + 2 * k].data),
     )
 
 

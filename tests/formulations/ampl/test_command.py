@@ -7,6 +7,7 @@ from pathlib import Path
 import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, complements
+from pyomo.opt.plugins.sol import ResultsReader_sol
 
 from formulations.ampl.command import main
 
@@ -129,6 +130,21 @@ def test_duals_are_the_change_of_the_objective_by_the_right_hand_side(stub, side
         below, _ = solve(stub(**given | {name: value - step}))
         assert duals[number] == pytest.approx(sign * (above - below) / (2 * step), abs=2e-6), name
     assert max(map(abs, duals)) > 0.1
+
+
+@pytest.mark.parametrize("sense", [0, 1])
+def test_the_multiplier_of_the_variables_side_is_a_suffix_that_pyomo_reads(stub, sense):
+    """The body is 2, so x1 stays at its bound, and the objective changes with that."""
+    step, cost = 1e-3, {}
+    for bound in (4.5, 4.5 + step, 4.5 - step):
+        path = stub(d=-3.0, start=-1.0, bounds=f"2 {bound}", sense=sense)
+        cost[bound], duals = solve(path)
+        if bound == 4.5:
+            answer = ResultsReader_sol()(str(path.with_suffix(".sol")), suffixes=[".*"]).solution(0).constraint
+    change = (-1.0 if sense else 1.0) * (cost[4.5 + step] - cost[4.5 - step]) / (2 * step)
+    assert {name: entry["Pair_dual"] for name, entry in answer.items() if "Pair_dual" in entry} == {"c3": pytest.approx(change, abs=1e-6)}
+    assert abs(change) > 1.0
+    assert duals[3] == 0.0
 
 
 def test_an_infeasible_problem_says_so_in_its_code(stub):

@@ -115,19 +115,36 @@ def test_data_in_front_of_a_wide_sum_keeps_the_terms_apart():
     assert problem.objective(x) == pytest.approx(pyo.value(m.cost), rel=1e-12)
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_rows_of_a_quadratic_form_are_terms_of_one_shape(first):
+    """x' A x as sum x[i] * (A x)[i]: whole, each row would be a shape with a dense Hessian."""
+    random = np.random.default_rng(1)
+    count, start = 30, random.normal(size=30)
+    matrix = random.normal(size=(count, count))
+    m = model_with(count, 0.0)
+    rows = [sum(matrix[i, j] * m.x[j] for j in range(count)) - 2.0 for i in range(count)]
+    m.cost = pyo.Objective(expr=sum(m.x[i] * row if first else row * m.x[i] for i, row in enumerate(rows)))
+    problem = compile_model(m)
+    assert len(problem._groups) == 2, "x[i] * x[j] and x[i] * x[i]"
+    assert problem.objective(start) == pytest.approx(start @ matrix @ start - 2 * start.sum(), rel=1e-12)
+    np.testing.assert_allclose(problem.gradient(start), (matrix + matrix.T) @ start - 2, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(hessian_of(problem, start), matrix + matrix.T, rtol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_a_sparse_hessian_of_a_large_term_is_found_sparse(first):
     m = model_with(300, 0.4)
     m.y = pyo.Var(initialize=0.7)
     cubes = sum(m.x[i] ** 3 for i in range(300))
-    m.cost = pyo.Objective(expr=m.y * cubes if first else cubes * m.y)
+    factor = m.y + 1
+    m.cost = pyo.Objective(expr=factor * cubes if first else cubes * factor)
     problem = compile_model(m)
     x, _ = problem.start()
     assert len(problem.hessianstructure()[0]) == 600
     where = {v.name: k for k, v in enumerate(problem.variables)}
     full = hessian_of(problem, x)
-    assert full[where["x[7]"], where["x[7]"]] == pytest.approx(0.7 * 6 * 0.4)
+    assert full[where["x[7]"], where["x[7]"]] == pytest.approx(1.7 * 6 * 0.4)
     assert full[where["y"], where["x[7]"]] == pytest.approx(3 * 0.4**2)
 
 

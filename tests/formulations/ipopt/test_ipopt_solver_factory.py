@@ -203,6 +203,17 @@ def test_tee_shows_the_log_and_silence_is_silent(solver, capsys):
     assert "inf_pr" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("tee", [False, True])
+def test_a_log_file_takes_the_log_and_how_it_ended(solver, capsys, tmp_path, tee):
+    solver.solve(linear(pyo.minimize), logfile=tmp_path / "log", tee=tee)
+    told = (tmp_path / "log").read_text()
+    assert "inf_pr" in told
+    assert told.endswith(f"touchstone_ipopt: {solver.last_result.message}\n")
+    assert ("inf_pr" in capsys.readouterr().out) == tee
+    with pytest.raises(OSError, match="nowhere"):
+        solver.solve(linear(pyo.minimize), logfile=tmp_path / "nowhere" / "log")
+
+
 def test_the_manners_of_a_pyomo_solver(solver):
     assert solver.available()
     assert solver.license_is_valid()

@@ -197,9 +197,9 @@ def at_the_origin(first, second, cost) -> Certificate:
 
 
 def test_several_gentle_slopes_are_a_steep_one_together() -> None:
-    """Both multipliers are -0.01. Along either edge the cost falls by 1e-6 only, along (1, 0), which leaves both rows, by 0.02."""
-    certificate = at_the_origin(lambda x, y: x >= 0, lambda x, y: x + 1e-4 * y >= 0, lambda x, y: -1e-2 * (2 * x + 1e-4 * y))
-    assert certificate.descent == pytest.approx(-0.02, rel=1e-3)
+    """Both multipliers are -1. Along either edge the cost falls by 1e-6 only, along (1, 0), which leaves both rows, by 2: its largest derivative."""
+    certificate = at_the_origin(lambda x, y: x >= 0, lambda x, y: x + 1e-6 * y >= 0, lambda x, y: -(2 * x + 1e-6 * y))
+    assert certificate.descent == pytest.approx(-1.0, rel=1e-3)
     assert certificate.b_stationary is False
     assert not certificate.holds
 

@@ -22,6 +22,8 @@ from tests.formulations.mpec.nearest import nearest, solver
         ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
         ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
         ({"search": float("inf")}, ["'search'", "whole"]),
+        ({"starts": 0}, ["'starts'", "at least 1"]),
+        ({"work": -1}, ["'work'", "at least 0"]),
         ({"linear_solver": "ma57"}, ["ma57"]),
     ],
 )
@@ -39,6 +41,17 @@ def test_options_reach_ipopt_and_the_record():
     assert result.options["max_iter"] == 77
     assert not result.polished
     assert result.residual < 1e-6
+
+
+@pytest.mark.parametrize("sense", [pyo.minimize, pyo.maximize])
+def test_multipliers_of_pairs_are_a_suffix(sense):
+    """At (0, 2): the cost changes by -2 when x >= 0 becomes x >= 1e-3, and not with what y is compared with."""
+    m, sign = nearest(), 1 if sense == pyo.minimize else -1
+    m.cost.deactivate()
+    m.signed = pyo.Objective(expr=sign * m.cost.expr, sense=sense)
+    m.pair_dual = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    solver().solve(m)
+    assert m.pair_dual[m.pair] == pytest.approx((-2.0 * sign, 0.0), abs=1e-8)
 
 
 def test_unknown_keywords_are_refused():

@@ -1,0 +1,140 @@
+"""The best of several strategies and starts, within a work; and costs in any unit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+from pyomo.mpec import Complementarity, complements
+
+from formulations.mpec import MpecSettings, Stationarity, certify, load, solve_mpec
+from formulations.mpec.homotopy import Workspace
+from formulations.mpec.lifted import lift
+from formulations.mpec.strategies import STRATEGIES
+from formulations.solution import Outcome
+
+
+def valley(count: int = 3, start: float = 0.0) -> pyo.ConcreteModel:
+    """Points on two axes, each with two local solutions: near (2, 0), which costs 4, and near (0, 2 - 1e-2 k), which costs a little less or more."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(range(count), initialize=2.0 + start)
+    m.y = pyo.Var(range(count), initialize=start)
+    m.cost = pyo.Objective(expr=sum((m.x[k] - 2) ** 2 + (m.y[k] - 2 - 0.1 * k) ** 2 + pyo.sin(3 * m.y[k]) for k in range(count)))
+    m.pair = Complementarity(range(count), rule=lambda m, k: complements(m.x[k] >= 0, m.y[k] >= 0))
+    return m
+
+
+def several(**options) -> MpecSettings:
+    return MpecSettings(search=0, max_biactive=0, **options)
+
+
+def test_the_answer_is_the_best_of_all_attempts_and_says_what_each_found():
+    result = solve_mpec(valley(), several(starts=4, work=20.0))
+    found = [attempt.objective for attempt in result.attempts if attempt.outcome is Outcome.SOLVED]
+    assert result.solved
+    assert len(result.attempts) == 12
+    assert result.objective == pytest.approx(min(found), rel=1e-9)
+    assert result.spread == pytest.approx(max(found) - min(found))
+    assert result.spread > 0.1, "a problem whose attempts all end alike tells nothing"
+    assert {attempt.start for attempt in result.attempts} == {0, 1, 2, 3}
+    assert result.strategy in {attempt.strategy for attempt in result.attempts if attempt.objective <= result.objective + 1e-9}
+    assert f"best of 12: smoothing {result.attempts[0].objective:.6g}" in result.message
+    assert "from start 3" in result.message
+    assert sum(attempt.iterations for attempt in result.attempts) == result.iterations
+
+
+def test_more_starts_are_never_worse_and_the_same_every_time():
+    one, many, again = (solve_mpec(valley(), several(starts=starts)) for starts in (1, 5, 5))
+    assert many.objective <= one.objective + 1e-9
+    assert many.x.tolist() == again.x.tolist()
+    assert many.attempts == again.attempts
+
+
+@pytest.mark.parametrize("work", [0.0, 0.7, 1.5])
+def test_what_comes_after_the_first_success_stays_within_the_work(work):
+    result = solve_mpec(valley(), several(starts=3, work=work))
+    first = result.attempts[0]
+    assert first.outcome is Outcome.SOLVED
+    assert result.iterations <= (1 + work) * first.iterations + 3, "a solve that is begun takes one iteration at least"
+    assert (len(result.attempts) == 1) == (work < 0.5), "less than half of the first is not worth a beginning"
+
+
+def test_an_attempt_cut_short_is_told_and_loses():
+    result = solve_mpec(valley(), several(work=0.6))
+    assert [attempt.outcome for attempt in result.attempts] == [Outcome.SOLVED, Outcome.ITERATION_LIMIT]
+    assert result.solved
+    assert result.message.endswith("scholtes iteration limit")
+    assert result.certificate is not None
+    assert result.certificate.holds
+
+
+def test_a_start_is_random_within_the_bounds():
+    m = valley()
+    m.x[0].setlb(1.0)
+    m.x[0].setub(3.0)
+    m.x[1].setub(1.0)
+    work = Workspace(lift(m), STRATEGIES["scholtes"])
+    place = work.relaxed.place
+    starts = np.array([work.start(number) for number in range(200)])
+    first, second, free = (starts[1:, place[id(m.x[k])]] for k in range(3))
+    assert (starts[0, place[id(m.x[0])]], starts[0, place[id(m.x[2])]]) == (2.0, 2.0)
+    assert 1.0 <= first.min() < 1.1
+    assert 2.9 < first.max() <= 3.0
+    assert second.max() == 1.0
+    assert 1.5 < free.std() < 2.5, "normal, with the size of the value"
+    assert np.array_equal(starts[7], work.start(7))
+
+
+@pytest.mark.parametrize("unit", [1e6, 1.0, 1e-3, 1e-6])
+def test_a_cost_in_another_unit_has_the_same_answer_and_is_stationary_at_the_same_points(unit):
+    """(0, 2, 0): where the free z is 1e-6 away it is stationary, 1e-4 away it is not, whatever the unit."""
+    m = pyo.ConcreteModel()
+    m.x, m.y, m.z = pyo.Var(initialize=3.0), pyo.Var(initialize=2.0), pyo.Var(initialize=0.1)
+    m.cost = pyo.Objective(expr=unit * ((m.x - 1) ** 2 + (m.y - 2) ** 2 + (m.z - m.x) ** 2))
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    result = solve_mpec(m)
+    load(result)
+    assert result.solved, result.message
+    assert (m.x.value, m.y.value, m.z.value) == pytest.approx((0, 2, 0), abs=1e-9)
+    assert certify(m).stationarity is Stationarity.STRONG
+    m.z.value = 1e-6
+    assert certify(m).b_stationary is True
+    m.z.value = 1e-4
+    assert certify(m).b_stationary is False
+
+
+@pytest.mark.parametrize(("slope", "holds"), [(2e-5, True), (9e-4, True), (1.1e-3, False), (2e-2, False)])
+def test_a_slope_counts_against_the_largest_derivative(slope, holds):
+    """The cost rises by 100 with x, which is at its bound, and falls with y by little."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=0.0, bounds=(0, None)), pyo.Var(initialize=1.0)
+    m.cost = pyo.Objective(expr=100 * m.x - slope * m.y)
+    assert certify(m).b_stationary is holds
+
+
+def test_a_flat_objective_is_refined_without_a_price_in_feasibility():
+    """Twenty shares that make up one, with variances of 1e-6: the solution has all of them, and bounds that do not bind."""
+    m = pyo.ConcreteModel()
+    m.share = pyo.Var(range(20), bounds=(0, 1), initialize=0.5)
+    m.sum = pyo.Constraint(expr=sum(m.share.values()) == 1)
+    m.cost = pyo.Objective(expr=1e-6 * sum((k + 1) * m.share[k] ** 2 for k in range(20)))
+    m.pair = Complementarity(expr=complements(m.share[0] >= 0, m.share[1] >= 0))
+    result = solve_mpec(m)
+    weight = sum(1 / (k + 1) for k in range(20) if k != 1)
+    assert result.solved, result.message
+    assert result.objective == pytest.approx(1e-6 / weight, rel=1e-9)
+    assert result.certificate is not None
+    assert result.certificate.primal <= 1e-9
+
+
+def test_eps_leaps_where_products_are_far_below_it():
+    """Both pairs hold at the solution without them: all steps of eps from 1e3 to 1e-9 would find it."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(range(4), bounds=(0, None), initialize=1.0)
+    m.cost = pyo.Objective(expr=sum((m.x[k] - 1) ** 2 for k in (0, 2)) + sum((m.x[k] + 1) ** 2 for k in (1, 3)))
+    m.pair = Complementarity([0, 2], rule=lambda m, k: complements(m.x[k] >= 0, m.x[k + 1] >= 0))
+    result = solve_mpec(m, MpecSettings(strategy="scholtes"))
+    assert result.solved
+    assert len(result.steps) <= 4
+    assert max(step.eps for step in result.steps) == 1e3
+    assert result.objective == pytest.approx(2.0)
