@@ -6,19 +6,18 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 from xml.etree import ElementTree
 
 import click
 
 from validate.cli.options import FiniteRange
 from validate.cli.table import one_line, print_table, say, wide_option
-
-if TYPE_CHECKING:
-    from validate.fmu_check import CheckReport, FmuCheckRow
+from validate.fmu_check import CheckReport, FmuCheckRow, check_fmu
+from validate.store.disk import make_folder, write_durably
 
 # An FMU's report, with the seconds that its checks took: wall and CPU [s].
-Checked: TypeAlias = "tuple[CheckReport, float, float]"
+Checked: TypeAlias = tuple[CheckReport, float, float]
 _EPILOG = """\b
 Examples:
   python -m validate check model.fmu
@@ -68,9 +67,6 @@ def command(
     Each check claims something of a sound FMU; it is passed, failed or not offered, with one sentence. The FMU runs in child
     processes: one that hangs or crashes has failed the check, and nothing else happens.
     """
-    from validate.fmu_check import check_fmu
-    from validate.store.disk import make_folder, write_durably
-
     checked: list[Checked] = []
     for file in files:
         before = os.times()

@@ -5,7 +5,6 @@ A command is imported when it is used: `--help` and `list` cost neither SymPy no
 
 from __future__ import annotations
 
-import difflib
 import errno
 import importlib
 import io
@@ -19,7 +18,7 @@ from typing import Any
 import click
 from click.shell_completion import shell_complete
 
-from models.errors import MachineError, TouchstoneError
+from models.errors import MachineError, TouchstoneError, did_you_mean
 from validate.cli.table import say
 
 PROGRAM = "python -m validate"
@@ -92,8 +91,7 @@ class LazyGroup(click.Group):
         if args and args[0].replace("_", "-") in self.told:
             args = [args[0].replace("_", "-"), *args[1:]]
         if args and args[0] not in self.told and not args[0].startswith("-") and not ctx.resilient_parsing:
-            close = difflib.get_close_matches(args[0], self.told, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(self.told)}."
+            hint = did_you_mean(args[0], self.told, f"there are {', '.join(self.told)}.")
             raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
         return super().resolve_command(ctx, args)
 

@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from models.catalog import load_scene
+from validate.cli.metrics import Row, print_metrics
 from validate.cli.options import FiniteRange, scenes
-from validate.cli.table import print_table, say, short, warn, wide_option
+from validate.cli.table import say, warn, wide_option
+from validate.execution.isolated import Limits
+from validate.store.disk import make_folder, write_durably
 
 if TYPE_CHECKING:
     from validate.judge.judgement import Judgement
     from validate.judge.replay.result import Replay
-    from validate.judge.score import Metric, Verdict
+    from validate.judge.score import Verdict
 
 
 @click.command(
@@ -95,8 +99,6 @@ def command(
     PLAN.csv has one row a node: t and the inputs by name, and positions, velocities, contact forces if the plan says them:
     what it does not say is not asked. docs/replay.md describes plan and map, docs/verdict.md what is asked.
     """
-    from validate.execution.isolated import Limits
-
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
@@ -128,14 +130,13 @@ def exit_code(verdict: Verdict, require: str) -> int:
 
 
 def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
-    from models.catalog import load_scene
     from models.fmu import build_fmu
-    from models.trajectory import read_csv
-    from validate.judge.judgement import judge_trajectory
+    from validate.judge.judgement import as_trajectory, judge_trajectory
     from validate.plan.warnings import warnings_of
 
     loaded = load_scene(scene)
-    trajectory = read_csv(plan, loaded, hold)
+    trajectory = as_trajectory(plan, loaded, hold=hold)
+    assert trajectory is not None, "a file is a plan"
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
@@ -181,7 +182,6 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
     from models.scene import Scene
     from models.trajectory_netcdf import write_netcdf
     from validate.judge.replay.netcdf import write_replay
-    from validate.store.disk import make_folder, write_durably
 
     replay, subject, plan = judgement.replay, judgement.scene, judgement.plan
     make_folder(out)
@@ -197,7 +197,6 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 
 
 def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
-    from validate.store.disk import make_folder, write_durably
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
@@ -209,23 +208,14 @@ def _print(judgement: Judgement) -> None:
     from validate.judge.score.verdict import TRACKED
 
     result, replay = judgement.score, judgement.replay
-    followed = replay is not None and replay.tracked is not None
-    names = ["value", "with feedback"] if followed else ["value"]
-    rows = []
+    rows: list[Row] = []
     for metric in result.metrics:
         if metric.name.startswith(TRACKED):
             continue  # beside its twin
-        twin = result.metric(f"{TRACKED}{metric.name}")
-        judged = twin if twin is not None and result.judged == "feedback" and twin.is_judged else metric
-        values = [short(metric.value, ".4e"), short(twin.value, ".4e") if twin else ""][: len(names)]
-        if metric.name.startswith("feedback"):
-            values.reverse()  # there is none for the inputs alone
-        missing = judged.reason if judged.limit is None else f"not measured: {judged.reason}"
-        meaning = judged.meaning if judged.value is not None else missing
-        number = "" if metric.question.number is None else str(metric.question.number)
-        rows.append([number, metric.name, *values, judged.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
-    titles, dropped = ["question", "metric", *names, "unit", "limit", "", "meaning"], ["meaning", "question", "limit", "unit", *names[:-1]]
-    print_table(titles, rows, ("question", *names, "limit"), drop=dropped)
+        pair = (None, metric) if metric.name.startswith("feedback") else (metric, result.metric(f"{TRACKED}{metric.name}"))
+        rows.append((metric.question.number, metric.name, *pair))
+    followed = replay is not None and replay.tracked is not None
+    print_metrics(rows, followed=followed, tracked=result.judged == "feedback")
     click.echo()
     if replay is not None:
         say(_own_error("The replay", replay))
@@ -250,9 +240,3 @@ def _own_error(what: str, replay: Replay) -> str:
 
 def _size(value: float) -> str:
     return "unknown" if math.isinf(value) else f"{value:.2g}"
-
-
-def _judgement(metric: Metric) -> str:
-    if metric.limit is None:
-        return "not asked" if metric.value is None else ""
-    return "undecided" if metric.ok is None else "ok" if metric.ok else "too large"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.errors import UnknownNameError
+from models.errors import UnknownNameError, did_you_mean
 
 if TYPE_CHECKING:  # names cost no numpy
     from validate.tasks.check import Found
@@ -58,8 +57,6 @@ def load_case(name: str) -> Callable[[], Found]:
 
 def _path(name: str) -> Path:
     if name not in case_names():
-        close = difflib.get_close_matches(name, case_names(), n=1)
-        raise UnknownNameError(
-            f"there is no stress case {name!r}; " + (f"did you mean {close[0]}?" if close else f"there are {', '.join(case_names())}.")
-        )
+        hint = did_you_mean(name, case_names(), f"there are {', '.join(case_names())}.")
+        raise UnknownNameError(f"there is no stress case {name!r}; {hint}")
     return FOLDER / f"{name}.py"

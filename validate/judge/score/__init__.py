@@ -8,7 +8,6 @@ The judge knows no method: it sees a plan and what the plan's inputs do.
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from models.codegen.kernel import KernelError
-from models.errors import SceneError, TrajectoryError
+from models.errors import SceneError, TrajectoryError, did_you_mean
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
@@ -85,8 +84,7 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
                 f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
             )
         if limit.metric not in metric_names():
-            close = difflib.get_close_matches(limit.metric, metric_names(), n=1)
-            hint = f"did you mean {close[0]}?" if close else f"the metrics are {', '.join(metric_names())}."
+            hint = did_you_mean(limit.metric, metric_names(), f"the metrics are {', '.join(metric_names())}.")
             raise SceneError(f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}")
 
 
