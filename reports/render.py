@@ -160,6 +160,13 @@ def render_run(record: RunRecord, folder: Path) -> str:
     return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
 
 
+def render_players(folder: Path) -> dict[str, str]:
+    """Scene -> the text of a page with its best plan in motion, and nothing else, for a gallery. Raises ReportError."""
+    report, templates = Report(load(folder), folder, at=""), Templates()
+    moving = [(one, section) for one in report.scenes if (section := scene.motion(report, one)) is not None]
+    return {one.name: page(templates, [section], title=one.title, lead="", again="") for one, section in moving}
+
+
 def render_checks(records: Sequence[CheckRecord]) -> str:
     """The text of the page of FMUs that were checked outside of any campaign; at least one."""
     names = ", ".join(record.name for record in records)
@@ -341,6 +348,7 @@ __all__ = [
     "page",
     "render",
     "render_checks",
+    "render_players",
     "render_run",
     "write_page",
     "write_report",

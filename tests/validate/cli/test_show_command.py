@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
 
 from reports.records.record import MetricRecord, TrackedRecord
+from tests.reports import record_factory as factory
 from validate.store.store import Store
 from validate.store.stored import stored_names, title_of
-
-_FACTORY = importlib.util.spec_from_file_location("record_factory_of_show", Path(__file__).parents[2] / "reports" / "record_factory.py")
-assert _FACTORY is not None
-assert _FACTORY.loader is not None
-factory = importlib.util.module_from_spec(_FACTORY)
-_FACTORY.loader.exec_module(factory)
 
 
 def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
