@@ -26,8 +26,8 @@ def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None
     lines = []
     for number, name, alone, with_feedback in rows:
         judged = (with_feedback if tracked else alone) or alone or with_feedback
-        if judged is None:
-            continue
+        if judged is None or (judged.value is None and judged.limit is None):
+            continue  # not asked, which a sentence says
         found = [None if metric is None else metric.value for metric in (alone, with_feedback)[: len(values)]]
         known, asked = judged.value is not None, number is not None
         limit = "waived" if known and asked and judged.limit is None and judged.reason else short(judged.limit, ".3g")
@@ -46,8 +46,8 @@ def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None
 
 def _against(metric: Metric | MetricRecord) -> str:
     """How it stands to its limit."""
-    if metric.value is None:
-        return "not asked" if metric.limit is None else "not measured"
     if metric.limit is None:
         return ""
+    if metric.value is None:
+        return "not measured"
     return "undecided" if metric.ok is None else "within" if metric.ok else "beyond"

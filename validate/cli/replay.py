@@ -37,7 +37,7 @@ by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, 
 or FMU; 3 a system requirement is missing.
 """
 )
-@click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv")
+@click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
 @click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
 @click.option("--fmu", type=click.Path(path_type=Path), metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.")
 @click.option(
@@ -96,8 +96,9 @@ def command(
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
 
-    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities, contact forces if the plan says them:
-    what it does not say is not asked. docs/replay.md describes plan and map, docs/verdict.md what is asked.
+    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities and contact forces where the plan has them. What it
+    does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
+    map, docs/verdict.md what is asked.
     """
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
@@ -222,20 +223,21 @@ def _print(judgement: Judgement) -> None:
         if replay.tracked is not None:
             say(_own_error("The replay with feedback", replay.tracked))
     for text in result.not_asked:
-        say(f"Not asked: {text}")
+        say(f"Not asked: {text.rstrip('.')}.")
     for text in result.waived:
-        say(f"Waived by the scene: {text}")
+        say(f"Waived by the scene: {text.rstrip('.')}.")
     say(f"{result.verdict.value}: {result.why}")
 
 
 def _own_error(what: str, replay: Replay) -> str:
     estimate = replay.error.estimate
     ratio = replay.error.step_ratio
-    shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
+    shrinks = "" if ratio is None else f"; half the step divides the everyday replay's error by {ratio:.3g}"
     own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
     source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
-    return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}{told}). {replay.message}".rstrip()
+    events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
+    return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()
 
 
 def _size(value: float) -> str:
