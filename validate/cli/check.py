@@ -36,13 +36,13 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE.fmu...", nargs=-1, required=True)
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
-@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object, of several FMUs a list of them.")
+@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object; of several FMUs, a list of them.")
 @click.option(
     "--html",
     "html_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page with every check there, as a report has of its FMUs.",
+    help="Write a page there with every check.",
 )
 @click.option(
     "--junit",
@@ -64,8 +64,8 @@ def command(
 ) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
 
-    Each check claims something of a sound FMU; it is passed, failed or not offered, with one sentence. The FMU runs in child
-    processes: one that hangs or crashes has failed the check, and nothing else happens.
+    Each check claims something of a sound FMU. It is passed, failed or not offered, and a sentence says what was found. The FMU runs
+    in child processes: one that hangs or crashes fails the check, and harms nothing else.
     """
     checked: list[Checked] = []
     for file in files:

@@ -51,18 +51,18 @@ Examples:
 \b
 Exit codes:
   0    every required check passed
-  1    one failed (or touchstone has a bug: then it says so)
+  1    one failed, or touchstone has a bug and says so
   2    wrong usage or configuration, or nothing selected
-  3    a system requirement is missing: which, and how to get it
+  3    a system requirement is missing, which is named
   130  interrupted; the same command resumes
-  141  output pipe closed (`| head`), so not all of it was written
+  141  output pipe closed (| head): not all was written
 
 \b
 Environment:
-  TOUCHSTONE_CACHE   where compiled scenes and FMUs are kept
-  TOUCHSTONE_DEBUG   1 shows the traceback of an unexpected error
+  TOUCHSTONE_CACHE   folder of compiled scenes and FMUs
+  TOUCHSTONE_DEBUG   1: tracebacks of unexpected errors
   TOUCHSTONE_LINEAR_SOLVER
-                     what factorises Ipopt's linear systems: ldlt (ours) or mumps
+                     of Ipopt: ldlt (ours) or mumps
   NO_COLOR           no colours
   CC                 the C compiler
 """

@@ -45,28 +45,30 @@ or FMU; 3 a system requirement is missing.
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="What of the plan is what of the FMU; equal names without it.",
+    help="Which column of the plan is which variable of the FMU. Without it: those of equal names.",
 )
 @click.option(
     "--hold",
     type=click.Choice(["zero", "linear"]),
-    help="Inputs within a step: constant (default), or a line to the next row; a line `# hold: ..` in the CSV says the same.",
+    help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear.",
 )
-@click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, help="Seconds after which the FMU is ended.")
 @click.option(
-    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
+    "--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS", help="The FMU is ended after them."
+)
+@click.option(
+    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB", help="Address space of the FMU's process."
 )
 @click.option(
     "--track",
     is_flag=True,
-    help="Replay with feedback too, and show both; without it that is done where the inputs alone do not give the plan's motion.",
+    help="Replay with feedback too, and show both. Without this option that is done only where the inputs alone do not give the plan's motion.",
 )
 @click.option(
     "--require",
     type=click.Choice(["holds", "feedback"]),
     default="feedback",
     show_default=True,
-    help="What exit code 0 needs: `holds` is strict.",
+    help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
@@ -75,7 +77,7 @@ or FMU; 3 a system requirement is missing.
     "html_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page with verdict, player, plots and metrics there, as a run has in a report.",
+    help="Write a page there with verdict, player, plots and metrics.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
 @click.pass_obj

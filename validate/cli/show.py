@@ -20,10 +20,10 @@ from validate.store.stored import CampaignError, campaign_of, stored_names
 
 _EPILOG = """\b
 Examples:
-  python -m validate show runs/all/runs/4f2a...   one run, by its folder
-  python -m validate show 4f2a                    by the beginning of its key
-  python -m validate show "three_cart x mpcc"     by its name
-  python -m validate show mpcc --in runs/mine     by part of a name
+  python -m validate show runs/all/runs/4f2a...
+  python -m validate show 4f2a
+  python -m validate show "three_cart x mpcc"
+  python -m validate show mpcc --in runs/mine
 
 Exit codes: 0 it does not make its campaign fail; 1 it does; 2 there is no such
 run, or more than one.
@@ -45,7 +45,10 @@ _LOG_LINES = 15
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
 @wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
-    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
+    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again.
+
+    The run is named by its folder, by the beginning of its key, by its name, or by a part of its name that no other has.
+    """
     folder, record = _found(run, folder)
     if as_json:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
