@@ -67,7 +67,7 @@ _OTHERS = {
     "provenance": (provenance.build,),
 }
 _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
-_LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
+_LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
 _FILTERS = (
