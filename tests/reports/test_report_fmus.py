@@ -56,7 +56,7 @@ def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     assert "2 FMUs of 1 scene in FMI 2.0 and 3.0: every one passes. Checks: 5 passed, 0 failed, 1 not offered; 12 CPU seconds." in words
     assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ none" in words
     assert "check 2 ME ○ not offered Found 2." in words
-    assert "What each check claims of a sound FMU Check Claim check 0 Claim <0>. check 1 Claim <1>. check 2 Claim <2>." in words
+    assert "What each check claims of a sound FMU. Check Claim check 0 Claim <0>. check 1 Claim <1>. check 2 Claim <2>." in words
     assert "All required checks passed" in words
 
 

@@ -1,7 +1,7 @@
 """Options that commands share: those by which a campaign is chosen and run - by `all`, by `plan`, which says what `all` would do, and by `run`, where a file chooses.
 
-Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. And numbers on the command line: nan and inf, which a
-range of click lets through, are refused; and what a shell offers for a value that is being typed.
+Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. Beside them: a range of finite numbers, since click's lets
+nan and inf through, and what a shell offers while a scene is being typed.
 """
 
 from __future__ import annotations
