@@ -215,8 +215,8 @@ def _print(judgement: Judgement) -> None:
     for metric in result.metrics:
         if metric.name.startswith(TRACKED):
             continue  # beside its twin
-        pair = (None, metric) if metric.name.startswith("feedback") else (metric, result.metric(f"{TRACKED}{metric.name}"))
-        rows.append((metric.question.number, metric.name, *pair))
+        alone, tracked = (None, metric) if metric.name.startswith("feedback") else (metric, result.metric(f"{TRACKED}{metric.name}"))
+        rows.append((metric.question.number, metric.name, alone, tracked))
     followed = replay is not None and replay.tracked is not None
     print_metrics(rows, followed=followed, tracked=result.judged == "feedback")
     click.echo()
