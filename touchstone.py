@@ -116,6 +116,10 @@ def scene(name: str | Path) -> Scene:
     return load_scene(str(name))
 
 
+def _loaded(given: Scene | str | Path) -> Scene:
+    return scene(given) if isinstance(given, (str, Path)) else given
+
+
 def methods() -> tuple[str, ...]:
     """Names of the methods that find plans, sorted: what `solve` takes, beside `pipelines`.
 
@@ -173,7 +177,7 @@ def solve(
     from validate.judge.judgement import as_trajectory
     from validate.tasks.shown import SolvedPlan
 
-    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    wanted = _loaded(scene)
     first = None if start is None else as_trajectory(start, wanted)
     found = solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
     return SolvedPlan.of(found, wanted, name, eps)
@@ -188,7 +192,7 @@ def read_plan(path: str | Path, scene: Scene | str | Path) -> Trajectory:
     """
     from validate.judge.judgement import as_trajectory
 
-    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    wanted = _loaded(scene)
     plan = as_trajectory(path, wanted)
     assert plan is not None, "a file is a plan"
     return plan
@@ -294,7 +298,7 @@ def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2
     from models.errors import MachineError
     from models.fmu import build_fmu
 
-    wanted = globals()["scene"](scene) if isinstance(scene, (str, Path)) else scene
+    wanted = _loaded(scene)
     try:
         return Path(shutil.copyfile(build_fmu(wanted, version=version), path))
     except OSError as error:

@@ -59,7 +59,7 @@ Exit codes are those of `python -m validate`; a trial that finds a fault ends wi
 
 @click.group(
     cls=LazyGroup,
-    told={name: (f"benchmarks.{module}", words) for name, (module, words) in _COMMANDS.items()},
+    lazy={name: (f"benchmarks.{module}", words) for name, (module, words) in _COMMANDS.items()},
     epilog=_EPILOG,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

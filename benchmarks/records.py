@@ -8,25 +8,21 @@ from __future__ import annotations
 from statistics import median, quantiles
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, RootModel
+from pydantic import Field, JsonValue, RootModel
 
-from reports.records.record import Finite, ProvenanceRecord
+from reports.records.record import Finite, Model, ProvenanceRecord
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Record(_Model):
+class _Record(Model):
     """provenance: of the command that measured it; None in records of before it was stored."""
 
     provenance: ProvenanceRecord | None = None
 
 
-class CosimRow(_Model):
+class CosimRow(Model):
     """One master at one macro step h [s]. energy_error: relative, with its sign, the largest of the run; momentum_error [kg m/s],
     position_error [m]; cpu_per_s: CPU seconds a simulated second; mean_step [s]: the steps really made."""
 
@@ -38,7 +34,7 @@ class CosimRow(_Model):
     cpu_per_s: Finite
 
 
-class CosimMaster(_Model):
+class CosimMaster(Model):
     """failed: why rows are missing, or nothing."""
 
     name: str
@@ -46,7 +42,7 @@ class CosimMaster(_Model):
     failed: str = ""
 
 
-class CosimCase(_Model):
+class CosimCase(Model):
     """frequency: omega of the bodies on closed contacts [rad/s]; horizon [s]."""
 
     name: str
@@ -61,7 +57,7 @@ class CosimRecord(_Record):
     cases: tuple[CosimCase, ...]
 
 
-class SpeedRow(_Model):
+class SpeedRow(Model):
     """One replay: setting is rtol of Model Exchange, or the internal steps a plan step of Co-Simulation; error_m None: it did not reach the end."""
 
     kind: str
@@ -71,7 +67,7 @@ class SpeedRow(_Model):
     outcome: str
 
 
-class SpeedScene(_Model):
+class SpeedScene(Model):
     """default_cpu_s: what a replay as `python -m validate all` runs it takes; self_error_m: what that replay says of itself [m]."""
 
     name: str
@@ -89,7 +85,7 @@ class ReplaySpeedRecord(_Record):
     scenes: tuple[SpeedScene, ...]
 
 
-class StiffnessRow(_Model):
+class StiffnessRow(Model):
     """One contact stiffness k [N/m]. omega_h: the contact's frequency times the time step; outcomes, costs: of each try by its start; cost: of the
     best plan, None without one; replayed_cost: of its inputs in the continuous dynamics."""
 
@@ -103,7 +99,7 @@ class StiffnessRow(_Model):
     cpu_s: Finite
 
 
-class RigidLimitCase(_Model):
+class RigidLimitCase(Model):
     """rigid: the optimum in the limit of rigid bodies."""
 
     name: str
@@ -117,7 +113,7 @@ class RigidLimitRecord(_Record):
     cases: tuple[RigidLimitCase, ...]
 
 
-class BalanceStart(_Model):
+class BalanceStart(Model):
     """x [m], theta [rad]: the start, at rest; share: of the inputs' bounds that the plan was given; wall_impulse [N s] in the replay with feedback; ends: norm of
     the state's distance from the goal, None without a plan; effort, peak: of the feedback, as shares of the half-range of the inputs; CPU seconds of all that
     was tried for this start."""
@@ -150,7 +146,7 @@ class BalanceRecord(_Record):
     starts: tuple[BalanceStart, ...]
 
 
-class OrderRow(_Model):
+class OrderRow(Model):
     """One grid of one scheme, h [s]. replay_error, plan_error: largest position differences to the replay of the plan's inputs and to the finest plan;
     None: no plan, or no replay to the end. switch_error: bound of the velocity errors where contacts open and close."""
 
@@ -166,7 +162,7 @@ class OrderRow(_Model):
     switch_error: Finite | None
 
 
-class OrderChoice(_Model):
+class OrderChoice(Model):
     """A grid that is good enough."""
 
     scheme: str
@@ -175,7 +171,7 @@ class OrderChoice(_Model):
     replay_error: Finite
 
 
-class OrderAnswer(_Model):
+class OrderAnswer(Model):
     """The cheapest grid whose replay error is within the target: of all schemes, and of semi-implicit Euler; None: no grid that was tried."""
 
     target: Positive
@@ -183,7 +179,7 @@ class OrderAnswer(_Model):
     euler: OrderChoice | None
 
 
-class OrderScene(_Model):
+class OrderScene(Model):
     """unit: of positions; orders: slope of log(replay error) over log(h) by scheme, None with too few grids."""
 
     name: str
@@ -199,7 +195,7 @@ class OrderRecord(_Record):
     scenes: tuple[OrderScene, ...]
 
 
-class ScalingRow(_Model):
+class ScalingRow(Model):
     """One size: n bodies, T = steps. cpu_s, memory_mib None: no answer within the limit; cost None: the stage finds no plan."""
 
     n: Annotated[int, Field(ge=1)]
@@ -211,7 +207,7 @@ class ScalingRow(_Model):
     cost: Finite | None
 
 
-class ScalingStage(_Model):
+class ScalingStage(Model):
     """Exponents: slopes of log(CPU s), log(CPU s an iteration), log(MiB) over log(n T); None: too few sizes."""
 
     name: str
@@ -239,7 +235,7 @@ def spread(samples: tuple[float, ...]) -> float | None:
     return (third - first) / abs(median(samples))
 
 
-class SuiteRow(_Model):
+class SuiteRow(Model):
     """One way (`by`) through one stage at one size; n = 0: it knows no size.
 
     cpu_s [s], memory_mib [MiB]: a sample of each round, in order; clock: what the seconds are of; value: a number that all ways through a stage must agree on;
@@ -260,7 +256,7 @@ class SuiteRow(_Model):
     failed: str = ""
 
 
-class SuiteFigure(_Model):
+class SuiteFigure(Model):
     """One target: measured is the median of `samples`, one of each round, and should be at most `target`.
 
     met: None where it was not measured, or not at the size the target is set for; why: then the reason, else what else there is to say.
@@ -278,7 +274,7 @@ class SuiteFigure(_Model):
     why: str = ""
 
 
-class SuiteRecord(_Model):
+class SuiteRecord(Model):
     """repeats: rounds asked for; load: the system's load average before and after, None where it has none; left_out: what was not measured, in
     sentences."""
 
@@ -292,7 +288,7 @@ class SuiteRecord(_Model):
     provenance: ProvenanceRecord
 
 
-class Table(_Model):
+class Table(Model):
     """columns: their heads, with units; notes: sentences below it."""
 
     caption: str

@@ -3,6 +3,9 @@
 import difflib
 from collections.abc import Iterable
 
+# Of a name no more characters are compared: that takes their square.
+_LONGEST = 200
+
 
 class TouchstoneError(Exception):
     """Base of every error a user can cause; the command line prints its text and exits with `exit_code`."""
@@ -28,7 +31,12 @@ class MachineError(TouchstoneError):
     exit_code = 3
 
 
-def did_you_mean(name: object, known: Iterable[str], otherwise: str) -> str:
+def nearest(name: object, known: Iterable[str], alike: float = 0.6) -> str | None:
+    """The known name that is most like another; None where none is. alike: 0 takes any, 1 none but the same."""
+    return next(iter(difflib.get_close_matches(str(name)[:_LONGEST], list(known), n=1, cutoff=alike)), None)
+
+
+def did_you_mean(name: object, known: Iterable[str], otherwise: str, alike: float = 0.6) -> str:
     """The end of a sentence about an unknown name: the nearest that is known, or else what there is."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f"did you mean {close[0]}?" if close else otherwise
+    near = nearest(name, known, alike)
+    return otherwise if near is None else f"did you mean {near}?"

@@ -7,7 +7,6 @@ declare; a column may say its unit, `q1 [m]`.
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 import numbers
 import re
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from models.errors import TrajectoryError
+from models.errors import TrajectoryError, nearest
 from models.schemes import Scheme
 
 # What may stand around a comment, beside blanks: quotes and the marks that cells are apart by.
@@ -168,9 +167,9 @@ def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]
                 raise TrajectoryError(f"plan {path}: line {number}: {line!r} declares nothing; write '# {key}: {value}'.")
             continue
         if key not in _DECLARED:
-            close = difflib.get_close_matches(key, _DECLARED, n=1, cutoff=0.7)
-            if close and value.lower() in _DECLARED[close[0]]:
-                raise TrajectoryError(f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {close[0]!r}?")
+            near = nearest(key, _DECLARED, 0.7)
+            if near is not None and value.lower() in _DECLARED[near]:
+                raise TrajectoryError(f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {near!r}?")
             continue
         if declared.get(key, value) != value:
             raise TrajectoryError(f"plan {path}: line {number}: it declares the {key} {value!r}, but {declared[key]!r} before.")

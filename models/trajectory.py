@@ -16,7 +16,6 @@ CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... 
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -25,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from models.errors import MachineError, TrajectoryError, did_you_mean
+from models.errors import MachineError, TrajectoryError, did_you_mean, nearest
 from models.plan_table import PlanTable, Table, real_numbers
 from models.schemes import Scheme
 
@@ -519,8 +518,8 @@ def _meant(column: str, known: list[str]) -> str:
     """What somebody who wrote this may have meant, as the beginning of a sentence; nothing if no name is near."""
     folded = {name.lower(): name for name in known}
     folded.setdefault("time", "t")
-    close = difflib.get_close_matches(column.lower(), folded, n=1)
-    return f"did you mean {folded[close[0]]!r}? " if close else ""
+    near = nearest(column.lower(), folded)
+    return "" if near is None else f"did you mean {folded[near]!r}? "
 
 
 def _units(scene: Scene) -> dict[str, str]:

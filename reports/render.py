@@ -69,7 +69,7 @@ _OTHERS = {
     "provenance": (provenance.build,),
 }
 _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
-_LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
+_LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
 _FILTERS = (
@@ -160,6 +160,13 @@ def render_run(record: RunRecord, folder: Path) -> str:
     report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
     return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
+
+
+def render_players(folder: Path) -> dict[str, str]:
+    """Scene -> the text of a page with its best plan in motion, and nothing else, for a gallery. Raises ReportError."""
+    report, templates = Report(load(folder), folder, at=""), Templates()
+    moving = [(one, section) for one in report.scenes if (section := scene.motion(report, one)) is not None]
+    return {one.name: page(templates, [section], title=one.title, lead="", again="") for one, section in moving}
 
 
 def render_checks(records: Sequence[CheckRecord]) -> str:
@@ -349,6 +356,7 @@ __all__ = [
     "page",
     "render",
     "render_checks",
+    "render_players",
     "render_run",
     "write_page",
     "write_report",

@@ -6,7 +6,7 @@ from __future__ import annotations
 RULE = (
     "a run crashed, or failed in a way that its method does not explain, whatever the method",
     "a direct method reports success, and its plan does not hold - or holds only with feedback on a scene that does not say, with a reason, that it is unstable",
-    "a plan of a direct method stands beside a row of the paper, and does not hold",
+    "a direct method's plan of a row of the paper's Table I does not hold",
     "direct methods ran on a scene, and no run of that scene holds, with feedback or without",
     "on a scene without inputs the replay misses a closed form, or fails its own checks",
     "a check (of one of our own FMUs, a stress case) finds a fault, or ends without an answer",

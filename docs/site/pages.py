@@ -1,6 +1,8 @@
 """What the site shows beside the files of docs, made when it is built: the README, the scenes, methods and metrics as they are, the public names.
 
 pip install -e '.[docs]' && mkdocs build --strict
+
+The gallery shows plans in motion from a campaign that was run here: runs/all, or the folder that TOUCHSTONE_CAMPAIGN names.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from models.scene import Scene
 from reports.pages.filmstrip import placed
 from reports.pages.mathml import safe_mathml
 from reports.records.record import ShapeRecord
+from reports.render import render_players
 from validate.judge.score.table import FEEDBACK, TABLE
 from validate.judge.score.verdict import Question
 from validate.tasks.scene_record import scene_record
@@ -72,6 +75,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             "formulations.ampl", [_home(formulations.ampl, name) for name in formulations.ampl.__all__]
         ),
     }
+    pages |= _players(scenes, ROOT / config.extra["campaign"])
     for path, text in pages.items():
         files.append(File.generated(config, path, content=text))
     return files
@@ -126,6 +130,19 @@ def _gallery(scenes: list[Scene]) -> str:
     )
     lead = "What is there to plan on, each at its start. A scene of your own is [one file](extending.md)."
     return f'# Scenes\n\n{lead}\n\n<div class="gallery" markdown="1">\n{cards}\n</div>\n'
+
+
+def _players(scenes: list[Scene], campaign: Path) -> dict[str, str]:
+    """The gallery of plans in motion, and the page in each of its frames: as many as the campaign has scenes that can be drawn."""
+    text = "# Plans in motion\n\n"
+    if not (campaign / "campaign.json").is_file():
+        return {"players.md": text + "This site was built without a campaign. Run `python -m validate all`, and build it again.\n"}
+    text += "The cheapest plan that holds on each scene, as it was planned (dashed) and as it was replayed through the FMU of the scene.\n"
+    made = render_players(campaign)
+    names = [scene.name for scene in scenes if scene.name in made]
+    for name in names:
+        text += f'\n## [{name}](scenes/{name}.md)\n\n<iframe class="player" src="players/{name}.html" title="{name} in motion" loading="lazy"></iframe>\n'
+    return {"players.md": text, **{f"players/{name}.html": made[name] for name in names}}
 
 
 def _picture(scene: Scene) -> str:

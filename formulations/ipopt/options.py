@@ -6,12 +6,12 @@ out after an hour.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 from formulations.ipopt.linear_solver import LINEAR_SOLVERS
+from models.errors import did_you_mean
 
 
 class UnknownOptionError(ValueError):
@@ -130,10 +130,8 @@ def _checked(name: str, value: Any) -> str | int | float:
         return word
     if name in _REALS or name in _INTEGERS:
         return _number(name, value)
-    close = difflib.get_close_matches(name, [*known_options(), *_REFUSED], n=1)
-    raise UnknownOptionError(
-        f"there is no Ipopt option '{name}'" + (f": did you mean '{close[0]}'?" if close else " among those that can be set here")
-    )
+    hint = did_you_mean(name, [*known_options(), *_REFUSED], "none that can be set here is like it")
+    raise UnknownOptionError(f"there is no Ipopt option '{name}': {hint}")
 
 
 # Ipopt keeps whole numbers in 32 bits.

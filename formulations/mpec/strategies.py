@@ -9,7 +9,6 @@ have it).
 
 from __future__ import annotations
 
-import difflib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -22,6 +21,7 @@ import pyomo.environ as pyo
 from formulations.ipopt import UnknownOptionError
 from formulations.ipopt.options import checked_options, known_options
 from formulations.mpec.lifted import Lifted
+from models.errors import nearest
 
 
 class Strategy(ABC):
@@ -232,10 +232,10 @@ def read_settings(options: Mapping[str, Any]) -> MpecSettings:
     ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
     for name in ipopt:
         if name not in known_options():
-            close = difflib.get_close_matches(name, [*_OWN, *known_options()], n=1)
-            if close and close[0] in _OWN:
-                raise UnknownOptionError(f"there is no option '{name}': did you mean '{close[0]}'?")
-            if not close:
+            near = nearest(name, [*_OWN, *known_options()])
+            if near in _OWN:
+                raise UnknownOptionError(f"there is no option '{name}': did you mean {near}?")
+            if near is None:
                 raise UnknownOptionError(f"there is no option '{name}', neither Ipopt's nor one of mpec_ipopt: {', '.join(_OWN)}")
     checked_options(ipopt)
     return MpecSettings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))

@@ -38,7 +38,10 @@ def of(records: Sequence[CheckRecord]) -> Section:
     views = [_view(record, place) for place, record in enumerate(records)]
     sentence = _sentence(views)
     ours = any(record.scene for record in records)
-    values = {"views": views, "statuses": STATUSES, "sentence": sentence, "ours": ours, "origin": records[0].provenance}
+    # Of several FMUs each claim stands once: in their tables it would be most of the page.
+    rows = [row for view in views if view.fmu is not None for row in view.fmu.rows]
+    claims = list(dict.fromkeys((row.name, row.claim) for row in rows)) if len(views) > 1 else []
+    values = {"views": views, "statuses": STATUSES, "sentence": sentence, "ours": ours, "claims": claims, "origin": records[0].provenance}
     return Section("fmus", "FMUs under the check", "checks.html#fmus", values, said=sentence)
 
 

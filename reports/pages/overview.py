@@ -145,7 +145,7 @@ def _speed(report: Report) -> Plot | None:
     wrong = sum(row.stage.verdict == "violates" for _, _, row in points)
     plot.words = (
         f"Left is fast, below is near to its replay; relaxations at their tightest ε. {wrong} of {count(len(points), 'plan')} violate (hollow). "
-        "The line joins the medians of pipelines, where they hold, that no other beats in both."
+        "The line joins the pipelines whose medians, over the scenes where they hold, no other beats in both."
     )
     return plot
 

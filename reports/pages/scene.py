@@ -47,6 +47,12 @@ def build(report: Report, scene: SceneRecord) -> Section:
     return Section(report.scene_anchor(scene), f"The scene {scene.name}", "scene.html#scene", values)
 
 
+def motion(report: Report, scene: SceneRecord) -> Section | None:
+    """Its best plan in motion, and nothing else; None where none is stored, or nothing of the scene has a shape."""
+    shown = _shown(report, scene)
+    return Section("motion", scene.title, "scene.html#motion", {"shown": shown}) if shown is not None and shown.film is not None else None
+
+
 def _shown(report: Report, scene: SceneRecord) -> Shown | None:
     """The cheapest plan that holds; else the one whose replay stays nearest to it; None where no motion is stored."""
     found = [(run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in report.cheapest(scene.name)]

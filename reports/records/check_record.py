@@ -1,6 +1,6 @@
 """CheckRecord: what is stored of a check, which is no scene x pipeline - a question with an expected answer, and what was found.
 
-record = record_of(path.read_bytes())      # a RunRecord or an CheckRecord
+record = record_of(path.read_bytes())      # a RunRecord or a CheckRecord
 runs, checks = divided(records)
 
 ChartRecord: the data of one plot that a check draws itself - curves on two axes, and how to read them.
@@ -11,16 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
+from pydantic import Discriminator, RootModel, Tag
 
-from reports.records.record import SCHEMA_VERSION, Finite, MetricRecord, ProvenanceRecord, RunRecord
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+from reports.records.record import SCHEMA_VERSION, Finite, MetricRecord, Model, ProvenanceRecord, RunRecord
 
 
-class AxisRecord(_Model):
+class AxisRecord(Model):
     """An axis of a chart; log: whether it is logarithmic."""
 
     quantity: str
@@ -28,7 +24,7 @@ class AxisRecord(_Model):
     log: bool = False
 
 
-class SeriesRecord(_Model):
+class SeriesRecord(Model):
     """x, y: of equal length; line: joined, else points alone."""
 
     name: str
@@ -37,7 +33,7 @@ class SeriesRecord(_Model):
     line: bool = True
 
 
-class ChartRecord(_Model):
+class ChartRecord(Model):
     """level: a horizontal line, with its words; words: what the plot shows, as a sentence."""
 
     title: str
@@ -49,7 +45,7 @@ class ChartRecord(_Model):
     words: str = ""
 
 
-class CheckRow(_Model):
+class CheckRow(Model):
     """One check of an FMU: what it claims of a sound one, and what was found. type: "ME", "CS", or nothing for the file."""
 
     name: str
@@ -60,7 +56,7 @@ class CheckRow(_Model):
     seconds: Finite
 
 
-class FmuRecord(_Model):
+class FmuRecord(Model):
     """An FMU that was exported and checked. version: of FMI, as it says itself; types: ME, CS; export_seconds: little if it was kept from before."""
 
     version: str
@@ -81,7 +77,7 @@ class FmuRecord(_Model):
         return tuple(row for row in self.rows if row.status == "failed")
 
 
-class CheckRecord(_Model):
+class CheckRecord(Model):
     """One check. kind and name together are unique in a campaign; a kind has a page of its own.
 
     outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was

@@ -1,8 +1,6 @@
 """Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
 
 stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
-
-The files of a campaign's folder that are told of.
 """
 
 from __future__ import annotations

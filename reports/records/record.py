@@ -26,25 +26,6 @@ if TYPE_CHECKING:  # a fifth of `show`, which needs no more of it
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class TimeStepRecord(BaseModel):
-    """Whether the time step of a scene is stable while contacts are closed, found out before anything ran.
-
-    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there; largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
-    of the scene, so that it is looked at once.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    scene: str
-    digest: str
-    step: Finite
-    radius: Finite
-    contacts: tuple[str, ...]
-    growth: Finite
-    largest_step: Finite | None
-    warning: str = ""
-
-
 def _in_order(numbers: array[float]) -> array[float]:
     """Of a machine with its bytes in the other order, as they are stored, and back."""
     if sys.byteorder == "big":
@@ -88,29 +69,6 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
     return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
-class TrackedRecord(BaseModel):
-    """Facts about the replay with feedback.
-
-    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the
-    feedback; the rest as in ReplayRecord.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    error_estimate: Finite | None
-    events: int = 0
-    seconds_reference: Finite = 0.0
-    seconds_everyday: Finite = 0.0
-    message: str = ""
-    rms: tuple[Finite, ...] = ()
-    peak: tuple[Finite, ...] = ()
-    rms_share: Finite = 0.0
-    peak_share: Finite = 0.0
-    plan_share: Finite | None = 0.0
-    saturated: Finite = 0.0
-
-
 # 5: a stage says the cause of its verdict, and a task's folder holds task.json; records of earlier versions lack both, and are refused.
 SCHEMA_VERSION = 5
 
@@ -119,11 +77,13 @@ Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no p
 HOLD = ("holds", "holds with feedback")
 
 
-class _Model(BaseModel):
+class Model(BaseModel):
+    """Stored: without unknown fields, and never changed."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class QuantityRecord(_Model):
+class QuantityRecord(Model):
     """A named quantity: column name in files, unit, words."""
 
     name: str
@@ -138,7 +98,7 @@ class ContactRecord(QuantityRecord):
     bodies: tuple[str, str] = ("", "")  # earlier records do not tell
 
 
-class ShapeRecord(_Model):
+class ShapeRecord(Model):
     """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes.
 
     goal: x, y [m] and angle [rad] at the goal, the angle None where the goal leaves it open; None where it leaves the place open, or the body never moves.
@@ -150,7 +110,7 @@ class ShapeRecord(_Model):
     goal: tuple[Finite, Finite, Finite | None] | None = None
 
 
-class EquationRecord(_Model):
+class EquationRecord(Model):
     """One equation of the scene as presentation MathML, with a caption."""
 
     caption: str
@@ -161,7 +121,7 @@ class EquationRecord(_Model):
 FINAL_COST = "cost of the last state, added to that sum"
 
 
-class SceneRecord(_Model):
+class SceneRecord(Model):
     """A scene as it was planned for: its quantities, task, equations and shapes."""
 
     name: str
@@ -186,7 +146,7 @@ class SceneRecord(_Model):
     operations: dict[str, int] = {}  # of the equations one time step evaluates, by kind
 
 
-class MetricRecord(_Model):
+class MetricRecord(Model):
     """One metric of the score, or one figure of a check. `value` is None where it was not asked or not measured (`reason` says why).
 
     question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error, None: not known;
@@ -206,7 +166,28 @@ class MetricRecord(_Model):
     at_least: bool = False
 
 
-class ReplayRecord(_Model):
+class TrackedRecord(Model):
+    """Facts about the replay with feedback.
+
+    rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
+    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the
+    feedback; the rest as in ReplayRecord.
+    """
+
+    error_estimate: Finite | None
+    events: int = 0
+    seconds_reference: Finite = 0.0
+    seconds_everyday: Finite = 0.0
+    message: str = ""
+    rms: tuple[Finite, ...] = ()
+    peak: tuple[Finite, ...] = ()
+    rms_share: Finite = 0.0
+    peak_share: Finite = 0.0
+    plan_share: Finite | None = 0.0
+    saturated: Finite = 0.0
+
+
+class ReplayRecord(Model):
     """Facts about the replay of one stage: the error estimate [m or rad] and what it is made of, seconds, FMU hash; judged: or the tracked one."""
 
     error_estimate: Finite | None
@@ -225,7 +206,7 @@ class ReplayRecord(_Model):
     tracked: TrackedRecord | None = None
 
 
-class SecondsRecord(_Model):
+class SecondsRecord(Model):
     """Seconds of one stage; `total` counts the stages before it, `replay` the replay and scoring."""
 
     build: Finite = 0.0
@@ -239,7 +220,7 @@ class SecondsRecord(_Model):
     replay: Finite = 0.0
 
 
-class CertificateRecord(_Model):
+class CertificateRecord(Model):
     """A plan judged in the strict model of its scene by code that shares nothing with the solver; all residuals unscaled.
 
     primal: largest violation [units of the scene], worst: of which constraint; complementarity: largest min(lam, lam - k phi) [N]; dual:
@@ -263,7 +244,7 @@ class CertificateRecord(_Model):
     sentence: str
 
 
-class StartRecord(_Model):
+class StartRecord(Model):
     """One of several starts. windows: (contact, first step, last step) of each time a contact is closed."""
 
     number: int
@@ -274,7 +255,7 @@ class StartRecord(_Model):
     seconds: Finite = 0.0
 
 
-class FrontPointRecord(_Model):
+class FrontPointRecord(Model):
     """The cheapest plan found within a terminal tolerance; terminal_error: its own, by its time step with the true contact law."""
 
     tolerance: Finite
@@ -285,7 +266,7 @@ class FrontPointRecord(_Model):
     certificate: CertificateRecord | None = None
 
 
-class BoundRecord(_Model):
+class BoundRecord(Model):
     """No plan of the exact contact problem costs less than `value`; gap (cost - value)/cost; decisions: contact times step, open: left to a search."""
 
     value: Finite
@@ -296,7 +277,7 @@ class BoundRecord(_Model):
     nodes: int = 0
 
 
-class SizeRecord(_Model):
+class SizeRecord(Model):
     """Unknowns and equations of the model a solver was given, and the same counted on paper."""
 
     unknowns: int
@@ -305,7 +286,7 @@ class SizeRecord(_Model):
     paper_equations: int
 
 
-class QuestionRecord(_Model):
+class QuestionRecord(Model):
     """One question of the judge, and its answer."""
 
     number: int | None  # None: whether the judge is well
@@ -313,7 +294,7 @@ class QuestionRecord(_Model):
     answer: Literal["yes", "no", "undecided", "not asked"]
 
 
-class StageRecord(_Model):
+class StageRecord(Model):
     """One stage of a pipeline: one method at one eps."""
 
     index: int
@@ -353,7 +334,7 @@ class StageRecord(_Model):
         return next((metric for metric in self.metrics if metric.name == name), None)
 
 
-class LegRecord(_Model):
+class LegRecord(Model):
     """What a leg found (validate.tasks.leg).
 
     pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of its files by name; limit [s]: of the run whose time it
@@ -374,7 +355,7 @@ class LegRecord(_Model):
         return self
 
 
-class ProvenanceRecord(_Model):
+class ProvenanceRecord(Model):
     """Where a record came from."""
 
     touchstone: str
@@ -391,7 +372,7 @@ class ProvenanceRecord(_Model):
     command: str
 
 
-class RunRecord(_Model):
+class RunRecord(Model):
     """One run: a scene by a pipeline."""
 
     schema_version: Literal[5] = SCHEMA_VERSION
@@ -418,7 +399,7 @@ class RunRecord(_Model):
         return f"{self.scene.name} x {self.pipeline}" + (f" ({self.part} of {self.parts})" if self.parts > 1 else "")
 
 
-class ViolationPoint(_Model):
+class ViolationPoint(Model):
     """Fig. 2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at eps [N^2]."""
 
     law: str  # "softplus" or "relaxed_lcp"
@@ -427,7 +408,24 @@ class ViolationPoint(_Model):
     closed_form: Finite
 
 
-class CampaignRecord(_Model):
+class TimeStepRecord(Model):
+    """Whether the time step of a scene is stable while contacts are closed, found out before anything ran.
+
+    radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there; largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
+    of the scene, so that it is looked at once.
+    """
+
+    scene: str
+    digest: str
+    step: Finite
+    radius: Finite
+    contacts: tuple[str, ...]
+    growth: Finite
+    largest_step: Finite | None
+    warning: str = ""
+
+
+class CampaignRecord(Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
     schema_version: Literal[5] = SCHEMA_VERSION

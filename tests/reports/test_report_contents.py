@@ -11,7 +11,7 @@ import pytest
 from reports.render import is_current, render_run, write_report, write_single
 from tests.reports import record_factory as factory
 
-LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
+LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 CAMPAIGN, CARTS = "touchstone: all of Table I", "Three carts: the outer two push the middle one"
 WHOLE = ("../report.html", "The whole report")
 ACROSS, SCENE, HILL = (

@@ -55,7 +55,8 @@ def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     words = _words(_campaign(factory, tmp_path, [sound, other]))
     assert "2 FMUs of 1 scene in FMI 2.0 and 3.0: every one passes. Checks: 5 passed, 0 failed, 1 not offered; 12 CPU seconds." in words
     assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ none" in words
-    assert "Claim <2>. Found 2." in words
+    assert "check 2 ME ○ not offered Found 2." in words
+    assert "What each check claims of a sound FMU. Check Claim check 0 Claim <0>. check 1 Claim <1>. check 2 Claim <2>." in words
     assert "All required checks passed" in words
 
 
@@ -67,6 +68,7 @@ def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     assert "The campaign fails: FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2." in words
     assert "✗ failed check 1 (ME), check 2 (ME)" in words
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
+    assert "Claim <2>. Found 2." in words
 
 
 @pytest.mark.slow

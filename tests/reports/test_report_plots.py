@@ -16,25 +16,8 @@ from reports.pages.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
-from reports.plots.series import seen
 from reports.records.record import QuantityRecord, TrackedRecord
 from reports.traces import Motion, contact_phases
-from reports.wording import cost, error, number, percent, product, seconds, small
-
-_HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
-
-
-@pytest.mark.slow
-@given(_HEIGHTS)
-def test_no_dropped_point_is_farther_than_the_tolerance(heights):
-    xs, ys = 0.7 * np.arange(len(heights)), np.array(heights)
-    kept = seen(xs, ys, 0.12)
-    assert (kept[0], kept[-1]) == (0, len(xs) - 1)
-    assert np.abs(np.interp(xs, xs[kept], ys[kept]) - ys).max() <= 0.12 + 1e-9
-
-
-def test_a_straight_line_needs_two_points():
-    assert seen(np.arange(100.0), 3.0 * np.arange(100.0), 0.1) == [0, 99]
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=20), st.booleans())
@@ -163,35 +146,6 @@ def test_friction_is_told_by_its_size_in_both_directions(factory):
     plots = stage_plots(scene, run.stages[0], Motion(replay=factory.trace(times, f=rubbing))).motion
     words = next(plot.words for plot in plots if plot.title.startswith("Friction"))
     assert words == "Largest size in the replay: 2 N. Friction acts in the replay: 1 to 4 s."
-
-
-@pytest.mark.parametrize(
-    ("shown", "words"),
-    [
-        (number(0.00024419), "2.442×10⁻⁴"),
-        (number(-1234567.0), "−1.235×10⁶"),
-        (number(None), "–"),
-        (number(float("nan")), "–"),
-        (number(16619.35, 7), "16\u202f619.35"),
-        (cost(46415.2), "46\u202f415.20"),
-        (cost(-9.08e258), "−9.08×10²⁵⁸"),
-        (error(0.04), "0.040"),
-        (error(2e-8), "2.0×10⁻⁸"),
-        (error(0.0), "0"),
-        (error(7.7e-34), "<10⁻¹⁵"),
-        (product(2445.8953), "2445.90"),
-        (product(0.0436), "0.044"),
-        (error(0.0996), "0.10"),
-        (small(1e-7), "10⁻⁷"),
-        (small(3e-4), "3×10⁻⁴"),
-        (percent(-0.9705), "−97\u202f%"),
-        (percent(1e-6), "0.00\u202f%"),
-        (seconds(0.0021), "0.0021"),
-        (seconds(2821.4), "2821"),
-    ],
-)
-def test_numbers_are_said_with_the_digits_a_reader_needs(shown, words):
-    assert shown == words
 
 
 def test_mathml_is_let_through():

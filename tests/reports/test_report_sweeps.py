@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
-from reports.pages import tolerance
 from reports.pages.run import spread
-from reports.pages.section import Report
-from reports.records.collected import collected, optima
-from reports.records.load import load
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
 from reports.render import write_single
 
@@ -47,64 +41,6 @@ def front_run(factory) -> RunRecord:
     return whole.model_copy(update={"pipeline": "mpcc_front", "stages": (last,)})
 
 
-def test_parts_become_one_run_with_the_cheapest_plan_and_all_starts(factory) -> None:
-    other = factory.run("strict", None, "strict_lcp")
-    told = collected([part(factory, 1, [495.6, 491.0]), other, part(factory, 2, [490.55, 490.55])])
-    assert [run.pipeline for run in told] == ["mpcc_multistart", "strict"]
-    whole = told[0]
-    assert whole.key == "part-2"
-    last = whole.stages[-1]
-    assert last.cost == 490.55
-    assert [item.number for item in last.starts] == [0, 1, 2, 3]
-    assert last.seconds.stage == pytest.approx(2 * other.stages[-1].seconds.stage)
-    assert whole.cpu_seconds == 2 * other.cpu_seconds
-    assert "4 of 4 starts were solved, 3 distinct optima, from 490.55 to 495.6; 2 reached the cheapest" in whole.message
-    assert told[1] is other
-
-
-def test_a_part_that_is_missing_crashed_or_found_nothing_is_told(factory) -> None:
-    (alone,) = collected([part(factory, 2, [490.55, None])])
-    assert "Only 1 of the 2 parts" in alone.message
-    assert "1 of 2 starts were solved" in alone.message
-    (crashed,) = collected([part(factory, 1, [490.55, 490.55]), part(factory, 2, [491.0, 491.0], outcome="crashed", message="it died.")])
-    assert crashed.outcome == "crashed"
-    assert "it died." in crashed.message
-    (nothing,) = collected([part(factory, 1, [None, None]), part(factory, 2, [None, None])])
-    assert "None of 4 starts" in nothing.message
-
-
-def test_a_plan_that_holds_goes_before_a_cheaper_one_that_does_not(factory) -> None:
-    (whole,) = collected([part(factory, 1, [480.0], verdict="violates"), part(factory, 2, [490.55])])
-    assert whole.verdict == "holds"
-    assert whole.stages[-1].cost == 490.55
-    (whole,) = collected([part(factory, 1, [480.0], verdict="holds with feedback"), part(factory, 2, [490.55])])
-    assert whole.verdict == "holds", "by its inputs alone, though dearer"
-    (whole,) = collected([part(factory, 1, [480.0], verdict="violates"), part(factory, 2, [490.55], verdict="holds with feedback")])
-    assert whole.verdict == "holds with feedback"
-
-
-def test_optima_that_differ_by_rounding_are_one() -> None:
-    found = optima([start(0, 490.5495305), start(1, 490.5495305 * (1 + 1e-12)), start(2, 490.5496), start(3, None)])
-    assert [(round(cost, 4), len(same)) for cost, same in found] == [(490.5495, 2), (490.5496, 1)]
-
-
-def test_the_spread_says_how_many_and_how_far(factory) -> None:
-    stage = part(factory, 1, [490.55, 490.55, 495.6, None]).stages[-1]
-    told = spread(stage)
-    assert told is not None
-    assert told.plot is not None
-    assert told.plot.markup().count("<title>") == 3
-    for words in ("3 of 4 starts were solved (75", "490.55 at least", "490.55 in the median", "495.60 at most", "2 distinct optima"):
-        assert words in told.words
-    assert [len(optimum.starts) for optimum in told.optima] == [2, 1]
-    assert told.optima[0].reached_from == "random 0 (0); random 1 (1)"
-    assert [item.number for item in told.failed] == [3]
-    assert spread(factory.run("strict", None, "strict_lcp").stages[-1]) is None
-    none = spread(stage.model_copy(update={"starts": (start(0, None),)}))
-    assert none is not None
-    assert none.plot is None
-
-
 def test_starts_of_nearly_one_cost_stand_on_one_another(factory) -> None:
     """From 100 to 200 a place is 2.5 wide."""
     stacked, apart = (spread(part(factory, 1, [100.0, near, 102.6, 200.0]).stages[-1]) for near in (101.0, 106.0))
@@ -113,41 +49,6 @@ def test_starts_of_nearly_one_cost_stand_on_one_another(factory) -> None:
     assert stacked.plot is not None
     assert apart.plot is not None
     assert stacked.plot.height - apart.plot.height == 9
-
-
-def test_the_least_known_cost_lies_between_neighbours(factory) -> None:
-    points = front_run(factory).stages[-1].front
-    assert tolerance.least_within(points, 0.0) == (390.4, 490.55)
-    assert tolerance.least_within(points, 0.1) == (166.7, 282.2)
-    assert tolerance.least_within(points, 0.5) == (None, 166.7)
-    assert tolerance.least_within(points[1:], 1e-6) == (390.4, None)
-
-
-@pytest.mark.slow
-def test_rows_stand_beside_the_front(factory, tmp_path) -> None:
-    report = Report(load(factory.store(tmp_path / "all", [*factory.runs(), front_run(factory)])))
-    section = tolerance.build(report, report.scenes[0])
-    assert section is not None
-    (view,) = section.values["views"]
-    assert len(view.beside) == len([row for row in report.rows if row.stage.cost is not None]) - 1
-    assert view.plot.markup(False).count('class="pt front"') == 4
-    for item in view.beside:
-        loose, tight = tolerance.least_within(view.points, item.missed)
-        assert item.above.endswith("%") is (tight is not None and item.price > tight * (1 + 1e-6)) or item.above in (
-            "on it",
-            "between its points",
-            "looser than all its points",
-        )
-        if item.above.startswith("below"):
-            assert loose is not None
-            assert item.price < loose
-    without = Report(load(factory.store(tmp_path / "none", factory.runs())))
-    assert tolerance.build(without, without.scenes[0]) is None
-
-
-def test_windows_are_read_contact_by_contact() -> None:
-    assert tolerance.windows_text((("left", 1, 2), ("right", 5, 6), ("left", 8, 9))) == "left 1–2, 8–9; right 5–6"
-    assert tolerance.windows_text(()) == ""
 
 
 def test_the_page_shows_certificate_starts_and_front(factory, tmp_path) -> None:

@@ -135,6 +135,14 @@ def test_pages_are_the_same_by_one_process_and_by_several(factory, tmp_path: Pat
     }
 
 
+def test_few_pages_start_no_process(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp")])
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    monkeypatch.delattr(module.multiprocessing, "get_context")
+    write_report(folder, 8)
+    assert len(_written(folder)) == 3 + 1 + 1
+
+
 @pytest.mark.slow
 def test_what_a_process_leaves_undone_is_done_here(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = factory.store(tmp_path / "all", factory.runs())

@@ -19,13 +19,13 @@ content: scene, pipeline with all options, our sources, library versions.
 
 \b
 Examples:
-  python -m validate all                               everything
-  python -m validate all --quick                       three pipelines
-  python -m validate all -k FMU                        only our FMUs, checked
-  python -m validate all -k stress                     only the stress cases
-  python -m validate all -k "strict and not relaxed"   some
-  python -m validate all --scene my/own_scene.py       a scene of your own
-  python -m validate all --last-failed                 what failed last time
+  python -m validate all
+  python -m validate all --quick
+  python -m validate all -k FMU       (our FMUs, checked)
+  python -m validate all -k stress    (the stress cases)
+  python -m validate all -k "strict and not relaxed"
+  python -m validate all --scene my/own_scene.py
+  python -m validate all --last-failed
 
 Exit codes: 0 every required check passed; 1 one failed; 2 usage,
 configuration or nothing selected; 3 a system requirement is missing;

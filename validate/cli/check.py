@@ -6,19 +6,18 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 from xml.etree import ElementTree
 
 import click
 
 from validate.cli.options import FiniteRange
 from validate.cli.table import one_line, print_table, say, wide_option
-
-if TYPE_CHECKING:
-    from validate.fmu_check import CheckReport, FmuCheckRow
+from validate.fmu_check import CheckReport, FmuCheckRow, check_fmu
+from validate.store.disk import make_folder, write_durably
 
 # An FMU's report, with the seconds that its checks took: wall and CPU [s].
-Checked: TypeAlias = "tuple[CheckReport, float, float]"
+Checked: TypeAlias = tuple[CheckReport, float, float]
 _EPILOG = """\b
 Examples:
   python -m validate check model.fmu
@@ -37,13 +36,13 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE.fmu...", nargs=-1, required=True)
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
-@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object, of several FMUs a list of them.")
+@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object; of several FMUs, a list of them.")
 @click.option(
     "--html",
     "html_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page with every check there, as a report has of its FMUs.",
+    help="Write a page there with every check.",
 )
 @click.option(
     "--junit",
@@ -65,12 +64,9 @@ def command(
 ) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
 
-    Each check claims something of a sound FMU; it is passed, failed or not offered, with one sentence. The FMU runs in child
-    processes: one that hangs or crashes has failed the check, and nothing else happens.
+    Each check claims something of a sound FMU. It is passed, failed or not offered, and a sentence says what was found. The FMU runs
+    in child processes: one that hangs or crashes fails the check, and harms nothing else.
     """
-    from validate.fmu_check import check_fmu
-    from validate.store.disk import make_folder, write_durably
-
     checked: list[Checked] = []
     for file in files:
         before = os.times()

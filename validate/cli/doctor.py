@@ -39,7 +39,7 @@ Examples:
   python -m validate doctor
   python -m validate doctor --out /data/campaign
 
-Exit codes: 0 the main job works here; 3 something it needs does not.
+Exit codes: 0 `all` works here; 3 something that it needs does not.
 """
 # A folder with less room than this [bytes] does not hold a campaign with its FMUs and trajectories.
 _ROOM = 500 * 1024**2
@@ -63,7 +63,7 @@ _COLOURS = {State.OK: "green", State.ABSENT: "yellow", State.BROKEN: "red"}
 )
 @click.option("--json", "as_json", is_flag=True, help="The findings as JSON on stdout.")
 def command(out: Path, as_json: bool) -> int:
-    """Try each thing the main job needs - compiler, cache, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
+    """Try each thing that `all` needs - compiler, cache, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
     findings = []
     for finding in examine_machine(out):
         findings.append(finding)

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import click
 
+from models.catalog import load_scene
 from validate.cli.options import scenes
 from validate.cli.table import warn
+from validate.store.disk import disk_error, make_folder, write_durably
 
 
 @click.command(
@@ -41,10 +43,9 @@ or it cannot be written.
 )
 def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], coupled: bool) -> int:
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
-    from models.catalog import load_scene
     from models.fmu import build_fmu
+    from models.fmu.coupled import build_ssp
     from validate.plan.warnings import warnings_of
-    from validate.store.disk import disk_error, make_folder, write_durably
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
@@ -54,12 +55,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
         )
     loaded = load_scene(scene)
     warn(warnings_of([loaded]))
-    if coupled:
-        from models.fmu.coupled import build_ssp
-
-        built = build_ssp(loaded)
-    else:
-        built = build_fmu(loaded, version=f"{version}.0", platforms=platforms)
+    built = build_ssp(loaded) if coupled else build_fmu(loaded, version=f"{version}.0", platforms=platforms)
     make_folder(output.parent)
     if output.is_file() or not output.exists():
         write_durably(output, built.read_bytes())

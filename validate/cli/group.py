@@ -5,7 +5,6 @@ A command is imported when it is used: `--help` and `list` cost neither SymPy no
 
 from __future__ import annotations
 
-import difflib
 import errno
 import importlib
 import io
@@ -16,7 +15,7 @@ from typing import Any
 
 import click
 
-from models.errors import MachineError, TouchstoneError
+from models.errors import MachineError, TouchstoneError, did_you_mean
 from validate.cli.table import say
 
 PROGRAM = "python -m validate"
@@ -50,60 +49,59 @@ Examples:
 \b
 Exit codes:
   0    every required check passed
-  1    one failed (or touchstone has a bug: then it says so)
+  1    one failed, or touchstone has a bug and says so
   2    wrong usage or configuration, or nothing selected
-  3    a system requirement is missing: which, and how to get it
+  3    a system requirement is missing, which is named
   130  interrupted; the same command resumes
-  141  output pipe closed (`| head`), so not all of it was written
+  141  output pipe closed (| head): not all was written
 
 \b
 Environment:
-  TOUCHSTONE_CACHE   where compiled scenes and FMUs are kept
-  TOUCHSTONE_DEBUG   1 shows the traceback of an unexpected error
+  TOUCHSTONE_CACHE   folder of compiled scenes and FMUs
+  TOUCHSTONE_DEBUG   1: tracebacks of unexpected errors
   TOUCHSTONE_LINEAR_SOLVER
-                     what factorises Ipopt's linear systems: ldlt (ours) or mumps
+                     of Ipopt: ldlt (ours) or mumps
   NO_COLOR           no colours
   CC                 the C compiler
 """
 
 
 class LazyGroup(click.Group):
-    """Commands that are imported when they are used. told: name -> (module whose `command` it is, what the overview says)."""
+    """Commands that are imported when they are used. lazy: name -> (module whose `command` it is, what the overview says)."""
 
-    def __init__(self, *arguments: Any, told: Mapping[str, tuple[str, str]], **options: Any) -> None:
+    def __init__(self, *arguments: Any, lazy: Mapping[str, tuple[str, str]], **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.told = told
+        self.lazy = lazy
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Their names, in the order of the overview."""
-        return list(self.told)
+        return list(self.lazy)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of this name, imported now; None where there is none."""
         own = super().get_command(ctx, cmd_name)
-        if own is not None or cmd_name not in self.told:
+        if own is not None or cmd_name not in self.lazy:
             return own
-        return importlib.import_module(self.told[cmd_name][0]).command
+        return importlib.import_module(self.lazy[cmd_name][0]).command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """As click does, but `_` is read as `-`, and a name that is none is refused with the nearest one."""
-        if args and args[0].replace("_", "-") in self.told:
+        if args and args[0].replace("_", "-") in self.lazy:
             args = [args[0].replace("_", "-"), *args[1:]]
-        if args and args[0] not in self.told and not args[0].startswith("-") and not ctx.resilient_parsing:
-            close = difflib.get_close_matches(args[0], self.told, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(self.told)}."
+        if args and args[0] not in self.lazy and not args[0].startswith("-") and not ctx.resilient_parsing:
+            hint = did_you_mean(args[0], self.lazy, f"there are {', '.join(self.lazy)}.")
             raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The overview, without importing a command."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, words) for name, (_, words) in self.told.items()])
+            formatter.write_dl([(name, words) for name, (_, words) in self.lazy.items()])
 
 
 @click.group(
     cls=LazyGroup,
-    told={name: (f"validate.cli.{name}", words) for name, words in _COMMANDS.items()},
+    lazy={name: (f"validate.cli.{name}", words) for name, words in _COMMANDS.items()},
     epilog=_EPILOG,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import click
 
+from formulations.pipelines import PIPELINES, QUICK, method_names
+from models.catalog import scene_names, scene_path
 from validate.cli.table import one_line, table, wide_option
+from validate.stress.catalog import case_names, describe_case
 
 # The text that a file begins with, behind comments.
 _DOCSTRING = re.compile(r"""(?:\s|#[^\n]*\n)*([rRuU]?(\"{3}|'{3}|"|').*?(?<!\\)\2)""", re.DOTALL)
@@ -28,10 +31,6 @@ Exit codes: 0 listed; 2 usage.
 @wide_option
 def command(as_json: bool) -> int:
     """Scenes, pipelines, methods and stress cases, with what each is."""
-    from formulations.pipelines import PIPELINES, QUICK, method_names
-    from models.catalog import scene_names, scene_path
-    from validate.stress.catalog import case_names, describe_case
-
     cases = [(name, describe_case(name)) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"
     data = {

@@ -18,7 +18,6 @@ from validate.cli.table import in_words, one_line, say
 if TYPE_CHECKING:
     from validate.execution.engine import Running
 
-
 # Width of the bar [characters]: what runs needs the room.
 _BAR = 12
 

@@ -1,7 +1,7 @@
 """Options that commands share: those by which a campaign is chosen and run - by `all`, by `plan`, which says what `all` would do, and by `run`, where a file chooses.
 
-Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. And numbers on the command line: nan and inf, which a
-range of click lets through, are refused; and what a shell offers for a value that is being typed.
+Each of these is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills. Beside them: a range of finite numbers, since click's lets
+nan and inf through, and what a shell offers while a scene is being typed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _CHOOSING = (
     click.option(
         "--quick",
         is_flag=True,
-        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without scenes that take minutes; below the table stands what was left out.",
+        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without the scenes that take minutes. The summary names what was left out.",
     ),
     click.option(
         "--scene",
@@ -65,7 +65,7 @@ _CHOOSING = (
         default=240.0,
         show_default=True,
         metavar="SECONDS",
-        help="For each run, all its stages and replays.",
+        help="For each run: all its stages and replays.",
     ),
 )
 _SELECTING = (
@@ -74,7 +74,7 @@ _SELECTING = (
         "expression",
         default="",
         metavar="EXPR",
-        help="Only runs whose scene, pipeline or method names match, in upper or lower case: words joined with and, or, not; =NAME means the whole name.",
+        help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
     ),
     click.option("--fresh", is_flag=True, help="Run again what is stored."),
     click.option("--last-failed", "--lf", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
@@ -90,7 +90,7 @@ _SELECTING = (
         "plugin",
         default=_our_plugin,
         metavar="MODULE[:NAME]",
-        help="A method of one's own, METHOD of a module on PYTHONPATH; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
+        help="A module on PYTHONPATH with a METHOD of your own; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),
 )
 _ENDING = (
@@ -99,7 +99,7 @@ _ENDING = (
         default="local",
         show_default=True,
         metavar="local|dask[:ADDRESS|:FILE.json]",
-        help="Where the runs are executed: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
+        help="Where runs are executed: child processes here, Dask workers here, or the Dask cluster of a scheduler, by its address or by the file it wrote.",
     ),
     click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
     click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
@@ -114,7 +114,7 @@ _OUT_OF_FILE = click.option(
 
 def result_options(command: _Command) -> _Command:
     """How results are printed."""
-    json_words, table_words = "As JSON on stdout, in full.", "A row for each stage of each run; of a plan, for each run."
+    json_words, table_words = "All of it, as JSON on stdout.", "A table with a row for each stage of each run (`plan`: for each run)."
     options = (
         click.option("--table", "as_table", is_flag=True, help=table_words),
         wide_option,

@@ -12,6 +12,7 @@ import click
 
 from validate.cli.options import campaign_options, result_options
 from validate.cli.table import in_words, print_table, say, short, warn
+from validate.execution.process import usable_cores
 
 if TYPE_CHECKING:
     from validate.plan.runs import CampaignSettings
@@ -41,7 +42,6 @@ def command(as_json: bool, as_table: bool, **options: Any) -> int:
 
 def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.execution.process import usable_cores
     from validate.plan.runs import PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
     from validate.plan.warnings import warnings_of
     from validate.store.store import Store

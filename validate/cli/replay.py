@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from models.catalog import load_scene
+from validate.cli.metrics import Row, print_metrics
 from validate.cli.options import FiniteRange, scenes
-from validate.cli.table import print_table, say, short, warn, wide_option
+from validate.cli.table import say, warn, wide_option
+from validate.execution.isolated import Limits
+from validate.store.disk import make_folder, write_durably
 
 if TYPE_CHECKING:
     from validate.judge.judgement import Judgement
     from validate.judge.replay.result import Replay
-    from validate.judge.score import Metric, Verdict
+    from validate.judge.score import Verdict
 
 
 @click.command(
@@ -34,7 +38,7 @@ by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, 
 or FMU; 3 a system requirement is missing.
 """
 )
-@click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv")
+@click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
 @click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
 @click.option("--fmu", type=click.Path(path_type=Path), metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.")
 @click.option(
@@ -42,28 +46,30 @@ or FMU; 3 a system requirement is missing.
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="What of the plan is what of the FMU; equal names without it.",
+    help="Which column of the plan is which variable of the FMU. Without it: those of equal names.",
 )
 @click.option(
     "--hold",
     type=click.Choice(["zero", "linear"]),
-    help="Inputs within a step: constant (default), or a line to the next row; a line `# hold: ..` in the CSV says the same.",
+    help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear.",
 )
-@click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, help="Seconds after which the FMU is ended.")
 @click.option(
-    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
+    "--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS", help="The FMU is ended after them."
+)
+@click.option(
+    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB", help="Address space of the FMU's process."
 )
 @click.option(
     "--track",
     is_flag=True,
-    help="Replay with feedback too, and show both; without it that is done where the inputs alone do not give the plan's motion.",
+    help="Replay with feedback too, and show both. Without this option that is done only where the inputs alone do not give the plan's motion.",
 )
 @click.option(
     "--require",
     type=click.Choice(["holds", "feedback"]),
     default="feedback",
     show_default=True,
-    help="What exit code 0 needs: `holds` is strict.",
+    help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
@@ -72,7 +78,7 @@ or FMU; 3 a system requirement is missing.
     "html_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="Write a page with verdict, player, plots and metrics there, as a run has in a report.",
+    help="Write a page there with verdict, player, plots and metrics.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
 @click.pass_obj
@@ -93,11 +99,10 @@ def command(
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
 
-    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities, contact forces if the plan says them:
-    what it does not say is not asked. docs/replay.md describes plan and map, docs/verdict.md what is asked.
+    PLAN.csv has one row a node: t and the inputs by name, and positions, velocities and contact forces where the plan has them. What it
+    does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
+    map, docs/verdict.md what is asked.
     """
-    from validate.execution.isolated import Limits
-
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
@@ -131,14 +136,13 @@ def exit_code(verdict: Verdict, require: str) -> int:
 
 
 def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
-    from models.catalog import load_scene
     from models.fmu import build_fmu
-    from models.trajectory import read_csv
-    from validate.judge.judgement import judge_trajectory
+    from validate.judge.judgement import as_trajectory, judge_trajectory
     from validate.plan.warnings import warnings_of
 
     loaded = load_scene(scene)
-    trajectory = read_csv(plan, loaded, hold)
+    trajectory = as_trajectory(plan, loaded, hold=hold)
+    assert trajectory is not None, "a file is a plan"
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
@@ -184,7 +188,6 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
     from models.scene import Scene
     from models.trajectory_netcdf import write_netcdf
     from validate.judge.replay.netcdf import write_replay
-    from validate.store.disk import make_folder, write_durably
 
     replay, subject, plan = judgement.replay, judgement.scene, judgement.plan
     make_folder(out)
@@ -200,7 +203,6 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 
 
 def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
-    from validate.store.disk import make_folder, write_durably
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
@@ -212,50 +214,36 @@ def _print(judgement: Judgement) -> None:
     from validate.judge.score.verdict import TRACKED
 
     result, replay = judgement.score, judgement.replay
-    followed = replay is not None and replay.tracked is not None
-    names = ["value", "with feedback"] if followed else ["value"]
-    rows = []
+    rows: list[Row] = []
     for metric in result.metrics:
         if metric.name.startswith(TRACKED):
             continue  # beside its twin
-        twin = result.metric(f"{TRACKED}{metric.name}")
-        judged = twin if twin is not None and result.judged == "feedback" and twin.is_judged else metric
-        values = [short(metric.value, ".4e"), short(twin.value, ".4e") if twin else ""][: len(names)]
-        if metric.name.startswith("feedback"):
-            values.reverse()  # there is none for the inputs alone
-        missing = judged.reason if judged.limit is None else f"not measured: {judged.reason}"
-        meaning = judged.meaning if judged.value is not None else missing
-        number = "" if metric.question.number is None else str(metric.question.number)
-        rows.append([number, metric.name, *values, judged.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
-    titles, dropped = ["question", "metric", *names, "unit", "limit", "", "meaning"], ["meaning", "question", "limit", "unit", *names[:-1]]
-    print_table(titles, rows, ("question", *names, "limit"), drop=dropped)
+        alone, tracked = (None, metric) if metric.name.startswith("feedback") else (metric, result.metric(f"{TRACKED}{metric.name}"))
+        rows.append((metric.question.number, metric.name, alone, tracked))
+    followed = replay is not None and replay.tracked is not None
+    print_metrics(rows, followed=followed, tracked=result.judged == "feedback")
     click.echo()
     if replay is not None:
         say(_own_error("The replay", replay))
         if replay.tracked is not None:
             say(_own_error("The replay with feedback", replay.tracked))
     for text in result.not_asked:
-        say(f"Not asked: {text}")
+        say(f"Not asked: {text.rstrip('.')}.")
     for text in result.waived:
-        say(f"Waived by the scene: {text}")
+        say(f"Waived by the scene: {text.rstrip('.')}.")
     say(f"{result.verdict.value}: {result.why}")
 
 
 def _own_error(what: str, replay: Replay) -> str:
     estimate = replay.error.estimate
     ratio = replay.error.step_ratio
-    shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
+    shrinks = "" if ratio is None else f"; half the step divides the everyday replay's error by {ratio:.3g}"
     own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
     source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
-    return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}{told}). {replay.message}".rstrip()
+    events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
+    return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()
 
 
 def _size(value: float) -> str:
     return "unknown" if math.isinf(value) else f"{value:.2g}"
-
-
-def _judgement(metric: Metric) -> str:
-    if metric.limit is None:
-        return "not asked" if metric.value is None else ""
-    return "undecided" if metric.ok is None else "ok" if metric.ok else "too large"

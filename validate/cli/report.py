@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from reports.records.load import Stored
+from models.errors import MachineError
+from reports.records.load import ReportError, Stored, load
+from reports.render import write_report, write_single
+from validate.store.results import check_rows, rows, write_tables
+from validate.store.stored import campaign_of
 
 
 @click.command(
@@ -31,12 +33,6 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
 
     report.html leads to a page for each scene and each run in DIR/pages.
     """
-    from models.errors import MachineError
-    from reports.records.load import ReportError, Stored, load
-    from reports.render import write_report, write_single
-    from validate.store.results import check_rows, rows, write_tables
-    from validate.store.stored import campaign_of
-
     try:
         stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
     except ReportError:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from models.errors import did_you_mean
+from reports.again import again
+from reports.judged import is_tracked, questions_of
+from reports.records.check_record import CheckRecord
+from reports.records.record import RunRecord, StageRecord
+from reports.rule import fails
+from validate.cli.metrics import print_metrics
 from validate.cli.table import one_line, print_table, say, short, wide_option
-
-if TYPE_CHECKING:
-    from reports.records.check_record import CheckRecord
-    from reports.records.record import MetricRecord, RunRecord, StageRecord
+from validate.store.store import RECORD, Store
+from validate.store.stored import CampaignError, campaign_of, stored_names
 
 _EPILOG = """\b
 Examples:
-  python -m validate show runs/all/runs/4f2a...   one run, by its folder
-  python -m validate show 4f2a                    by the beginning of its key
-  python -m validate show "three_cart x mpcc"     by its name
-  python -m validate show mpcc --in runs/mine     by part of a name
+  python -m validate show runs/all/runs/4f2a...
+  python -m validate show 4f2a
+  python -m validate show "three_cart x mpcc"
+  python -m validate show mpcc --in runs/mine
 
 Exit codes: 0 it does not make its campaign fail; 1 it does; 2 there is no such
 run, or more than one.
@@ -41,10 +45,10 @@ _LOG_LINES = 15
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
 @wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
-    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
-    from reports.records.check_record import CheckRecord
-    from reports.rule import fails
+    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again.
 
+    The run is named by its folder, by the beginning of its key, by its name, or by a part of its name that no other has.
+    """
     folder, record = find_run(run, folder)
     if as_json:
         click.echo(json.dumps(record.model_dump(mode="json"), indent=1, allow_nan=False))
@@ -59,9 +63,6 @@ def command(run: str, folder: Path, as_json: bool) -> int:
 
 def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
     """The campaign's folder and the record of a run, by its folder, key or name. Raises CampaignError."""
-    from validate.store.store import RECORD, Store
-    from validate.store.stored import CampaignError, campaign_of, stored_names
-
     path = Path(run)
     if path.name == RECORD and len(path.parts) > 1:
         path = path.parent
@@ -89,14 +90,8 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
 
 
 def _hint(run: str, names: list[str], folder: Path) -> str:
-    import difflib
-
-    close = difflib.get_close_matches(run[:200], names, n=1, cutoff=0.4)
-    return (
-        f"did you mean {close[0]!r}?"
-        if close
-        else f"its runs are listed in {folder / 'results.csv'}, or `python -m validate report {folder}` writes that again."
-    )
+    what = f"its runs are listed in {folder / 'results.csv'}, which `python -m validate report {folder}` writes again."
+    return did_you_mean(run, names, what, 0.4)
 
 
 def _tell_run(record: RunRecord) -> None:
@@ -142,50 +137,16 @@ def _print_stages(record: RunRecord) -> None:
 
 def _tell_score(stage: StageRecord) -> None:
     """Questions and their answers, the metrics, and what was not asked."""
-    from reports.judged import is_tracked
-
     if stage.questions:
         of = "the replay with feedback" if is_tracked(stage) else "the inputs alone"
         rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
         click.echo()
         print_table(["", f"question, of {of}", "answer"], rows, ("",))
     click.echo()
-    _print_metrics(stage)
+    rows = [(question.number, view.name, view.alone, view.followed) for question in questions_of(stage) for view in question.metrics]
+    print_metrics(rows, followed=stage.replay is not None and stage.replay.tracked is not None, tracked=is_tracked(stage))
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
-
-
-def _print_metrics(stage: StageRecord) -> None:
-    from reports.judged import MetricView, is_tracked, questions_of
-
-    followed = stage.replay is not None and stage.replay.tracked is not None
-    values = ["inputs alone", "with feedback"] if followed else ["value"]
-
-    def row(number: int | None, view: MetricView) -> list[str]:
-        judged = (view.followed if is_tracked(stage) else view.alone) or view.metric
-        # A zero has no sign here.
-        found = [None if metric is None or metric.value is None else metric.value + 0.0 for metric in (view.alone, view.followed)][
-            : len(values)
-        ]
-        limit = "waived" if view.waived else short(judged.limit, ".3g")
-        own = "unknown" if judged.error is None else short(judged.error, ".1e") if judged.error else ""
-        cells = [*(short(value, ".4e") for value in found), own, judged.unit, limit, _against(judged)]
-        return ["" if number is None else str(number), view.name, *cells, judged.reason]
-
-    rows = [row(question.number, view) for question in questions_of(stage) for view in question.metrics]
-    titles = ["question", "metric", *values, "+-", "unit", "limit", "", "reason"]
-    print_table(
-        titles,
-        rows,
-        ("question", *values, "+-", "limit"),
-        drop=("reason", "+-", "question", "limit", "unit", *values[:-1]),
-    )
-
-
-def _against(metric: MetricRecord) -> str:
-    if metric.limit is None:
-        return "not measured" if metric.value is None else ""
-    return "undecided" if metric.ok is None else "within" if metric.ok else "beyond"
 
 
 def _tell_scene(record: RunRecord) -> None:
@@ -208,8 +169,6 @@ def _print_check(record: CheckRecord) -> None:
 
 
 def _tell_end(record: RunRecord | CheckRecord, folder: Path) -> None:
-    from reports.again import again
-
     lines = record.log_tail.splitlines()[-_LOG_LINES:]
     click.echo(f"\nlog, its last {len(lines)} lines:" if lines else "\nlog: empty")
     for line in lines:

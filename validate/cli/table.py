@@ -18,8 +18,8 @@ import click
 _LARGE = 1e9
 _VERDICTS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
 _GAP = "  "
-# A column of sentences is no narrower than this [characters], before another column is left out.
-_SENTENCE = 20
+# A column of sentences is no narrower than this [characters], before another column is left out; one that may itself be left out is so before it is.
+_SENTENCE, _LEFT_OUT = 20, 30
 _WIDE = "touchstone.wide"
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -90,7 +90,10 @@ def table(
     rows = [[one_line(cell) for cell in row] for row in rows]
     places, width, left_out = list(range(len(titles))), terminal_width(), []
     natural = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
-    least = [natural[place] if title in right else _narrowest(title, [row[place] for row in rows]) for place, title in enumerate(titles)]
+    least = [
+        natural[place] if title in right else _narrowest(title, [row[place] for row in rows], _LEFT_OUT if title in drop else _SENTENCE)
+        for place, title in enumerate(titles)
+    ]
 
     def excess(widths: Sequence[int]) -> int:
         """By how many characters the columns are wider than the terminal."""
@@ -134,9 +137,9 @@ def _padded(text: str, width: int, colour: str | None, right: bool) -> str:
     return blank + coloured if right else coloured + blank
 
 
-def _narrowest(title: str, cells: Sequence[str]) -> int:
+def _narrowest(title: str, cells: Sequence[str], sentence: int) -> int:
     words = [word for cell in (title, *cells) for word in cell.split()]
-    return max(min(_SENTENCE, max(map(len, (title, *cells)))), *map(len, words), 0)
+    return max(min(sentence, max(map(len, (title, *cells)))), *map(len, words), 0)
 
 
 def short(value: Any, pattern: str = ".4g") -> str:

@@ -10,7 +10,6 @@ combination of swept values.
 from __future__ import annotations
 
 import copy
-import difflib
 import itertools
 import math
 import reprlib
@@ -24,7 +23,7 @@ from pydantic import BaseModel, ValidationError
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import PIPELINES
 from models.catalog import load_scene, scene_names, scene_path
-from models.errors import TouchstoneError
+from models.errors import TouchstoneError, did_you_mean
 from models.scene import Scene
 from models.scene.checks import check_expressions
 from validate.judge.score import check_limits, metric_names
@@ -108,8 +107,7 @@ def _known(plugin: Plugin, scenes: list[SceneReference]) -> list[Pipeline]:
 def _hint(name: str, known: Iterable[str]) -> str:
     """`did you mean k?`, or what there is."""
     known = list(known)
-    close = difflib.get_close_matches(name[:100], known, n=1)
-    return f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}." if known else "there are none."
+    return did_you_mean(name, known, f"there are {', '.join(known)}." if known else "there are none.")
 
 
 def _place_text(place: Sequence[str | int]) -> str:

@@ -12,14 +12,14 @@ from reports.records.robustness_record import RobustnessRecord
 from reports.render import render_robustness
 from validate.judge.robustness import Robustness
 from validate.store.provenance import gather
-from validate.tasks.records import Judged, given_stage
+from validate.tasks.records import given_stage
 from validate.tasks.scene_record import scene_record
 from validate.tasks.shown import write_drawn
 
 
 def robustness_page(found: Robustness, record: RobustnessRecord, scene: Scene, plan: Trajectory, name: str) -> str:
     """The text of the page. name: what the plan is called. Raises MachineError."""
-    stage = given_stage(name, Judged(score=found.judgement.score))
+    stage = given_stage(name, None, found.judgement.score, found.seconds)
     run = RunRecord(
         key="plan", scene=scene_record(scene), pipeline=name, pipeline_title="", stages=(stage,), outcome=stage.outcome, message="",
         verdict=found.verdict.value, must_hold=True, wall_seconds=0.0, cpu_seconds=found.seconds, provenance=gather(""),

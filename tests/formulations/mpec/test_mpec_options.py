@@ -14,7 +14,7 @@ from tests.formulations.mpec.nearest import nearest, solver
     ("options", "words"),
     [
         ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
-        ({"strateg": "scholtes"}, ["'strateg'", "'strategy'"]),
+        ({"strateg": "scholtes"}, ["'strateg'", "did you mean strategy?"]),
         ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]),
         ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
         ({"eps_end": "small"}, ["'eps_end'", "number"]),

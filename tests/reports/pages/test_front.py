@@ -236,13 +236,14 @@ def test_where_no_replay_is_limited_the_plans_own_grid_decides():
 def test_why_a_method_has_no_point():
     told = report(
         ran("lost", outcome="time_limit", verdict="no plan", message="it was late. And more."), ran("mute", outcome="crashed", verdict="no plan", message=""),
-        ran("unknown", judged("replay_error", None, reason="the FMU crashed.")), replayed("good", 0.01, 5.0, 1.0),
+        ran("unknown", judged("replay_error", None, reason="the FMU crashed.")), replayed("good", 0.01, 5.0, 1.0), ran("refuses", outcome="refused", verdict="no plan"),
     )  # fmt: skip
     found = pareto.build(told, told.scenes[0])
     assert found is not None
     assert [(row.label, why) for row, why in found.values["failed"]] == [
         ("lost", "time limit, no plan: it was late"), ("mute", "crashed, no plan"), ("unknown", "its replay error is not known: the FMU crashed."),
     ]  # fmt: skip
+    assert found.values["refused"] == ["refuses"]
     assert (found.anchor, found.title) == ("pareto-1", "All methods: speed against error")
     nothing = report(ran("lost", outcome="crashed", verdict="no plan"))
     empty = pareto.build(nothing, nothing.scenes[0])
@@ -251,6 +252,15 @@ def test_why_a_method_has_no_point():
         [],
         "No stage gave a plan that could be replayed, so there is nothing to compare.",
     )
+
+
+def test_where_nothing_holds_or_nothing_is_planned_it_says_so():
+    bad = replayed("bad", 0.3, 490.0, 1.0, "violates")
+    assert speed(bad)[0].sentence == "None of 1 plan holds, so there is none to recommend."
+    told = report(bad.model_copy(update={"scene": bad.scene.model_copy(update={"inputs": ()})}))
+    free = pareto.build(told, told.scenes[0])
+    assert free is not None
+    assert (free.values["views"], free.values["failed"], free.values["nothing"][:28]) == ([], [], "This scene has no inputs: no")
 
 
 def test_the_first_screen_has_speed_against_error_of_all_scenes():

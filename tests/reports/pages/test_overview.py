@@ -11,7 +11,6 @@ import pytest
 from reports.pages import overview
 from reports.pages.section import Report
 from reports.records.load import Stored, load
-from reports.records.record import HOLD
 from reports.render import render
 
 
@@ -71,18 +70,6 @@ def test_equal_costs_are_both_the_cheapest(factory):
     found = section(ended(factory, "bank", "a", "holds"), ended(factory, "bank", "b", "holds"))
     assert [place.ratio for place in found.values["places"].values()] == [1.0, 1.0]
     assert all(place.words.endswith("the cheapest") for place in found.values["places"].values())
-
-
-def test_marks_are_coloured_by_family_and_filled_where_the_plan_holds(factory):
-    families = {"relaxed_lcp": "c1", "softplus_dc": "c1", "softplus_gd": "c3", "relu_gd": "c3", "strict_lcp": "c0", "mpcc": "c2"}
-    for method, style in families.items():
-        for verdict in ("holds", "violates"):
-            run = ended(factory, "bank", "a", verdict)
-            run = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"method": method}),)})
-            plot = section(run).values["plot"]
-            (mark,) = re.findall(r'class="pt ([^"]*)"[^>]*><title>([^<]*)', str(plot.markup(hidden=False)))
-            assert mark[0] == (f"{style} full" if verdict in HOLD else style)
-            assert mark[1] == f"{method} on bank: {verdict}; 0.71 CPU s, error 0.0090"
 
 
 def test_of_a_relaxation_the_tightest_eps_is_drawn(factory):

@@ -8,7 +8,6 @@ import pytest
 
 from reports.pages import sweeps, tightening
 from reports.pages.section import Report
-from reports.plots.figure import Plot
 from reports.records.load import Stored
 from reports.records.record import RunRecord, SceneRecord
 
@@ -75,16 +74,6 @@ def test_seeds_are_a_spread_about_their_median(factory):
     assert drawn.count("draws, spread") == 2
     (alone,) = found(*runs)
     assert (alone.axis.name, alone.words) == ("seed", "3 of 3 seeds hold.")
-
-
-def test_a_line_joins_the_medians_and_bars_span_the_seeds(monkeypatch):
-    drawn = {}
-    monkeypatch.setattr(Plot, "line", lambda self, name, style, xs, ys: drawn.setdefault(name, []).append((list(xs), list(ys))))
-    values = {1.0: (4.0, 7.0, 5.0), 2.0: (9.0, 8.0, 1.0), 3.0: (2.0,)}
-    marks = [sweeps.Mark("draws", x, y, "", "", True) for x in (2.0, 3.0, 1.0) for y in values[x]]
-    assert sweeps.draw_against(sweeps.Quantity("k"), "cost", "", marks, sweeps.styles_of(["draws"])) is not None
-    assert drawn["draws"] == [([1.0, 2.0, 3.0], [5.0, 8.0, 2.0])]
-    assert sorted(drawn["draws, spread"]) == [([1.0, 1.0], [4.0, 7.0]), ([2.0, 2.0], [1.0, 9.0])]
 
 
 def test_two_swept_numbers_are_curves_over_the_one_with_more_values(factory):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
+from models.trajectory import Trajectory, uniform_grid, write_csv
+from models.trajectory_netcdf import write_netcdf
 from validate.cli.group import run
 
 Command = Callable[..., tuple[int, str, str]]
@@ -245,6 +248,22 @@ def test_a_plan_of_another_duration_does_not_hold(command: Command, folder: Path
     _, out, _ = command(write(folder / "brief.csv", declared), "--scene", "three_cart", "--json")
     (warning,) = json.loads(out)["warnings"]
     assert "a step of 0.5 s lies past the stability limit" in warning
+
+
+def test_a_plan_as_a_campaign_stores_it_is_the_same_plan(command: Command, folder: Path):
+    """Metrics that nothing is asked of have no row, and a sentence with their reason."""
+    scene = load_scene("two_body_collision")
+    times = uniform_grid(scene.task.step, scene.task.steps)
+    still = np.zeros((len(times), scene.nq))
+    plan = Trajectory(t=times, q=still, v=still, u=np.zeros((len(times) - 1, 0)), lam=np.zeros((len(times) - 1, 1)))
+    write_netcdf(folder / "still.nc", plan, scene)
+    write_csv(folder / "same.csv", plan, scene)
+    (code, out, _), (same, told, _) = (command(name, "--scene", scene.name) for name in ("still.nc", "same.csv"))
+    assert (code, out) == (same, told)
+    table, _, sentences = out.partition("\n\n")
+    assert re.search(r"\bstart_error .* beyond ", table)
+    assert "Not asked: physics_scaled, defect, law_error: the plan declares no scheme." in sentences
+    assert not {"physics_scaled", "defect", "law_error"} & set(table.split())
 
 
 def _entries(path: Path, change: Callable[[str, bytes], bytes | None], source: Path) -> str:

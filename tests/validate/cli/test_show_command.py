@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
 
 from reports.records.record import MetricRecord, TrackedRecord
+from tests.reports import record_factory as factory
 from validate.store.store import Store
 from validate.store.stored import stored_names, title_of
-
-_FACTORY = importlib.util.spec_from_file_location("record_factory_of_show", Path(__file__).parents[2] / "reports" / "record_factory.py")
-assert _FACTORY is not None
-assert _FACTORY.loader is not None
-factory = importlib.util.module_from_spec(_FACTORY)
-_FACTORY.loader.exec_module(factory)
 
 
 def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
@@ -39,9 +33,9 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
         "the last stage holds with feedback: with LQR feedback it holds.",
         "question, of the replay with feedback answer",
         "4 Do its inputs give its motion, and the goal? yes",
-        "question metric inputs alone with feedback +- unit limit reason",
-        "2 cost 0.0000e+00 1 waived no way is known to be cheap",
-        "4 replay_error 6.0000e-01 4.0000e-03 1.0e-09 m 0.01 within",
+        "question metric inputs alone with feedback +- unit limit meaning reason of the limit",
+        "2 cost 0 1 waived m no way is known to be cheap",
+        "4 replay_error 0.6 0.004 1.0e-09 m 0.01 within m",
         "not asked: ghost_impulse: the plan says no forces.",
         "waived by the scene: cost: no way is known to be cheap",
         "the scene is unstable in the open loop: It falls over.",

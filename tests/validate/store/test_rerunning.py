@@ -135,7 +135,7 @@ def test_show_of_a_failure_ends_with_1_and_its_log(cli, ran):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("three_cart", "means 3 runs"), ("only_gud", "did you mean 'three_cart x only_good'?"), ("\x1b[31m", "there is no run")],
+    [("three_cart", "means 3 runs"), ("only_gud", "did you mean three_cart x only_good?"), ("\x1b[31m", "there is no run")],
 )
 def test_show_of_no_run_or_several(cli, ran, name, words):
     done = cli("show", name, "--in", str(ran))

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
 
 from reports.records.record import SCHEMA_VERSION
+from tests.reports import record_factory as factory
 from validate.plan.runs import only_last_failed
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, with_others
-
-_FACTORY = importlib.util.spec_from_file_location("record_factory_of_stored", Path(__file__).parents[2] / "reports" / "record_factory.py")
-assert _FACTORY is not None
-assert _FACTORY.loader is not None
-factory = importlib.util.module_from_spec(_FACTORY)
-_FACTORY.loader.exec_module(factory)
 
 
 @pytest.mark.parametrize(

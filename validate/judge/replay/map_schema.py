@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from models.errors import TouchstoneError
+from models.errors import TouchstoneError, did_you_mean
 from models.plan_table import Table
 from models.scene.values import base_exponents
 from validate.fmi.description import REAL, Package
@@ -195,9 +195,8 @@ def _sentence(mistake: Any) -> str:
         return f"{where}: there is no such key; the steps are the plan's own, and a task of an FMU has a duration alone"
     if kind == "extra_forbidden":
         known = list(_model_at(place).model_fields)
-        close = difflib.get_close_matches(str(place[-1])[:100], known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
-        return f"{where}: there is no such key; {hint}"
+        what = f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
+        return f"{where}: there is no such key; {did_you_mean(place[-1], known, what)}"
     return f"{where}: {words[:1].lower()}{words[1:]}"
 
 

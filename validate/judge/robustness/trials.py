@@ -21,7 +21,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
-from models.scene.goal import goal_state
+from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import Instance, References, load_instance
@@ -34,7 +34,6 @@ from validate.judge.replay.tracking import design_feedback
 from validate.judge.replay.wiring import Feedback, Variables
 from validate.judge.robustness.worlds import World, WorldInputs, nominal_world
 from validate.judge.score import Score
-from validate.judge.score.equations import distance
 
 # Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as this share of the limits is taken, else the last.
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
