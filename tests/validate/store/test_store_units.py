@@ -16,6 +16,7 @@ from models.errors import MachineError
 from reports.records.check_record import CheckRecord
 from tests.reports import record_factory as factory
 from validate.store import store as module
+from validate.store.provenance import machine
 from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
 from validate.store.stored import CAMPAIGN, CampaignError, campaign_of, identity, stored_campaign, stored_names, title_of
 
@@ -119,6 +120,17 @@ def test_a_disk_that_takes_no_mark_is_told_with_the_mark(store: Store, monkeypat
     with pytest.raises(MachineError) as told:
         store.mark_for_rerun([run.key])
     assert [part for part in (f"cannot write {store.runs / run.key}", "the disk is full", "make room") if part not in str(told.value)] == []
+
+
+@pytest.mark.parametrize(("processor", "told"), [("Z80", "Z80"), ("", "vax")])
+def test_a_machine_that_does_not_list_its_processors_is_told_by_what_it_is(monkeypatch: pytest.MonkeyPatch, processor: str, told: str):
+    def nowhere(path: Path, encoding: str) -> str:
+        raise FileNotFoundError(errno.ENOENT, "No such file", str(path))
+
+    monkeypatch.setattr(Path, "read_text", nowhere)
+    monkeypatch.setattr("platform.processor", lambda: processor)
+    monkeypatch.setattr("platform.machine", lambda: "vax")
+    assert machine()["cpu"] == told
 
 
 def test_what_was_asked_for_is_read_where_it_can_be(store: Store):
