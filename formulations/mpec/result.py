@@ -91,7 +91,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Attempt:
+class StrategyAttempt:
     """What one strategy found from one start (0: the user's, else the seed).
 
     objective: in the model's own sense, NaN without a point; outcome: SOLVED where a branch was found; only points that are better than those of the
@@ -147,7 +147,7 @@ class MpecResult:
     residual: float
     pairs: tuple[PairState, ...]
     pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
-    attempts: tuple[Attempt, ...] = ()
+    attempts: tuple[StrategyAttempt, ...] = ()
     steps: tuple[Step, ...] = ()
     iterations: int = 0
     solves: int = 0

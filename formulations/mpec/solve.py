@@ -38,7 +38,7 @@ from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Worksp
 from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
-    Attempt,
+    StrategyAttempt,
     Candidate,
     MpecResult,
     is_feasible,
@@ -122,7 +122,7 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     begin = time.perf_counter()
     best: MpecResult | None = None
     steps: list[Step] = []
-    attempts: list[Attempt] = []
+    attempts: list[StrategyAttempt] = []
     searched: list[Branch] = []
     first_success, has_pairs = 0, True
     for start, name in itertools.product(range(settings.starts), settings.strategies):
@@ -138,7 +138,9 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
             outcome = result.outcome
             if best is None or _rank(result) < _rank(best):
                 best = result
-        attempts.append(Attempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before))
+        attempts.append(
+            StrategyAttempt(strategy=name, start=start, outcome=outcome, objective=objective, iterations=budget.iterations - before)
+        )
         if budget.is_over or outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
         if best.solved and math.isinf(budget.most_iterations):
@@ -165,7 +167,7 @@ def _better(objective: float) -> float:
     return BETTER * max(1.0, abs(objective))
 
 
-def _attempts_in_words(attempts: list[Attempt]) -> str:
+def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
     words = []
     for attempt in attempts:
         told = f"{attempt.objective:.6g}" if attempt.outcome is Outcome.SOLVED else attempt.outcome.name.lower().replace("_", " ")

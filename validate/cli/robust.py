@@ -95,7 +95,7 @@ def command(
         make_folder(csv_file.parent)
         write_durably(csv_file, _worlds(found))
     if html_file is not None:
-        from validate.tasks.robustness import robustness_page
+        from validate.tasks.shown import robustness_page
 
         make_folder(html_file.parent)
         write_durably(html_file, robustness_page(found, record, subject, trajectory, name))

@@ -25,7 +25,8 @@ from models.netcdf import Column, write_columns
 from models.scene import Scene
 from models.trajectory import Trajectory, data_frame
 from reports.records.record import ContactRecord, QuantityRecord, RunRecord, SceneRecord, StageRecord, stage_files
-from reports.render import render_run
+from reports.records.robustness_record import RobustnessRecord
+from reports.render import render_robustness, render_run
 from validate.judge.judgement import Judgement
 from validate.judge.replay.netcdf import storable, storable_name, write_replay
 from validate.judge.replay.result import Replay
@@ -37,6 +38,8 @@ from validate.tasks.scene_record import scene_record
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from validate.judge.robustness import Robustness
 
 _KEY = "plan"
 _NOT_JUDGED = Judged(problem="nobody judged it yet: touchstone.judge(scene, plan) replays it and says whether it holds.")
@@ -188,14 +191,36 @@ def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stag
         folder, files = Path(place) / "runs" / _KEY, stage_files(0, 1)
         folder.mkdir(parents=True)
         if plan is not None:
-            write_drawn(folder / files["trajectory"], plan, drawn)
+            _write_plan(folder / files["trajectory"], plan, drawn)
         for what, motion in (("replay", replay), ("tracked", None if replay is None else replay.tracked)):
             if motion is not None and len(motion.t):
                 write_replay(folder / files[what], motion, drawn)
         return render_run(run, Path(place))
 
 
-def write_drawn(path: Path, plan: Trajectory, subject: Subject) -> None:
+def robustness_page(found: Robustness, record: RobustnessRecord, scene: Scene, plan: Trajectory, name: str) -> str:
+    """The text of the page. name: what the plan is called. Raises MachineError."""
+    stage = given_stage(name, None, found.judgement.score, found.seconds)
+    run = RunRecord(
+        key="plan", scene=scene_record(scene), pipeline=name, pipeline_title="", stages=(stage,), outcome=stage.outcome, message="",
+        verdict=found.verdict.value, must_hold=True, wall_seconds=0.0, cpu_seconds=found.seconds, provenance=gather(""),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
+        folder = Path(place)
+        (folder / "worlds").mkdir()
+        _write_plan(folder / "plan.nc", plan, scene)
+        for number, trial in found.motions:
+            steps = len(trial.states) - 1
+            if steps > 0:
+                positions, velocities = trial.states[:, : scene.nq], trial.states[:, scene.nq :]
+                motion = Trajectory(
+                    t=plan.t[: steps + 1], q=positions, v=velocities, u=plan.u[:steps], lam=plan.lam[:steps], missing=frozenset({"lam", "friction"})
+                )  # fmt: skip
+                _write_plan(folder / "worlds" / f"{number}.nc", motion, scene)
+        return render_robustness(record, name, run, folder)
+
+
+def _write_plan(path: Path, plan: Trajectory, subject: Subject) -> None:
     """What of a plan is drawn: what its author says, and where the bodies of a scene are then."""
     forces = [f"lam_{item.name}" for item in subject.contacts] + [item.force_name for item in subject.frictions]
     said = ["lam" not in plan.missing] * subject.nc + ["friction" not in plan.missing] * subject.nf

@@ -5,6 +5,6 @@ robustness("three_cart", "plan.csv").alone.share
 """
 
 from validate.judge.robustness.robustness import SAMPLES, Robustness, robustness
-from validate.judge.robustness.worlds import Kind
+from validate.judge.robustness.worlds import PerturbationKind
 
-__all__ = ["SAMPLES", "Kind", "Robustness", "robustness"]
+__all__ = ["SAMPLES", "PerturbationKind", "Robustness", "robustness"]

@@ -22,8 +22,8 @@ from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.scene import Scene
 from validate.judge.judgement import Judgement, as_trajectory, judge
-from validate.judge.robustness.trials import Arena, Trial
-from validate.judge.robustness.worlds import Draw, Kind, Perturbation, World, draw, moved, perturbations
+from validate.judge.robustness.trials import Arena, WorldTrial
+from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, World, draw, moved, perturbations
 from validate.judge.score.verdict import Verdict
 
 SAMPLES, MOST = 1000, 1_000_000
@@ -76,7 +76,7 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
+class FirstFailure:
     """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
 
     direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`; amount: the same in the perturbation's unit; by: what fails there;
@@ -134,12 +134,12 @@ class Robustness:
     seed: int
     fineness: int
     ways: tuple[Way, ...]
-    failures: tuple[Failure, ...]
+    failures: tuple[FirstFailure, ...]
     trials: int
     seconds: float
     complete: bool
     points: np.ndarray
-    motions: tuple[tuple[int, Trial], ...]
+    motions: tuple[tuple[int, WorldTrial], ...]
 
     @property
     def scene(self) -> str:
@@ -172,7 +172,7 @@ class Robustness:
         return self.ways[1] if len(self.ways) > 1 else None
 
     @property
-    def weakest(self) -> Failure | None:
+    def weakest(self) -> FirstFailure | None:
         """The perturbation of which the plan takes the fewest sizes."""
         return min((item for item in self.failures if item.sizes is not None), key=lambda item: item.sizes or 0.0, default=None)
 
@@ -186,8 +186,8 @@ class _Progress:
     by: dict[bool, dict[str, int]] = field(default_factory=lambda: {False: {}, True: {}})
     curves: dict[bool, Curve] = field(default_factory=dict)
     checks: dict[bool, Checked] = field(default_factory=dict)
-    failures: list[Failure] = field(default_factory=list)
-    motions: list[tuple[int, Trial]] = field(default_factory=list)
+    failures: list[FirstFailure] = field(default_factory=list)
+    motions: list[tuple[int, WorldTrial]] = field(default_factory=list)
 
     def way(self, feedback: bool) -> Way:
         ratios, name = np.array(self.ratios[feedback]), "with feedback" if feedback else "inputs alone"
@@ -208,7 +208,7 @@ def robustness(
     *,
     samples: int = SAMPLES,
     seed: int = 0,
-    kinds: Sequence[Kind | str] = tuple(Kind),
+    kinds: Sequence[PerturbationKind | str] = tuple(PerturbationKind),
     anyway: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
@@ -235,9 +235,9 @@ def robustness(
     if not _LEAST <= samples <= MOST:
         raise TrajectoryError(f"samples: {samples} must be from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
     try:
-        asked_kinds = [Kind(kind) for kind in kinds]
+        asked_kinds = [PerturbationKind(kind) for kind in kinds]
     except ValueError as error:
-        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in Kind)}.") from error
+        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in PerturbationKind)}.") from error
     subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
     trajectory = as_trajectory(plan, subject)
     if trajectory is None:
@@ -280,7 +280,7 @@ def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str],
         tell("some of these by the reference too")
         found.checks[feedback] = _checked(arena, worlds, found.ratios[feedback], feedback)
     for cause in worlds.causes:
-        if cause.kind is not Kind.NOISE:
+        if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
             found.failures.extend(_failures(arena, cause, found))
     for feedback, count in samples.items():
@@ -288,7 +288,7 @@ def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str],
         found.curves[feedback] = _curve(arena, worlds, min(count, _OF_A_CURVE), found, feedback)
 
 
-def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False) -> Trial:
+def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False) -> WorldTrial:
     found.trials += 1
     return arena.trial(world, feedback=feedback)
 
@@ -327,10 +327,10 @@ def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback:
     return Curve(scales=tuple(scales), shares=tuple(shares), half=math.sqrt(low * high))
 
 
-def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[Failure]:
+def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[FirstFailure]:
     """Both ways along one perturbation."""
 
-    def tried_at(sizes: float) -> Trial:
+    def tried_at(sizes: float) -> WorldTrial:
         return _tried(arena, moved(arena.nominal, [cause], np.array([sizes])), found, arena.followed)
 
     own = tried_at(0.0)
@@ -342,9 +342,9 @@ def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[F
     for direction in (1,) if one_sided else (-1, 1):
         room = cause.above if direction > 0 else cause.below
         tried = min(_LAST, room)
-        cases: dict[float, Trial] = {}
+        cases: dict[float, WorldTrial] = {}
 
-        def real(size: float, direction: int = direction, cases: dict[float, Trial] = cases) -> float:
+        def real(size: float, direction: int = direction, cases: dict[float, WorldTrial] = cases) -> float:
             cases[size] = tried_at(direction * size)
             return cases[size].ratio
 
@@ -356,7 +356,7 @@ def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[F
         sizes = first_failure(real, tried)
         # The smallest move that was tried and fails.
         failed = None if sizes is None else cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)]
-        yield Failure(
+        yield FirstFailure(
             cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by,
             predicted=None if slopes is None else first_failure(straight, tried), same_modes=failed is None or failed.modes == own.modes,
         )  # fmt: skip

@@ -95,7 +95,7 @@ def _limit(score: Score, name: str) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
+class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
     shares: what is asked as shares of its limits; empty where the motion did not come to its end.
@@ -158,11 +158,11 @@ class Arena:
             finally:
                 arena._close()
 
-    def trial(self, world: World, *, feedback: bool = False) -> Trial:
+    def trial(self, world: World, *, feedback: bool = False) -> WorldTrial:
         """The everyday replay in a world. Raises FmuError."""
         return self._stepped(world, self.fineness, self.feedback if feedback else None)
 
-    def checked(self, world: World, *, feedback: bool = False) -> Trial:
+    def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
         """The same by the reference: CVODE from event to event. Raises FmuError, MachineError."""
         inputs = WorldInputs(self.plan, world, self.feedback if feedback else None)
         model = ExchangeModel(self._package, replace(self._variables, parameters=tuple(self._settings(world))))
@@ -172,7 +172,7 @@ class Arena:
             model.close()
         return self._trial(run, inputs)
 
-    def _stepped(self, world: World, fineness: int, feedback: Feedback | None) -> Trial:
+    def _stepped(self, world: World, fineness: int, feedback: Feedback | None) -> WorldTrial:
         inputs, run, variables = WorldInputs(self.plan, world, feedback), Run(), self._variables
         given, start = References(variables.u), float(inputs.times[0])
         own_step, own_step_of = (
@@ -220,12 +220,12 @@ class Arena:
             self._instance.unload()
             self._instance = None
 
-    def _trial(self, run: Run, inputs: WorldInputs) -> Trial:
+    def _trial(self, run: Run, inputs: WorldInputs) -> WorldTrial:
         values = np.array(run.outputs).reshape(len(run.t), len(self._variables.outputs))[run.knots]
         rows = inputs.rows[inputs.rows < len(values)]
         states, gaps = np.split(values[rows], [2 * self.scene.nq], axis=1)
         done = run.outcome is ReplayOutcome.OK
-        return Trial(states=states, gaps=gaps, shares=self.asked.shares(states[-1], gaps) if done else {}, outcome=run.outcome)
+        return WorldTrial(states=states, gaps=gaps, shares=self.asked.shares(states[-1], gaps) if done else {}, outcome=run.outcome)
 
     def _fine_enough(self) -> int:
         exact, feedback = self.checked(self.nominal, feedback=self.followed), self.feedback if self.followed else None

@@ -27,7 +27,7 @@ PARAMETER, START, GAIN, NOISE, DELAY = 0.05, 0.01, 0.02, 0.01, 1.0
 _SAME = 1e-9
 
 
-class Kind(Enum):
+class PerturbationKind(Enum):
     """What is perturbed."""
 
     PARAMETERS = "parameters"
@@ -45,7 +45,7 @@ class Perturbation:
     sizes it may be moved down and up at most.
     """
 
-    kind: Kind
+    kind: PerturbationKind
     name: str
     index: int
     nominal: float
@@ -67,7 +67,7 @@ class World:
     delay: float = 0.0
 
 
-def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[Kind] = tuple(Kind)) -> tuple[Perturbation, ...]:
+def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[PerturbationKind] = tuple(PerturbationKind)) -> tuple[Perturbation, ...]:
     """What may be otherwise in the worlds of a plan; what has no size (a parameter of value 0 without a stated uncertainty) is left out."""
     found = []
     for index, item in enumerate(scene.parameters):
@@ -76,7 +76,7 @@ def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[Kind] = tuple(
         if size > 0.0:
             found.append(
                 Perturbation(
-                    kind=Kind.PARAMETERS, name=item.name, index=index, nominal=item.value, size=size, unit=item.unit,
+                    kind=PerturbationKind.PARAMETERS, name=item.name, index=index, nominal=item.value, size=size, unit=item.unit,
                     reason=item.uncertainty_reason if stated else f"{PARAMETER:.0%} of its value",
                     below=(item.value - item.lower) / size, above=(item.upper - item.value) / size,
                 )
@@ -85,28 +85,30 @@ def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[Kind] = tuple(
     for index, ((name, unit), size) in enumerate(zip(names, START * nominals(scene), strict=True)):
         found.append(
             Perturbation(
-                kind=Kind.START, name=f"start of {name}", index=index, nominal=float(plan.start[index]), size=float(size), unit=unit,
+                kind=PerturbationKind.START, name=f"start of {name}", index=index, nominal=float(plan.start[index]), size=float(size), unit=unit,
                 reason=f"{START:.0%} of nominal",
             )
         )  # fmt: skip
     for index, item in enumerate(scene.inputs):
         found.append(
             Perturbation(
-                kind=Kind.GAIN, name=f"gain of {item.name}", index=index, nominal=1.0, size=GAIN, unit="1", reason=f"{GAIN:.0%}", below=1 / GAIN
+                kind=PerturbationKind.GAIN, name=f"gain of {item.name}", index=index, nominal=1.0, size=GAIN, unit="1", reason=f"{GAIN:.0%}", below=1 / GAIN
             )
         )  # fmt: skip
     ranges = 2.0 * _half_ranges(scene, plan)
     for index, item in enumerate(scene.inputs):
         found.append(
             Perturbation(
-                kind=Kind.NOISE, name=f"noise of {item.name}", index=index, nominal=0.0, size=NOISE * float(ranges[index]), unit=item.unit,
+                kind=PerturbationKind.NOISE, name=f"noise of {item.name}", index=index, nominal=0.0, size=NOISE * float(ranges[index]), unit=item.unit,
                 reason=f"{NOISE:.0%} of its range as standard deviation, new in every step", below=0.0,
             )
         )  # fmt: skip
     step = plan.duration / plan.steps
     if scene.nu:
         found.append(
-            Perturbation(kind=Kind.DELAY, name="delay", index=0, nominal=0.0, size=DELAY * step, unit="s", reason="a step", below=0.0)
+            Perturbation(
+                kind=PerturbationKind.DELAY, name="delay", index=0, nominal=0.0, size=DELAY * step, unit="s", reason="a step", below=0.0
+            )
         )
     return tuple(item for item in found if item.kind in kinds)
 
@@ -140,12 +142,12 @@ def moved(world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise
     """
     parameters, start, gain = world.parameters.copy(), world.start.copy(), world.gain.copy()
     added, delay = world.noise.copy(), world.delay
-    into = {Kind.PARAMETERS: parameters, Kind.START: start, Kind.GAIN: gain}
+    into = {PerturbationKind.PARAMETERS: parameters, PerturbationKind.START: start, PerturbationKind.GAIN: gain}
     for cause, size in zip(causes, np.asarray(sizes, dtype=float), strict=True):
         change = cause.size * float(np.clip(size, -cause.below, cause.above))
-        if cause.kind is Kind.DELAY:
+        if cause.kind is PerturbationKind.DELAY:
             delay += change
-        elif cause.kind is Kind.NOISE:
+        elif cause.kind is PerturbationKind.NOISE:
             added[:, cause.index] += 0.0 if noise is None else change * noise[:, cause.index]
         else:
             into[cause.kind][cause.index] += change
@@ -176,12 +178,12 @@ def draw(causes: Sequence[Perturbation], samples: int, seed: int) -> Draw:
     # Half a second, which a replay need not pay.
     from scipy.stats import qmc
 
-    spread = [item for item in causes if item.kind is not Kind.NOISE]
+    spread = [item for item in causes if item.kind is not PerturbationKind.NOISE]
     points = np.ones((samples, len(causes)))
     if spread:
         numbers = qmc.Sobol(len(spread), seed=seed).random_base2(max(0, math.ceil(math.log2(samples))))[:samples]
         both = np.array([item.below > 0.0 for item in spread])
-        points[:, [item.kind is not Kind.NOISE for item in causes]] = np.where(both, 2.0 * numbers - 1.0, numbers)
+        points[:, [item.kind is not PerturbationKind.NOISE for item in causes]] = np.where(both, 2.0 * numbers - 1.0, numbers)
     return Draw(causes=tuple(causes), points=points, seed=seed)
 
 

@@ -14,7 +14,7 @@ from models.scene import Limit
 from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, judge
 from validate.judge.replay.result import ReplayOutcome
-from validate.judge.robustness.trials import Arena, Asked, Trial
+from validate.judge.robustness.trials import Arena, Asked, WorldTrial
 from validate.judge.robustness.worlds import World, draw, perturbations
 
 SCENE = load_scene("three_cart")
@@ -118,6 +118,6 @@ def test_a_scene_without_an_end_is_refused():
 )
 def test_a_trial_is_as_good_as_the_worst_of_what_is_asked(shares, outcome, ratio, arrives, by):
     gaps = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.2, 0.0], [-0.2, -0.1], [0.1, 0.1]])
-    trial = Trial(states=np.zeros((5, 2)), gaps=gaps, shares=shares, outcome=outcome)
+    trial = WorldTrial(states=np.zeros((5, 2)), gaps=gaps, shares=shares, outcome=outcome)
     assert (trial.ratio, trial.arrives, trial.fails_by) == (ratio, arrives, by)
     assert trial.modes == ((), (0,), (0, 1), ())

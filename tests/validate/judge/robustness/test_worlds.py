@@ -13,7 +13,7 @@ from models.errors import SceneError
 from models.scene import Parameter
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.wiring import Feedback
-from validate.judge.robustness.worlds import Kind, World, WorldInputs, draw, moved, nominal_world, perturbations
+from validate.judge.robustness.worlds import PerturbationKind, World, WorldInputs, draw, moved, nominal_world, perturbations
 
 SCENE = load_scene("three_cart")
 
@@ -46,7 +46,7 @@ def test_sizes_are_those_of_the_rule():
         "gain of u1": (0.02, "1"), "gain of u3": (0.02, "1"), "noise of u1": (pytest.approx(0.2), "N"), "noise of u3": (pytest.approx(0.2), "N"),
         "delay": (pytest.approx(0.01), "s"),
     }  # fmt: skip
-    some = perturbations(SCENE, resting(), [Kind.GAIN, Kind.DELAY])
+    some = perturbations(SCENE, resting(), [PerturbationKind.GAIN, PerturbationKind.DELAY])
     assert [(item.name, item.nominal, item.below, item.above) for item in some] == [
         ("gain of u1", 1.0, 50.0, np.inf), ("gain of u3", 1.0, 50.0, np.inf), ("delay", 0.0, 0.0, np.inf)
     ]  # fmt: skip
@@ -56,7 +56,7 @@ def test_a_parameter_states_its_own_uncertainty_and_keeps_its_range():
     stated = replace(SCENE.parameters[0], uncertainty=0.3, uncertainty_reason="the carts were weighed by hand")
     certain = replace(SCENE.parameters[2], uncertainty=0.0, uncertainty_reason="the spring was measured")
     scene = replace(SCENE, parameters=(stated, SCENE.parameters[1], certain, SCENE.parameters[3]))
-    found = {item.name: item for item in perturbations(scene, resting(), [Kind.PARAMETERS])}
+    found = {item.name: item for item in perturbations(scene, resting(), [PerturbationKind.PARAMETERS])}
     assert list(found) == ["m", "c", "d"], "what is certain is not perturbed"
     assert (found["m"].size, found["m"].reason) == (0.3, "the carts were weighed by hand")
     assert found["m"].below == pytest.approx((1.0 - 1e-6) / 0.3)
