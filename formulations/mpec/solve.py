@@ -38,9 +38,9 @@ from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Worksp
 from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
-    StrategyAttempt,
     Candidate,
     MpecResult,
+    StrategyAttempt,
     is_feasible,
     multipliers_of,
     outcome_without_point,
