@@ -87,7 +87,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     """Equations of motion, gaps, contact law, time step and cost of a scene, in this order."""
     found: list[tuple[str, sp.Basic]] = []
     time, step = sp.Symbol("t", real=True), sp.Symbol("h", positive=True)
-    greek = {lam: sp.Symbol(lam.name.replace("lam_", "lambda_", 1), real=True) for lam in dynamics.lam}
+    greek = {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
     force = dynamics.generalised_force.subs(greek)
     rate = sp.Matrix([sp.Derivative(velocity, time, evaluate=False) for velocity in dynamics.v])
     inertia = dynamics.mass_matrix * rate
@@ -134,7 +134,7 @@ def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: s
 
 def _friction_equations(dynamics: Dynamics) -> list[tuple[str, sp.Basic]]:
     found: list[tuple[str, sp.Basic]] = []
-    names = {lam: sp.Symbol(lam.name.replace("lam_", "lambda_", 1), real=True) for lam in dynamics.lam}
+    names = {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
     for friction, slip, limit, force in zip(dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True):
         speed = sp.Symbol(friction.slip_name, real=True)
         found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
