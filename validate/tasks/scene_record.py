@@ -132,9 +132,14 @@ def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: s
     ]
 
 
+def _greek(dynamics: Dynamics) -> dict[sp.Symbol, sp.Symbol]:
+    """Contact forces as they are written: lambda_left for lam_left."""
+    return {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
+
+
 def _friction_equations(dynamics: Dynamics) -> list[tuple[str, sp.Basic]]:
     found: list[tuple[str, sp.Basic]] = []
-    names = {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
+    names = _greek(dynamics)
     for friction, slip, limit, force in zip(dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True):
         speed = sp.Symbol(friction.slip_name, real=True)
         found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
