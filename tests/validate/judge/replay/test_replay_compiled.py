@@ -419,7 +419,7 @@ def test_a_first_row_that_is_no_number_or_out_of_bounds_ends_the_run(values: lis
         states=2,
     )
     run = Run()
-    assert everyday._record_start(stepping, run) is (outcome is ReplayOutcome.OK)
+    assert everyday.record_start(stepping, run) is (outcome is ReplayOutcome.OK)
     assert (run.outcome, "t = 0.5 s" in run.message, run.t) == (
         outcome,
         outcome is not ReplayOutcome.OK,

@@ -147,7 +147,7 @@ def test_the_command_shows_both_and_keeps_the_gains(
     assert run([*arguments, "--out", str(tmp_path / "told")]) == 0
     out, _ = capsys.readouterr()
     header = next(line for line in out.splitlines() if line.startswith("question"))
-    assert header.split()[2:5] == ["value", "with", "feedback"]
+    assert header.split()[2:6] == ["inputs", "alone", "with", "feedback"]
     row = next(line.split() for line in out.splitlines() if line.split()[1:2] == ["replay_terminal_velocity_error"])
     assert float(row[2]) > 0.2 > float(row[3])
     assert "\nholds with feedback: not for the inputs alone: driven by its inputs" in out
