@@ -58,11 +58,14 @@ def main(folder):
             pass
     if "crash" in act:
         os.kill(os.getpid(), signal.SIGSEGV)
-    if act.startswith("daemon") and os.fork() == 0:  # it leaves the group, shows no environment of ours, and nobody waits for it
-        os.setsid()
-        if os.fork() == 0:
-            os.execve(SLEEPER[0], SLEEPER, {})
-        os._exit(0)
+    if act.startswith("daemon"):  # it leaves the group, shows no environment of ours, and nobody waits for it
+        between = os.fork()
+        if between == 0:
+            os.setsid()
+            if os.fork() == 0:
+                os.execve(SLEEPER[0], SLEEPER, {})
+            os._exit(0)
+        os.waitpid(between, 0)
     if act.startswith("fork") and os.fork() == 0:
         os.setsid()
         print(os.getpid(), flush=True)
