@@ -232,8 +232,10 @@ def robustness(
     ------
     SceneError, TrajectoryError, FmuError, MachineError : in one sentence.
     """
-    if not _LEAST <= samples <= MOST:
-        raise TrajectoryError(f"samples: {samples} must be from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
+    if not isinstance(samples, int) or not _LEAST <= samples <= MOST:
+        raise TrajectoryError(f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
+    if not isinstance(seed, int) or seed < 0:
+        raise TrajectoryError(f"seed: {seed} must be a whole number of at least 0.")
     try:
         asked_kinds = [PerturbationKind(kind) for kind in kinds]
     except ValueError as error:

@@ -141,8 +141,8 @@ class Arena:
         every = find_variables(package, scene.continuous())
         # Only what is asked is read.
         self._variables: Variables = replace(every, lam=(), friction=(), energies={}, powers={})
-        by_name = {variable.name: int(variable.valueReference) for variable in package.description.modelVariables}
-        self._parameters = [by_name.get(item.name) for item in scene.parameters]
+        # An FMU of ours has every parameter of its scene, in the scene's order.
+        self._parameters = [reference for reference, _ in every.parameters]
         self.feedback: Feedback | None = design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
         self._instance: Instance | None = None
         self.fineness = self._fine_enough()
@@ -200,11 +200,7 @@ class Arena:
         return self._trial(run, inputs)
 
     def _settings(self, world: World) -> list[tuple[int, float]]:
-        return [
-            (reference, value)
-            for reference, value in zip(self._parameters, world.parameters.tolist(), strict=True)
-            if reference is not None
-        ]
+        return list(zip(self._parameters, world.parameters.tolist(), strict=True))
 
     def _fresh(self) -> Instance:
         """The instance as it was when it was made."""

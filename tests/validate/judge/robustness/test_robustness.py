@@ -126,6 +126,8 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
     [
         ({"samples": 0}, ["samples", "0", "10 to 1000000"]),
         ({"samples": 10**9}, ["samples", "1000000000"]),
+        ({"samples": 100.5}, ["samples", "100.5", "whole number"]),
+        ({"seed": -1}, ["seed", "-1", "at least 0"]),
         ({"kinds": ["wind"]}, ["kinds", "wind", "parameters, start, gain, noise, delay"]),
         ({}, ["does not hold to begin with", "violates", "--anyway"]),
         ({"scene": "three_crat"}, ["three_cart"]),
