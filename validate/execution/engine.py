@@ -118,16 +118,30 @@ def _check_scheduler_file(path: Path) -> None:
 
 # What most tasks import.
 MODULES = (
-    *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
-    *(
-        "validate.execution.child",
-        "validate.tasks.path",
-        "validate.judge.score",
-        "validate.judge.replay.run",
-    ),
-    *("models.catalog", "models.scene.checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
-    *("reports.records.check_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
-    *("formulations.contact_modes.session", "formulations.multiple_shooting.method"),
+    "numpy",
+    "scipy.sparse.linalg",
+    "scipy.linalg",
+    "scipy.special",
+    "sympy",
+    "pyomo.environ",
+    "h5netcdf",
+    "psutil",
+    "fmpy",
+    "validate.execution.child",
+    "validate.tasks.path",
+    "validate.judge.score",
+    "validate.judge.replay.run",
+    "models.catalog",
+    "models.scene.checks",
+    "models.codegen.kernel",
+    "models.fmu",
+    "models.trajectory_netcdf",
+    "reports.records.check_record",
+    "formulations.mpec",
+    "formulations.ipopt",
+    "formulations.transcription.homotopy",
+    "formulations.contact_modes.session",
+    "formulations.multiple_shooting.method",
 )
 # What one task in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
 # use (1.1 s). Worth it from so many tasks on.
