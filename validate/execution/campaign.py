@@ -264,7 +264,7 @@ def _run(
 
 def _open_engine(settings: CampaignSettings, context: ExecutionContext, tasks: int) -> AbstractContextManager[Engine]:
     if settings.engine == LOCAL:
-        return open_local(settings.jobs or 1, context, tasks)
+        return open_local(settings.jobs, context, tasks)
     return open_dask(settings.engine.partition(":")[2], settings.jobs, context, tasks)
 
 

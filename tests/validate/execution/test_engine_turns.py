@@ -21,6 +21,7 @@ from validate.execution import campaign as module
 from validate.execution.campaign import CampaignSettings, run_tasks, select
 from validate.execution.dask import DaskEngine, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.execution.process import usable_cores
 from validate.execution.worker import record_for_crash
 from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
@@ -151,6 +152,13 @@ def test_what_must_wait_is_left_for_later(campaign: Campaign):
     assert sorted(done) == sorted(engine.started)
     assert max(map(len, engine.beside)) == 2
     assert all(len({name[0] for name in names}) == len(names) for names in engine.beside)
+
+
+@pytest.mark.parametrize(("jobs", "expected"), [(None, usable_cores()), (1, 1), (3, 3)])
+def test_without_a_number_of_jobs_a_campaign_takes_every_core(campaign: Campaign, jobs: int | None, expected: int):
+    settings = CampaignSettings(out=campaign.context.store.runs, jobs=jobs)
+    with module._open_engine(settings, campaign.context, 1) as engine:
+        assert engine.jobs == expected
 
 
 @NEEDS_DASK
