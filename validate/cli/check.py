@@ -145,7 +145,9 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
     for text in texts:
         name, _, reason = text.partition("=")
         if not name.strip() or not reason.strip():
-            raise click.UsageError(f"--waive {text!r}: expected NAME=REASON, for example --waive 'stop time is respected=our solver needs it'.")
+            raise click.UsageError(
+                f"--waive {text!r}: expected NAME=REASON, for example --waive 'stop time is respected=our solver needs it'."
+            )
         waived[name.strip()] = reason.strip()
     return waived
 

@@ -26,7 +26,6 @@ from fmpy.fmi1 import FMICallException
 from validate.execution.process import exit_in_words
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 
-
 # The texts whose sections the checks name.
 STANDARDS = ("2.0.4", "3.0.2")
 

@@ -14,7 +14,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour, TerminationRequested
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
@@ -76,6 +76,10 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                     look("fmi3DoStep's lastSuccessfulTime", reached, end)
             for clock in clocks:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
+    if wrong and kind == "CS" and subject.step < subject.internal_step * (1.0 - _SAME):
+        return advice(
+            f"{wrong[0]}: the step of {subject.step:g} s, which the FMU proposes, is below the one it makes inside, {subject.internal_step:g} s; propose a multiple of that."
+        )
     if wrong:
         return failed(f"{wrong[0]}.")
     if not sources:

@@ -214,7 +214,12 @@ _OTHER_STEPS = 3.7e-3
 _CHANGED = 1e-9
 
 
-@check("directional derivatives", Scope.EACH, clauses=("2.1.9", "2.2.12.1"), needs=("providesDirectionalDerivative", "providesDirectionalDerivatives"))
+@check(
+    "directional derivatives",
+    Scope.EACH,
+    clauses=("2.1.9", "2.2.12.1"),
+    needs=("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+)
 def directional(subject: Subject, kind: str) -> Finding:
     """They equal finite differences within the error of those."""
     looked = sharp = kinks = places = 0

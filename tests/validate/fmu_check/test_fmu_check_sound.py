@@ -87,9 +87,7 @@ static double next_event(const Model *m) { (void)m; return HUGE_VAL; }
         states=(2, 4),
         experiment='startTime="0" stopTime="3" stepSize="1e-2"',
         indicators=1,
-        expected=(
-            ("event indicators announce events", "state events"),
-        ),
+        expected=(("event indicators announce events", "state events"),),
         # A bounce that comes a little later differs by the whole velocity: such a comparison says nothing.
         untold=(("Model Exchange equals Co-Simulation", "no more than explicit Euler"),),
     ),
