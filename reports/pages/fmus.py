@@ -11,6 +11,8 @@ from reports.wording import count, listing
 
 KIND = "FMU"
 STATUSES = ("passed", "failed", "not offered")
+# Told where there are some.
+RARE = ("advice", "waived")
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ def of(records: Sequence[CheckRecord]) -> Section:
     # Of several FMUs each claim stands once: in their tables it would be most of the page.
     rows = [row for view in views if view.fmu is not None for row in view.fmu.rows]
     claims = list(dict.fromkeys((row.name, row.claim) for row in rows)) if len(views) > 1 else []
-    values = {"views": views, "statuses": STATUSES, "sentence": sentence, "ours": ours, "claims": claims, "origin": records[0].provenance}
+    statuses = (*STATUSES, *(status for status in RARE if any(row.status == status for row in rows)))
+    values = {"views": views, "statuses": statuses, "sentence": sentence, "ours": ours, "claims": claims, "origin": records[0].provenance}
     return Section("fmus", "FMUs under the check", "checks.html#fmus", values, said=sentence)
 
 
@@ -56,7 +59,8 @@ def _sentence(views: list[FmuView]) -> str:
     of_scenes = f" of {count(len(scenes), 'scene')}" if scenes else ""
     versions = listing(sorted({view.version for view in views if view.version}))
     looked = [view.fmu for view in views if view.fmu is not None]
-    counts = ", ".join(f"{sum(fmu.count(status) for fmu in looked)} {status}" for status in STATUSES)
+    numbers = {status: sum(fmu.count(status) for fmu in looked) for status in (*STATUSES, *RARE)}
+    counts = ", ".join(f"{number} {status}" for status, number in numbers.items() if number or status in STATUSES)
     bad = sum(not view.record.passed for view in views)
     told = f"{bad} of them {'does' if bad == 1 else 'do'} not pass" if bad else "every one passes"
     cost = sum(view.record.cpu_seconds for view in views)

@@ -46,14 +46,19 @@ class ChartRecord(Model):
 
 
 class CheckRow(Model):
-    """One check of an FMU: what it claims of a sound one, and what was found. type: "ME", "CS", or nothing for the file."""
+    """One check of an FMU: what it claims of a sound one, and what was found.
+
+    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it, or nothing; severity: what a failure of it is.
+    """
 
     name: str
     type: str
     claim: str
-    status: Literal["passed", "failed", "not offered"]
+    status: Literal["passed", "failed", "not offered", "advice", "waived"]
     sentence: str
     seconds: Finite
+    clause: str = ""
+    severity: Literal["error", "behaviour", "advice"] = "error"
 
 
 class FmuRecord(Model):

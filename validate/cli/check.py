@@ -1,4 +1,4 @@
-"""`check`: whether FMUs do what they say; as tables, JSON, a page, and JUnit XML."""
+"""`check`: whether FMUs do what they say; on the terminal as it is found, as JSON, a page, JUnit XML, SARIF and Markdown."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
-from xml.etree import ElementTree
 
 import click
 
+from validate.cli import check_formats as formats
 from validate.cli.options import FiniteRange
-from validate.cli.table import one_line, print_table, say, wide_option
-from validate.fmu_check import CheckReport, FmuCheckRow, check_fmu
+from validate.cli.table import one_line, say, wide_option
+from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 from validate.store.disk import make_folder, write_durably
+from validate.store.provenance import command_line
 
 # An FMU's report, with the seconds that its checks took: wall and CPU [s].
 Checked: TypeAlias = tuple[CheckReport, float, float]
@@ -23,13 +24,14 @@ Examples:
   python -m validate check model.fmu
   python -m validate check model.fmu --only "set state restores"
   python -m validate check model.fmu --html check.html
-  python -m validate check build/*.fmu --junit check.xml
+  python -m validate check build/*.fmu --junit check.xml --sarif check.sarif
+  python -m validate check model.fmu --waive "runs repeat=it draws random numbers"
 
-Exit codes: 0 all that is offered passed; 1 something failed; 2 a file is no FMU of
+Exit codes: 0 nothing failed that is not waived; 1 something did; 2 a file is no FMU of
 version 2.0 or 3.0; 3 nothing failed, but code cannot be run on this machine.
 """
-_COLOURS = {"passed": "green", "failed": "red", "not offered": "bright_black"}
-_SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
+_COLOURS = {"passed": "green", "failed": "red", "not offered": "bright_black", "advice": "yellow", "waived": "cyan"}
+_SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "waived": "~"}
 
 
 @click.command(epilog=_EPILOG)
@@ -51,6 +53,27 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
     metavar="FILE.xml",
     help="Write JUnit XML there, for CI: a test suite an FMU, a test case a check.",
 )
+@click.option(
+    "--sarif",
+    "sarif_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.sarif",
+    help="Write SARIF there, for code scanning: what failed, what was waived, and advice.",
+)
+@click.option(
+    "--markdown",
+    "markdown_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.md",
+    help="Write Markdown there, to be pasted into an issue or a README.",
+)
+@click.option(
+    "--waive",
+    "waivers",
+    multiple=True,
+    metavar="NAME=REASON",
+    help="A failure of the check of this name is right, for this reason: it is shown as waived, and the exit code is 0. May be repeated.",
+)
 @wide_option
 @click.pass_obj
 def command(
@@ -61,6 +84,9 @@ def command(
     as_json: bool,
     html_file: Path | None,
     junit_file: Path | None,
+    sarif_file: Path | None,
+    markdown_file: Path | None,
+    waivers: tuple[str, ...],
 ) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.
 
@@ -68,81 +94,69 @@ def command(
     in child processes: one that hangs or crashes fails the check, and harms nothing else.
     """
     checked: list[Checked] = []
+    waived = _waivers(waivers)
     for file in files:
         before = os.times()
-        report = check_fmu(file, names=names or None, seconds=time_limit)
+        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else _print)
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
         checked.append((report, after.elapsed - before.elapsed, cpu))
         if not as_json:
-            _print(report, last=len(checked) == len(files))
+            click.echo()
+            say(_summary(report))
+            if len(checked) < len(files):
+                click.echo()
+    reports = [report for report, _, _ in checked]
     if as_json:
-        found = [_data(report) for report, _, _ in checked]
+        found = [formats.data(report) for report in reports]
         click.echo(json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False))
     if html_file is not None:
-        make_folder(html_file.parent)
-        write_durably(html_file, _page(checked, arguments))
+        _write(html_file, _page(checked, arguments))
     if junit_file is not None:
-        make_folder(junit_file.parent)
-        write_durably(junit_file, _junit(checked))
-    return max((_code(report) for report, _, _ in checked), key=(0, 3, 1).index)
+        _write(junit_file, formats.junit([(report, spent) for report, spent, _ in checked]))
+    if sarif_file is not None:
+        _write(sarif_file, formats.sarif(reports))
+    if markdown_file is not None:
+        _write(markdown_file, formats.markdown(reports, command_line(arguments)))
+    return max((report.exit_code for report in reports), key=(0, 3, 1).index)
 
 
-def _code(report: CheckReport) -> int:
-    if not report.ok:
-        return 1
-    return 3 if report.unrunnable else 0
-
-
-def _data(report: CheckReport) -> dict:
-    rows = [
-        {
-            "check": row.name,
-            "type": row.type,
-            "claim": row.claim,
-            "status": row.status.value,
-            "sentence": row.sentence,
-            "seconds": row.seconds,
-        }
-        for row in report.rows
-    ]
-    return {
-        "file": report.path,
-        "fmi": report.version,
-        "types": list(report.types),
-        "ok": report.ok,
-        "exit_code": _code(report),
-        "rows": rows,
-    }
+def _write(file: Path, content: str | bytes) -> None:
+    make_folder(file.parent)
+    write_durably(file, content)
 
 
 def _summary(report: CheckReport) -> str:
-    words = [row.status.value for row in report.rows]
-    counts = ", ".join(f"{words.count(word)} {word}" for word in _COLOURS)
     about = f" (FMI {report.version}, {' and '.join(report.types)})" if report.types else ""
     missing = "; its code cannot be run on this machine" if report.unrunnable else ""
-    return f"{report.path}{about}: {counts}{missing}"
+    return f"{report.path}{about}: {report.counts}{missing}"
 
 
-def _print(report: CheckReport, *, last: bool) -> None:
-    rows = [[f"{_SIGNS[row.status.value]} {row.status.value}", _name(row), row.sentence] for row in report.rows]
-    colours = {f"{_SIGNS[name]} {name}": colour for name, colour in _COLOURS.items()}
-    print_table(["", "check", "what was found"], rows, colours=colours)
-    click.echo()
-    say(_summary(report))
-    if not last:
-        click.echo()
+def _print(row: FmuCheckRow) -> None:
+    """A row, as soon as it is there."""
+    word = row.status.value
+    clause = f" [{row.clause}]" if row.status in (Status.FAILED, Status.WAIVED) and row.clause else ""
+    say(f"{row.title}: {row.sentence}{clause}", begin=f"{_SIGNS[word]} {word:<11}  ", indent=" " * 15, colour=_COLOURS[word])
 
 
-def _name(row: FmuCheckRow) -> str:
-    return f"{row.name} ({row.type})" if row.type else row.name
+def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
+    """Name of a check -> reason. Raises click.UsageError."""
+    waived = {}
+    for text in texts:
+        name, _, reason = text.partition("=")
+        if not name.strip() or not reason.strip():
+            raise click.UsageError(
+                f"--waive {text!r}: expected NAME=REASON, for example --waive 'stop time is respected=our solver needs it'."
+            )
+        waived[name.strip()] = reason.strip()
+    return waived
 
 
 def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
     """The page that a report has of its FMUs, of these."""
     from reports.records.check_record import CheckRecord
     from reports.render import render_checks
-    from validate.store.provenance import command_line, gather
+    from validate.store.provenance import gather
     from validate.tasks.fmu_checks import found_by
 
     origin, records = gather(command_line(arguments)), []
@@ -163,29 +177,3 @@ def _page(checked: Sequence[Checked], arguments: tuple[str, ...]) -> str:
         )
         records.append(record)
     return render_checks(records)
-
-
-def _junit(checked: Sequence[Checked]) -> bytes:
-    """JUnit XML: what was measured is the message of a failure; what an FMU does not offer is skipped."""
-    suites = ElementTree.Element("testsuites", name="touchstone check")
-    for report, spent, _ in checked:
-        statuses = [row.status.value for row in report.rows]
-        suite = ElementTree.SubElement(
-            suites,
-            "testsuite",
-            name=one_line(report.path),
-            time=f"{spent:.3f}",
-            tests=str(len(statuses)),
-            failures=str(statuses.count("failed")),
-            skipped=str(statuses.count("not offered")),
-            errors="0",
-        )
-        for row in report.rows:
-            case = ElementTree.SubElement(suite, "testcase", name=_name(row), classname=one_line(report.path), time=f"{row.seconds:.3f}")
-            if row.status.value == "failed":
-                failure = ElementTree.SubElement(case, "failure", message=one_line(row.sentence))
-                failure.text = f"A sound FMU: {one_line(row.claim)}"
-            elif row.status.value == "not offered":
-                ElementTree.SubElement(case, "skipped", message=one_line(row.sentence))
-    ElementTree.indent(suites)
-    return ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)

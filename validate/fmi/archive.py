@@ -17,7 +17,7 @@ import sys
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from lzma import LZMAError
 from pathlib import Path, PurePosixPath
@@ -140,11 +140,11 @@ class FmuArchive:
     unpacked: int
 
 
-def check_archive(path: Path, limits: ArchiveLimits | None = None, *, but_for: str = "") -> FmuArchive:
-    """See the module docstring. but_for: a check that need not hold. Raises ArchiveError with the first problem, MachineError if the file cannot be read."""
+def check_archive(path: Path, limits: ArchiveLimits | None = None, *, but_for: Sequence[str] = ()) -> FmuArchive:
+    """See the module docstring. but_for: checks that need not hold. Raises ArchiveError with the first problem, MachineError if the file cannot be read."""
     check = _ArchiveCheck(path, limits or ArchiveLimits())
     for problem in check.problems():
-        if problem.check != but_for:
+        if problem.check not in but_for:
             raise ArchiveError(problem)
     return check.archive()
 
@@ -204,7 +204,7 @@ class _ArchiveCheck:
                 self._items = archive.infolist()
                 unsafe = list(self._of_entries())
                 yield from unsafe
-                if not unsafe:
+                if all(problem.check == "duplicates" for problem in unsafe):
                     yield from self._of_content(archive)
         except zipfile.BadZipFile:
             yield self._problem("zip", "it is not a zip file, as every FMU is (or it is cut off).")
@@ -234,12 +234,12 @@ class _ArchiveCheck:
         names = Counter(item.filename.rstrip("/") for item in items)
         for name, count in names.items():
             if count > 1:
-                yield self._problem("duplicates", f"the entry {name!r} is there {count} times.")
+                yield self._problem("duplicates", f"the entry {name!r} is there {count} times; the last one counts.")
         files = {item.filename for item in items if not item.filename.endswith("/")}
         for name in files:
             inside = next((str(parent) for parent in PurePosixPath(name).parents if str(parent) in files), None)
             if inside is not None:
-                yield self._problem("duplicates", f"the entry {inside!r} is both a file and the folder of {name!r}.")
+                yield self._problem("names", f"the entry {inside!r} is both a file and the folder of {name!r}.")
 
     def _of_entry(self, item: zipfile.ZipInfo) -> Iterator[Problem]:
         name = item.orig_filename

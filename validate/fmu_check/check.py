@@ -26,6 +26,9 @@ from fmpy.fmi1 import FMICallException
 from validate.execution.process import exit_in_words
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 
+# The texts whose sections the checks name.
+STANDARDS = ("2.0.4", "3.0.2")
+
 
 class Status(Enum):
     """How a check ended; the value is the word in the table."""
@@ -33,6 +36,8 @@ class Status(Enum):
     PASSED = "passed"
     FAILED = "failed"
     NOT_OFFERED = "not offered"  # the FMU does not offer what is checked, or it cannot be told
+    ADVICE = "advice"  # allowed, and a trap for who uses the FMU
+    WAIVED = "waived"  # it failed, and who asked for the check gave a reason why that is right
 
 
 class Scope(Enum):
@@ -68,6 +73,11 @@ def not_offered(sentence: str) -> Finding:
     return Finding(Status.NOT_OFFERED, sentence)
 
 
+def advice(sentence: str) -> Finding:
+    """Nothing that the standard or common sense forbids, but worth a change."""
+    return Finding(Status.ADVICE, sentence)
+
+
 class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
     """Raised within a check that failed; the text is its sentence."""
 
@@ -76,15 +86,21 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 class Check:
     """One check: its name in the table, what it claims of a sound FMU, and the function that finds out.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; needs: the ability that the type must claim, by its names in
-    FMI 2.0 and 3.0, empty in a version that has none.
+    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; clauses: the sections of FMI 2.0.4 and 3.0.2 that demand it, empty
+    where none does; needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
     """
 
     name: str
     claim: str
     scope: Scope
     run: Callable[..., Finding]
+    clauses: tuple[str, str] = ("", "")
     needs: tuple[str, str] | None = None
+
+    def clause(self, major: int) -> str:
+        """The section that demands it, for example `FMI 2.0.4, 2.1.8`; empty where no section does. major: the version of FMI, 0 if it is not known."""
+        section = self.clauses[major >= 3]
+        return f"FMI {STANDARDS[major >= 3]}, {section}" if major and section else ""
 
     def lacks(self, subject: Any, kind: str) -> str:
         """Which ability the type does not claim, as a sentence; empty if none is missing."""
@@ -101,19 +117,21 @@ class Check:
             return failed(str(failure))
 
 
-def check(name: str, scope: Scope, needs: tuple[str, str] | None = None) -> Callable[[Callable[..., Finding]], Check]:
-    """Make a function a Check. Its docstring, one sentence, is what it claims of a sound FMU."""
+def check(
+    name: str, scope: Scope, *, clauses: tuple[str, str] = ("", ""), needs: tuple[str, str] | None = None
+) -> Callable[[Callable[..., Finding]], Check]:
+    """Make a function a Check: see there. Its docstring, one sentence, is what it claims of a sound FMU."""
 
     def made(function: Callable[..., Finding]) -> Check:
         claim = " ".join((function.__doc__ or "").split()).removesuffix(".")
-        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function, needs=needs)
+        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function, clauses=clauses, needs=needs)
 
     return made
 
 
 @dataclass(frozen=True, kw_only=True)
 class FmuCheckRow:
-    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took."""
+    """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took; clause: see `Check`."""
 
     name: str
     type: str
@@ -121,6 +139,17 @@ class FmuCheckRow:
     status: Status
     sentence: str
     seconds: float
+    clause: str = ""
+
+    @property
+    def title(self) -> str:
+        """The check, with the type of FMI that it was run for."""
+        return f"{self.name} ({self.type})" if self.type else self.name
+
+    @property
+    def severity(self) -> str:
+        """What a failure of it is: an `error` against the standard, or `behaviour` that users trip over; `advice` is none."""
+        return "advice" if self.status is Status.ADVICE else "error" if self.clause else "behaviour"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,9 +167,21 @@ class CheckReport:
         return tuple(row for row in self.rows if row.status is Status.FAILED)
 
     @property
+    def counts(self) -> str:
+        """How many rows there are of each outcome; of advice and waivers, if there are any."""
+        found = [row.status for row in self.rows]
+        always = (Status.PASSED, Status.FAILED, Status.NOT_OFFERED)
+        return ", ".join(f"{found.count(status)} {status.value}" for status in Status if status in always or status in found)
+
+    @property
     def ok(self) -> bool:
-        """Whether no check failed."""
+        """Whether no check failed, but for those that are waived."""
         return not self.failures()
+
+    @property
+    def exit_code(self) -> int:
+        """0 if it is ok, 1 if not, 3 if its code cannot be run on this machine."""
+        return (3 if self.unrunnable else 0) if self.ok else 1
 
 
 def listed(items: list[str], most: int = 3) -> str:

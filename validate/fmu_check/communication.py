@@ -14,7 +14,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour, TerminationRequested
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
@@ -26,7 +26,7 @@ _DISCARD = 2
 _FIRST_STEPS, _EVALUATIONS = 5, 30
 
 
-@check("starts and ends", Scope.EACH)
+@check("starts and ends", Scope.EACH, clauses=("2.1.6", "2.3"))
 def lives(subject: Subject, kind: str) -> Finding:
     """It loads, is instantiated, initialised, makes some steps, is terminated and freed."""
     version = {2: "2.0", 3: "3.0"}[subject.major]
@@ -51,7 +51,7 @@ def lives(subject: Subject, kind: str) -> Finding:
     return passed(f"{steps} {'evaluations' if kind == 'ME' else f'steps of {subject.step:g} s'}; a step takes about {pace:.1g} s.", pace)
 
 
-@check("time after a step", Scope.EACH)
+@check("time after a step", Scope.EACH, clauses=("2.2.7", "4.2.1"))
 def keeps_time(subject: Subject, kind: str) -> Finding:
     """The time the FMU tells is the time it was brought to."""
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
@@ -76,6 +76,10 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                     look("fmi3DoStep's lastSuccessfulTime", reached, end)
             for clock in clocks:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
+    if wrong and kind == "CS" and subject.step < subject.internal_step * (1.0 - _SAME):
+        return advice(
+            f"{wrong[0]}: the step of {subject.step:g} s, which the FMU proposes, is below the one it makes inside, {subject.internal_step:g} s; propose a multiple of that."
+        )
     if wrong:
         return failed(f"{wrong[0]}.")
     if not sources:
@@ -83,7 +87,7 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
     return passed(f"{' and '.join(sorted(sources))}: right at {steps} times.")
 
 
-@check("stop time is respected", Scope.COSIMULATION)
+@check("stop time is respected", Scope.COSIMULATION, clauses=("2.1.6", "2.3.2"))
 def stop_time(subject: Subject, kind: str) -> Finding:
     """A step up to the stop time is made, a step beyond it is refused."""
     steps = subject.before_end(kind, 4)
@@ -205,7 +209,7 @@ def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     return ""
 
 
-@check("event mode of Co-Simulation", Scope.COSIMULATION, needs=("", "hasEventMode"))
+@check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
 def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
     steps, log = subject.long_steps(kind), _StepLog()
@@ -224,7 +228,7 @@ def _options(early: bool) -> dict[str, bool]:
     return {"eventModeUsed": True, "earlyReturnAllowed": early}
 
 
-@check("early return", Scope.COSIMULATION)
+@check("early return", Scope.COSIMULATION, clauses=("4.2.2", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
     might, asked = (subject.can(kind, name) for name in (_MIGHT, "canReturnEarlyAfterIntermediateUpdate"))
@@ -281,7 +285,7 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 
 
-@check("intermediate update", Scope.COSIMULATION, needs=("", _UPDATE))
+@check("intermediate update", Scope.COSIMULATION, clauses=("", "4.2.2"), needs=("", _UPDATE))
 def intermediate_update(subject: Subject, kind: str) -> Finding:
     """It is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing."""
     steps = min(subject.steps(kind), 2 * HOLD)
@@ -333,7 +337,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     )
 
 
-@check("input derivatives", Scope.COSIMULATION, needs=("canInterpolateInputs", ""))
+@check("input derivatives", Scope.COSIMULATION, clauses=("4.2.1", ""), needs=("canInterpolateInputs", ""))
 def input_derivatives(subject: Subject, kind: str) -> Finding:
     """A step with sloping inputs is what many small steps with stairs come to."""
     inputs = subject.continuous_inputs

@@ -214,7 +214,12 @@ _OTHER_STEPS = 3.7e-3
 _CHANGED = 1e-9
 
 
-@check("directional derivatives", Scope.EACH, needs=("providesDirectionalDerivative", "providesDirectionalDerivatives"))
+@check(
+    "directional derivatives",
+    Scope.EACH,
+    clauses=("2.1.9", "2.2.12.1"),
+    needs=("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+)
 def directional(subject: Subject, kind: str) -> Finding:
     """They equal finite differences within the error of those."""
     looked = sharp = kinks = places = 0
@@ -275,7 +280,7 @@ def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.nda
     ]
 
 
-@check("adjoint derivatives", Scope.EACH, needs=("", "providesAdjointDerivatives"))
+@check("adjoint derivatives", Scope.EACH, clauses=("", "2.2.12.2"), needs=("", "providesAdjointDerivatives"))
 def adjoint(subject: Subject, kind: str) -> Finding:
     """They are the transpose of what finite differences give."""
     looked = 0
@@ -307,7 +312,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
     return passed(f"{looked} entries agree, one seed at a time and all at once.")
 
 
-@check("dependencies are complete", Scope.EACH)
+@check("dependencies are complete", Scope.EACH, clauses=("2.2.8", "2.4.8"))
 def dependencies(subject: Subject, kind: str) -> Finding:
     """Nothing changes that is not declared to depend on what was changed, and constant factors are constant."""
     structure = subject.description

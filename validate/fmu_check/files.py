@@ -111,7 +111,7 @@ _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
 
-@check("archive", Scope.FILE)
+@check("archive", Scope.FILE, clauses=("2.3", "2.5.1"))
 def archive(path: Path) -> Finding:
     """A zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder."""
     # Looks at the file only: comes before anything is unpacked.
@@ -132,7 +132,7 @@ def library_path(subject: Subject, kind: str) -> Path:
     return subject.folder / binary_name(subject.description.fmiVersion, subject.interface(kind).modelIdentifier)
 
 
-@check("exported functions", Scope.EACH)
+@check("exported functions", Scope.EACH, clauses=("2.1.1", "2.2.2"))
 def exports(subject: Subject, kind: str) -> Finding:
     """The binary exports every function of its type, as the standard demands of optional ones, too."""
     path = library_path(subject, kind)
@@ -160,7 +160,7 @@ def _required(subject: Subject, kind: str) -> set[str]:
     return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
 
 
-@check("description is valid", Scope.FILE)
+@check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))
 def valid(path: Path) -> Finding:
     """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)."""
     # Looks at the unpacked folder; comes before the description is read without validation.
@@ -170,7 +170,7 @@ def valid(path: Path) -> Finding:
     return passed("0 problems.")
 
 
-@check("variables are consistent", Scope.FILE)
+@check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
     wrong = [problem for item in subject.variables for problem in _of_variable(item)]

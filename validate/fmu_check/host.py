@@ -1,29 +1,33 @@
 """check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-    run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
+    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...] or None, "seconds": 60}, {}) -> what the rows are about
 
-is what the child runs: each check in a fork of its own.
+is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as a line of JSON, when the check has ended.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
+import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import fmpy
 from fmpy.fmi1 import FMICallException
 
-from models.errors import MachineError, UnknownNameError
+from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
-from validate.fmu_check.check import Check, CheckReport, FmuCheckRow, Scope, Status, in_fork
+from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
@@ -78,21 +82,22 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
-        return {"version": "", "types": [], "rows": table.rows, "lacking": False}
+        return {"version": "", "types": [], "lacking": False}
     subject = Subject(path, folder, description)
+    table.major = subject.major
     for item in (*READING, *BEHAVIOUR):
         for kind in _TYPES[item.scope]:
             if not kind or kind in subject.types:
                 table.of_description(item, kind, subject)
-    return {"version": description.fmiVersion, "types": list(subject.types), "rows": table.rows, "lacking": table.lacking}
+    return {"version": description.fmiVersion, "types": list(subject.types), "lacking": table.lacking}
 
 
 class _Table:
-    """The rows so far, and which types turned out not to run."""
+    """Writes the rows, and knows which types turned out not to run."""
 
     def __init__(self, request: dict[str, Any]) -> None:
-        self.rows: list[dict[str, Any]] = []
-        self._names, self._seconds = request["names"], request["seconds"]
+        self._names, self._seconds, self._told = request["names"], request["seconds"], Path(request["told"])
+        self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
         self.lacking = False  # whether a type cannot be run on this machine
 
@@ -111,49 +116,50 @@ class _Table:
         elif lacks := item.lacks(subject, kind):
             self.skip(item, kind, lacks)
         else:
-            pace = self.add(item, kind, (subject, kind) if kind else (subject,))
-            if item is FIRST:
-                if self.rows[-1]["status"] != Status.PASSED.name:
+            found = self.add(item, kind, (subject, kind) if kind else (subject,))
+            if found is not None and item is FIRST:
+                if found.status is not Status.PASSED:
                     self._broken.add(kind)
-                self.lacking = self.lacking or self.rows[-1]["status"] == Status.NOT_OFFERED.name
-                subject.pace[kind] = pace or 0.0
+                self.lacking = self.lacking or found.status is Status.NOT_OFFERED
+                subject.pace[kind] = found.pace or 0.0
 
-    def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> float | None:
-        """Run one check in a fork; the pace, if it measures that."""
+    def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding | None:
+        """Run one check in a fork, if it was asked for; what it found."""
         if not self._wanted(item):
             return None
         began = time.monotonic()
-        status, sentence, pace = self._found(item, kind, arguments)
-        self._row(item, kind, status, sentence, began)
-        return pace
+        found = self._found(item, kind, arguments)
+        self._row(item, kind, found, began)
+        return found
 
-    def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> tuple[Status, str, float | None]:
+    def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding:
         """What the check finds, or what kept it from that; shorter once more where the FMU ends the simulation."""
         while True:
             try:
                 status, sentence, pace = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-                return Status[status], sentence, pace
+                return Finding(Status[status], sentence, pace)
             except TerminationRequested as end:
                 if not _shorten(arguments[0], kind, end.time):
                     sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
-                    return Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, None
+                    return failed(sentence) if item is FIRST else not_offered(sentence)
             except Lacking as lack:
-                return Status.NOT_OFFERED, f"{lack}.", None
+                return not_offered(f"{lack}.")
             except Misbehaviour as fault:
                 if item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
-                    return Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {fault}.", None
-                return Status.FAILED, f"{fault}.", None
+                    return not_offered(f"it was not found out within {self._seconds:g} s: {fault}.")
+                return failed(f"{fault}.")
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
         if self._wanted(item):
-            self._row(item, kind, Status.NOT_OFFERED, sentence, time.monotonic())
+            self._row(item, kind, not_offered(sentence), time.monotonic())
 
     def _wanted(self, item: Check) -> bool:
         return self._names is None or item.name in self._names or item is FIRST
 
-    def _row(self, item: Check, kind: str, status: Status, sentence: str, began: float) -> None:
-        row = {"name": item.name, "type": kind, "claim": item.claim, "status": status.name, "sentence": sentence}
-        self.rows.append({**row, "seconds": time.monotonic() - began})
+    def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
+        row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status.name, "sentence": found.sentence}
+        with self._told.open("a", encoding="utf-8") as file:
+            file.write(f"{json.dumps({**row, 'seconds': time.monotonic() - began, 'clause': item.clause(self.major)})}\n")
 
 
 def _shorten(subject: Subject, kind: str, end: float) -> bool:
@@ -182,47 +188,107 @@ def _call(item: Check, arguments: tuple[Any, ...]) -> tuple[str, str, float | No
 # Seconds of one check, and bytes of memory of each.
 CHECK_SECONDS = 60.0
 _MEMORY = 4 * 1024**3
+# Pause between two looks at what is found [s].
+_LOOK = 0.02
 
 
-def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float = CHECK_SECONDS) -> CheckReport:
-    """All checks of an FMU file, or those named. seconds: of the clock, for each check.
+def check_fmu(
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    seconds: float = CHECK_SECONDS,
+    waived: Mapping[str, str] | None = None,
+    told: Callable[[FmuCheckRow], None] | None = None,
+) -> CheckReport:
+    """All checks of an FMU file, or those named.
 
+    seconds: of the clock, for each check; waived: the reason why a failure of the check of this name is right; told: called with each row as soon as it is there.
     Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine cannot, UnknownNameError for a name.
     """
-    for name in names or ():
+    waived = waived or {}
+    for name in (*(names or ()), *waived):
         if name not in NAMES:
-            raise UnknownNameError(f"there is no check {name!r}; there are: {', '.join(NAMES)}.")
+            there = f"there are: {', '.join(NAMES)}."
+            raise UnknownNameError(f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}")
+    rows: list[FmuCheckRow] = []
+
+    def take(row: FmuCheckRow) -> None:
+        if row.status is Status.FAILED and row.name in waived:
+            row = replace(row, status=Status.WAIVED, sentence=f"{row.sentence} Waived: {waived[row.name]}")
+        rows.append(row)
+        if told is not None:
+            told(row)
+
     try:
-        archive = check_archive(path, but_for="binary")
+        archive = check_archive(path, but_for=("binary", "duplicates"))
     except ArchiveError as error:
         if error.check not in files.ARCHIVE_CHECKS:
             raise
-        return _unsafe(path)
+        _unsafe(path, take)
+        return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
     with temporary_folder("touchstone-check-") as folder:
-        unpack(archive, folder)
-        request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
+        unpacked, lines = folder / "fmu", folder / "rows.jsonl"
+        unpacked.mkdir()
+        unpack(archive, unpacked)
+        lines.touch()
+        request = {"path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds}
+        request["names"] = None if names is None else list(names)
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
-        done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
+        with _following(lines, take):
+            done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
     if not done.ok:
         raise MachineError(
             done.sentence
             if done.ending is Ending.MACHINE
             else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
         )
-    rows = tuple(FmuCheckRow(**{**row, "status": Status[row["status"]]}) for row in done.value["rows"])
     return CheckReport(
         path=str(path),
         version=done.value["version"],
         types=tuple(done.value["types"]),
-        rows=rows,
+        rows=tuple(rows),
         unrunnable=not archive.kinds or done.value["lacking"],
     )
 
 
-def _unsafe(path: Path) -> CheckReport:
-    """Of a file that is not unpacked."""
+@contextlib.contextmanager
+def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[None]:
+    """Give each row to `take` soon after its line is in the file; all of them before the end."""
+    over, problems = threading.Event(), []
+
+    def follow(file: IO[str]) -> None:
+        part = ""
+        while True:
+            last = over.wait(_LOOK)
+            *whole, part = (part + file.read()).split("\n")
+            for line in whole:
+                row = json.loads(line)
+                take(FmuCheckRow(**{**row, "status": Status[row["status"]]}))
+            if last:
+                return
+
+    def kept() -> None:
+        try:
+            with lines.open(encoding="utf-8") as file:
+                follow(file)
+        except Exception as problem:  # noqa: BLE001 - a closed pipe, for example: raised below, where the caller is
+            problems.append(problem)
+
+    thread = threading.Thread(target=kept)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+    if problems:
+        raise problems[0]
+
+
+def _unsafe(path: Path, take: Callable[[FmuCheckRow], None]) -> None:
+    """The rows of a file that is not unpacked."""
     finding, first = files.archive(path), files.archive
-    rows = [FmuCheckRow(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
+    take(FmuCheckRow(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0))
     reason = "the archive is not unpacked: it is unsafe."
-    rows += [FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
-    return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
+    for name in NAMES[1:]:
+        take(FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0))

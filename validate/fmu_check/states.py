@@ -37,7 +37,7 @@ _SHIFT = 37 * 1024**2
 _SAVES, _SERIALISES = ("canGetAndSetFMUstate", "canGetAndSetFMUState"), ("canSerializeFMUstate", "canSerializeFMUState")
 
 
-@check("set state restores", Scope.EACH, needs=_SAVES)
+@check("set state restores", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SAVES)
 def restores(subject: Subject, kind: str) -> Finding:
     """A saved state, set again after other steps and other inputs, continues as the first time."""
     steps = subject.steps(kind)
@@ -109,7 +109,7 @@ def begin_varied(instance: CheckedInstance) -> None:
         instance.begin()
 
 
-@check("serialised state loads elsewhere", Scope.EACH, needs=_SERIALISES)
+@check("serialised state loads elsewhere", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SERIALISES)
 def serialises(subject: Subject, kind: str) -> Finding:
     """The bytes of a state, loaded in a new process, continue as the first process did."""
     steps = subject.steps(kind)
@@ -176,7 +176,7 @@ def repeats(subject: Subject, kind: str) -> Finding:
     return passed(f"{first.shape[1]} values over {len(first) - 1} steps: equal bits.")
 
 
-@check("reset equals a fresh instance", Scope.EACH)
+@check("reset equals a fresh instance", Scope.EACH, clauses=("2.1.6", "2.3.1"))
 def resets(subject: Subject, kind: str) -> Finding:
     """After a run with other parameters and inputs, reset forgets all of it."""
     steps = subject.steps(kind)
@@ -194,7 +194,7 @@ def resets(subject: Subject, kind: str) -> Finding:
     return passed(f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits.")
 
 
-@check("instances do not disturb each other", Scope.EACH)
+@check("instances do not disturb each other", Scope.EACH, clauses=("2.1.5", "2.3.1"))
 def independent(subject: Subject, kind: str) -> Finding:
     """Two instances stepped in turn give what each gives alone."""
     if subject.can(kind, "canBeInstantiatedOnlyOncePerProcess"):
@@ -230,7 +230,7 @@ def _stepwise(instance: CheckedInstance, steps: int, seed: int):
         yield run(instance, step, step + 1, seed=seed, observe="end")[0]
 
 
-@check("freed instances give memory back", Scope.EACH)
+@check("freed instances give memory back", Scope.EACH, clauses=("2.1.5", "2.3.1"))
 def leaks(subject: Subject, kind: str) -> Finding:
     """Instantiating, running, saving states and freeing again and again does not grow the process."""
     instance = CheckedInstance(subject, kind)

@@ -173,8 +173,13 @@ class Subject:
         stop = self._experiment("stopTime", math.nan)
         length = stop - self.start_time
         fallback = length / 500.0 if length > 0.0 else 1e-2
+        return self._experiment("stepSize", self.internal_step or fallback)
+
+    @property
+    def internal_step(self) -> float:
+        """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it; 0 where it does not."""
         fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
-        return self._experiment("stepSize", float(fixed) if fixed else fallback)
+        return float(fixed) if fixed else 0.0
 
     @cached_property
     def tolerance(self) -> float:

@@ -18,7 +18,7 @@ _SINGLE = 1e-6
 _MOVED = 0.01
 
 
-@check("variables can be read", Scope.EACH)
+@check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def readable(subject: Subject, kind: str) -> Finding:
     """After initialisation each variable's value reference is accepted."""
     with CheckedInstance(subject, kind) as instance:
@@ -39,7 +39,7 @@ def _exact(subject: Subject) -> list[FmuVariable]:
     return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
 
 
-@check("start values are the XML's", Scope.EACH)
+@check("start values are the XML's", Scope.EACH, clauses=("2.2.7", "2.4.7.5"))
 def starts(subject: Subject, kind: str) -> Finding:
     """In Initialization Mode variables have the start values of the description."""
     variables = _exact(subject)
@@ -75,7 +75,7 @@ def _moved(item: FmuVariable) -> np.ndarray | None:
     return None if np.array_equal(value, item.start) else value
 
 
-@check("start values are obeyed", Scope.EACH)
+@check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def obeyed(subject: Subject, kind: str) -> Finding:
     """A start value set before or in initialisation is the value from then on."""
     moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}

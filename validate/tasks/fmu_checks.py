@@ -73,13 +73,9 @@ def check(arguments: Mapping[str, Any], course: Course) -> Found:
 
 def found_by(report: CheckReport, path: Path, export_seconds: float, check_seconds: float) -> Found:
     """What a check of the FMU in a file found, as a record has it; the sentence names what failed."""
-    from validate.fmu_check import Status
-
     data = path.read_bytes()
-    rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value}) for row in report.rows)
+    rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value, "severity": row.severity}) for row in report.rows)
     failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
-    statuses = [row.status for row in report.rows]
-    counts = ", ".join(f"{statuses.count(status)} {status.value}" for status in Status)
     record = FmuRecord(
         version=report.version,
         types=report.types,
@@ -90,5 +86,5 @@ def found_by(report: CheckReport, path: Path, export_seconds: float, check_secon
         rows=rows,
     )
     missing = "there is no binary for this machine" if report.unrunnable else ""
-    sentence = "; ".join(filter(None, [*(text.rstrip(".") for text in failed), missing, counts])) + "."
+    sentence = "; ".join(filter(None, [*(text.rstrip(".") for text in failed), missing, report.counts])) + "."
     return Found(passed=report.ok and not report.unrunnable, sentence=sentence, details={"fmu": record})

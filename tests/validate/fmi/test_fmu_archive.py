@@ -86,7 +86,7 @@ def test_fmi_3_has_other_names_for_platforms(tmp_path: Path, version: str):
         ({"a\\b": ""}, None, "names", "backslash"),
         ({"link": "/etc/passwd"}, link, "links", "symbolic link"),
         ({"pipe": ""}, pipe, "links", "neither a file nor a folder"),
-        ({"a": "", "a/b": ""}, None, "duplicates", "both a file and the folder"),
+        ({"a": "", "a/b": ""}, None, "names", "both a file and the folder"),
         ({"resources/zero": bytes(64 * 1024**2)}, None, "ratio", "zip bomb"),
         ({"x.xml": '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><x>&e;</x>'}, None, "xml", "x.xml has a DOCTYPE"),
         ({"terminalsAndIcons/terminalsAndIcons.xml": '<!DOCTYPE x><x/>'.encode("utf-16")}, None, "xml", "DOCTYPE"),
@@ -223,11 +223,11 @@ def test_encrypted_entries_and_names_that_are_none_are_refused(tmp_path: Path):
 
 def test_a_check_may_be_let_pass(tmp_path: Path):
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD})
-    found = check_archive(path, but_for="binary")
+    found = check_archive(path, but_for=("binary",))
     assert (found.kinds, found.platforms, found.entries, found.path) == ({}, (), 1, path)
     assert found.digest == hashlib.sha256(path.read_bytes()).hexdigest()
     with pytest.raises(ArchiveError):
-        check_archive(path, but_for="kind")
+        check_archive(path, but_for=("kind",))
 
 
 def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_none(tmp_path: Path):

@@ -41,3 +41,17 @@ def test_an_end_before_the_first_step_is_one(defective: Callable[..., Path]):
     report = check_fmu(defective(ending_at(0.0)), names=["starts and ends"])
     assert [(row.name, row.type) for row in report.failures()] == [("starts and ends", "CS")]
     assert "which leaves nothing to check" in report.failures()[0].sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("declared", "status"), [("", Status.FAILED), ('fixedInternalStepSize="0.1" ', Status.ADVICE)])
+def test_a_step_below_the_one_made_inside_is_advice_where_that_is_declared(defective: Callable[..., Path], declared: str, status: Status):
+    edits = (
+        ("sources/fmi3.c", "*lastSuccessfulTime = self->model.time;", "*lastSuccessfulTime = 0.1 * (int)(10.0 * self->model.time + 1e-9);"),
+        ("modelDescription.xml", "<CoSimulation", f"<CoSimulation {declared}"),
+    )
+    report = check_fmu(defective(edits, "3.0"), names=["time after a step"])
+    (row,) = [row for row in report.rows if (row.name, row.type) == ("time after a step", "CS")]
+    assert (row.status, report.ok) == (status, status is Status.ADVICE)
+    assert "says 0 s at t = 0.01 s" in row.sentence
+    assert ("0.1 s; propose a multiple" in row.sentence) == bool(declared)

@@ -34,7 +34,7 @@ static double next_event(const Model *m) { (void)m; return HUGE_VAL; }
 class Foreign:
     """A model for shell.c: macros, C text, (name, reference, attributes, <Real> attributes) of its reals, and more of the description.
 
-    expected: check -> words of its sentence.
+    expected, untold: check -> words of its sentence, of those that pass and of those that cannot be told.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Foreign:
     variable_step: bool = True
     slopes: bool = False
     expected: tuple[tuple[str, str], ...] = ()
+    untold: tuple[tuple[str, str], ...] = ()
 
 
 _STATE = 'causality="output" variability="continuous" initial="exact"'
@@ -86,10 +87,9 @@ static double next_event(const Model *m) { (void)m; return HUGE_VAL; }
         states=(2, 4),
         experiment='startTime="0" stopTime="3" stepSize="1e-2"',
         indicators=1,
-        expected=(
-            ("event indicators announce events", "state events"),
-            ("Model Exchange equals Co-Simulation", "no more than explicit Euler"),
-        ),
+        expected=(("event indicators announce events", "state events"),),
+        # A bounce that comes a little later differs by the whole velocity: such a comparison says nothing.
+        untold=(("Model Exchange equals Co-Simulation", "no more than explicit Euler"),),
     ),
     Foreign(
         name="van_der_pol",
@@ -226,6 +226,7 @@ def test_no_alarm_on_our_own(scene: str):
 def test_no_alarm_on_other_models(model: Foreign, foreign_fmu):
     report = check_fmu(foreign_fmu(model))
     assert not _alarms(report)
-    for name, words in model.expected:
-        rows = [row for row in report.rows if row.name == name]
-        assert any(row.status is Status.PASSED and words in row.sentence for row in rows), [row.sentence for row in rows]
+    for expected, status in ((model.expected, Status.PASSED), (model.untold, Status.NOT_OFFERED)):
+        for name, words in expected:
+            rows = [row for row in report.rows if row.name == name]
+            assert any(row.status is status and words in row.sentence for row in rows), [row.sentence for row in rows]

@@ -1,0 +1,170 @@
+"""What `check` writes for other tools, from a report whose every figure is different, read back by readers of the formats."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from validate.cli.check_formats import data, junit, markdown, sarif
+from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
+
+_ROWS = (
+    FmuCheckRow(
+        name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"
+    ),
+    FmuCheckRow(
+        name="start values are the XML's",
+        type="ME",
+        claim="same",
+        status=Status.FAILED,
+        sentence="a|b is 2 <3>.",
+        seconds=0.2,
+        clause="FMI 3.0.2, 2.4.7.5",
+    ),
+    FmuCheckRow(name="runs repeat", type="CS", claim="bits", status=Status.FAILED, sentence="x\ndiffers.\x07", seconds=0.3),
+    FmuCheckRow(
+        name="set state restores",
+        type="CS",
+        claim="all",
+        status=Status.WAIVED,
+        sentence="off. Waived: ours.",
+        seconds=0.4,
+        clause="FMI 3.0.2, 2.2.7.4",
+    ),
+    FmuCheckRow(
+        name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"
+    ),
+    FmuCheckRow(name="adjoint derivatives", type="ME", claim="adjoint", status=Status.NOT_OFFERED, sentence="none.", seconds=0.6),
+)
+
+
+@pytest.fixture
+def report(tmp_path: Path) -> CheckReport:
+    path = tmp_path / "a b.fmu"
+    path.write_bytes(b"content")
+    return CheckReport(path=str(path), version="3.0", types=("ME", "CS"), rows=_ROWS)
+
+
+def test_severity_is_that_of_the_standard_where_a_section_demands_it():
+    assert [row.severity for row in _ROWS] == ["error", "error", "behaviour", "error", "advice", "behaviour"]
+
+
+def test_waived_and_advice_do_not_fail(report: CheckReport):
+    assert (report.ok, report.exit_code) == (False, 1)
+    rest = CheckReport(path="x", version="3.0", types=(), rows=tuple(row for row in _ROWS if row.status is not Status.FAILED))
+    assert (rest.ok, rest.exit_code, rest.counts) == (True, 0, "1 passed, 0 failed, 1 not offered, 1 advice, 1 waived")
+
+
+def test_json_has_every_figure_of_a_row(report: CheckReport):
+    rows = data(report)["rows"]
+    assert [row["seconds"] for row in rows] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    assert rows[3] == {
+        "check": "set state restores",
+        "type": "CS",
+        "claim": "all",
+        "status": "waived",
+        "severity": "error",
+        "clause": "FMI 3.0.2, 2.2.7.4",
+        "sentence": "off. Waived: ours.",
+        "seconds": 0.4,
+    }
+
+
+def test_junit_skips_what_is_waived_and_fails_what_failed(report: CheckReport):
+    suite = ElementTree.fromstring(junit([(report, 2.5)]))[0]
+    assert {name: suite.get(name) for name in ("tests", "failures", "skipped", "errors", "time")} == {
+        "tests": "6",
+        "failures": "2",
+        "skipped": "2",
+        "errors": "0",
+        "time": "2.500",
+    }
+    ends = {case.get("name"): [part.tag for part in case] for case in suite}
+    assert ends == {
+        "archive": [],
+        "start values are the XML's (ME)": ["failure"],
+        "runs repeat (CS)": ["failure"],
+        "set state restores (CS)": ["skipped"],
+        "time after a step (CS)": ["system-out"],
+        "adjoint derivatives (ME)": ["skipped"],
+    }
+    failures = [case.find("failure") for case in suite if case.find("failure") is not None]
+    assert [(item.get("type"), item.get("message")) for item in failures] == [("error", "a|b is 2 <3>."), ("behaviour", "x differs.")]
+    assert "FMI 3.0.2, 2.4.7.5" in (failures[0].text or "")
+
+
+def test_sarif_tells_what_is_wrong_with_its_level_and_place(report: CheckReport):
+    run = json.loads(sarif([report]))["runs"][0]
+    found = {item["ruleId"]: item for item in run["results"]}
+    assert {name: item["level"] for name, item in found.items()} == {
+        "start-values-are-the-xmls": "error",
+        "runs-repeat": "warning",
+        "set-state-restores": "error",
+        "time-after-a-step": "note",
+    }
+    assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == set(found)
+    assert "FMI 3.0.2, 2.4.7.5" in found["start-values-are-the-xmls"]["message"]["text"]
+    assert found["set-state-restores"]["suppressions"][0]["justification"] == "off. Waived: ours."
+    assert "suppressions" not in found["runs-repeat"]
+    place = found["runs-repeat"]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
+    assert place.endswith("a%20b.fmu")
+
+
+def test_markdown_puts_failures_first_and_no_mark_of_a_sentence_works(report: CheckReport):
+    text = markdown([report], "python -m validate check 'a b.fmu'")
+    rows = [line.split(" | ")[:2] for line in text.splitlines() if line.startswith("| ") and "outcome" not in line]
+    assert rows[0] == ["| **failed** (error)", "start values are the XML's (ME)"]
+    assert rows[-1][0] == "| not offered"
+    assert "a\\|b is 2 \\<3\\>." in text
+    assert "ed7002b439e9ac845f22357d822bac1444730fbdb6016d3ec9432297b9ec9f73" in text  # SHA-256 of the file's seven bytes
+
+
+def test_a_waiver_turns_a_failure_and_nothing_else(tmp_path: Path, cli):
+    path = _doubled(tmp_path)
+    alone = ("--only", "archive", "--only", "description is valid")
+    assert cli("check", str(path), *alone).returncode == 1
+    done = cli("check", str(path), *alone, "--waive", "archive=the packer's own way", "--json")
+    rows = {row["check"]: row for row in json.loads(done.stdout)["rows"]}
+    assert done.returncode == 0
+    assert rows["archive"]["status"] == "waived"
+    assert "the packer's own way" in rows["archive"]["sentence"]
+    assert rows["description is valid"]["status"] == "passed"
+
+
+@pytest.mark.parametrize(
+    "waiver, words", [("archive", "NAME=REASON"), ("archive= ", "NAME=REASON"), ("archiv=why", "did you mean archive?")]
+)
+def test_a_waiver_that_is_none_is_one_sentence(tmp_path: Path, cli, waiver: str, words: str):
+    done = cli("check", str(_doubled(tmp_path)), "--waive", waiver)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
+    rows = []
+    report = check_fmu(_doubled(tmp_path), names=["archive", "values stay finite"], told=rows.append)
+    assert tuple(rows) == report.rows, "each row is told once, in order"
+    assert {row.title: row.status for row in rows} == {
+        "archive": Status.FAILED,
+        "starts and ends (ME)": Status.PASSED,
+        "starts and ends (CS)": Status.PASSED,
+        "values stay finite (ME)": Status.PASSED,
+        "values stay finite (CS)": Status.PASSED,
+    }
+    assert "2 times" in rows[0].sentence
+
+
+def _doubled(folder: Path) -> Path:
+    """A sound FMU with an entry that is there twice."""
+    path = folder / "twice.fmu"
+    path.write_bytes(build_fmu(load_scene("bouncing_mass"), "2.0").read_bytes())
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("modelDescription.xml", archive.read("modelDescription.xml"))
+    return path
