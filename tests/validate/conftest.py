@@ -6,10 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from forked_commands import forked_commands
 
 FAKES_FOLDER = Path(__file__).parent / "fakes"
 
@@ -24,22 +25,10 @@ def cli_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def cli(cli_environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """cli("list", "--json") runs `python -m validate list --json` to its end."""
-
-    def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "validate", *arguments]
-        return subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            env={**cli_environment, **environment},
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
-
-    return run
+def cli(cli_environment: dict[str, str]) -> Iterator[Callable[..., subprocess.CompletedProcess[str]]]:
+    """cli("list", "--json") runs `python -m validate list --json` to its end, in a process that need not import what others have."""
+    with forked_commands(cli_environment) as run:
+        yield lambda *arguments, **environment: run(["-m", "validate", *arguments], {**cli_environment, **environment})
 
 
 @pytest.fixture

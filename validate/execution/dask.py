@@ -107,8 +107,12 @@ def local_cluster(workers: int) -> Iterator[Any]:
         try:
             folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
             open_now.enter_context(closing(KeptFolder(folder)))
-            # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
-            with dask_config.set({"temporary-directory": str(folder)}), _terminal_blocked():
+            # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there; and a worker that its nanny
+            # takes longer than 15 s to start anew is given up by the cluster, nanny and all, for which nobody starts another.
+            open_now.enter_context(
+                dask_config.set({"temporary-directory": str(folder), "distributed.deploy.lost-worker-timeout": "1000 days"})
+            )
+            with _terminal_blocked():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -308,9 +312,17 @@ class DaskEngine:
         return record
 
     def why_idle(self, submitted: int) -> str:
-        """See Engine."""
+        """See Engine. Raises MachineError where no worker can come any more: those of this machine, when none could be started anew."""
+        from distributed import Status  # pyright: ignore[reportMissingImports]
+
         if self._threads():
             return ""
+        here = self._client.cluster
+        if here is not None and all(nanny.status in {Status.closed, Status.failed} for nanny in here.workers.values()):
+            raise MachineError(
+                f"--engine dask: its workers ended and could not be started anew; {submitted} tasks wait. What finished is stored: give the same "
+                "command when the machine has room, or let --engine local run the tasks."
+            )
         return f"the Dask cluster at {self._client.scheduler.address} has no workers now; {submitted} tasks wait for one"
 
     def _threads(self) -> int:

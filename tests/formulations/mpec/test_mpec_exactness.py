@@ -33,9 +33,16 @@ def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("bounded", "expression"), [(False, False), (True, True)])
-@pytest.mark.parametrize("name", IMPOSSIBLE)
+@pytest.mark.parametrize(
+    ("name", "bounded", "expression"),
+    [
+        ("product", False, False),
+        ("product", True, True),
+        *((name, place % 2 == 0, place % 2 == 0) for place, name in enumerate(IMPOSSIBLE) if place),
+    ],
+)
 def test_nothing_is_optimal_where_nothing_is_feasible(name, bounded, expression):
+    """Nor unbounded: iterates that leave for infinity while the objective rises prove nothing."""
     result = solve_mpec(impossible(name, bounded, expression))
     assert result.outcome not in (Outcome.SOLVED, Outcome.DIVERGED), result.message
 
@@ -88,10 +95,3 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
     m.cost = pyo.Objective(expr=m.x**2 - m.y)
     m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
     assert solve_mpec(m).outcome is Outcome.DIVERGED
-
-
-@pytest.mark.slow
-def test_variables_that_grow_without_end_are_not_an_unbounded_objective():
-    """Iterates that leave for infinity while the objective rises prove nothing."""
-    result = solve_mpec(impossible("quadratic", bounded=True, expression=True))
-    assert result.outcome is not Outcome.DIVERGED

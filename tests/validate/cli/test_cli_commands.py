@@ -80,12 +80,16 @@ SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_a_command_imports_what_it_needs(cli, tmp_path, arguments, spared):
+@pytest.mark.process
+def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, spared):
+    """In a process of its own, as a user's: what `cli` forks has imported all of it before."""
     scene, plan = load_scene("two_body_collision"), tmp_path / "plan.csv"
     times = uniform_grid(scene.task.step, scene.task.steps)
     still, none = np.zeros((len(times), scene.nq)), np.zeros((len(times) - 1, 1))
     write_csv(plan, Trajectory(t=times, q=still, v=still, u=none[:, :0], lam=none), scene)
-    done = cli(*(str(plan) if word == plan.name else word for word in arguments), PYTHONPROFILEIMPORTTIME="1")
+    words = [str(plan) if word == plan.name else word for word in arguments]
+    command = [sys.executable, "-X", "importtime", "-m", "validate", *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=cli_environment, stdin=subprocess.DEVNULL, check=False)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
     assert "validate.cli.group" in imported
     assert not imported & (SOLVERS | spared), done.stderr[-500:]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -220,18 +217,12 @@ def test_the_worst_change_stands_first():
     assert len(set(KINDS)) == 7
 
 
-def command(*words: object) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "validate", "compare", *map(str, words)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "NO_COLOR": "1"},
-        check=False,
-    )
+@pytest.fixture
+def command(cli):
+    return lambda *words: cli("compare", *map(str, words))
 
 
-@pytest.mark.slow
-def test_the_command_says_it_and_exits_with_one(tmp_path, runs):
+def test_the_command_says_it_and_exits_with_one(command, tmp_path, runs):
     run = direct(runs)
     before, after = factory.store(tmp_path / "before", [run]), factory.store(tmp_path / "after", [changed_last(run, verdict="violates")])
     done = command(before, after)
@@ -245,8 +236,7 @@ def test_the_command_says_it_and_exits_with_one(tmp_path, runs):
     assert told["changes"][0]["kind"] == "worse"
 
 
-@pytest.mark.slow
-def test_what_is_no_campaign_is_one_sentence(tmp_path):
+def test_what_is_no_campaign_is_one_sentence(command, tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "nowhere"):
         done = command(folder, folder)
@@ -255,9 +245,8 @@ def test_what_is_no_campaign_is_one_sentence(tmp_path):
         assert str(folder) in done.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("text", ['{"x"', "{}", None])
-def test_without_its_list_of_cells_nobody_knows_what_a_campaign_is(tmp_path, runs, text):
+def test_without_its_list_of_cells_nobody_knows_what_a_campaign_is(command, tmp_path, runs, text):
     """All records of the folder would be taken for it, those of campaigns before too, and what got worse be missed."""
     before, after = (factory.store(tmp_path / name, [direct(runs)]) for name in ("before", "after"))
     if text is None:
@@ -270,7 +259,7 @@ def test_without_its_list_of_cells_nobody_knows_what_a_campaign_is(tmp_path, run
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_record_that_cannot_be_read_is_told(tmp_path, runs):
+def test_a_record_that_cannot_be_read_is_told(command, tmp_path, runs):
     run = direct(runs)
     before, after = (factory.store(tmp_path / name, [run]) for name in ("before", "after"))
     (after / "runs" / run.key / "record.json").write_text('{"x"')

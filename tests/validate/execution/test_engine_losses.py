@@ -39,7 +39,9 @@ def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     times, and is none the worse."""
     counts, out = tmp_path / "counts", tmp_path / "out"
     counts.mkdir()
-    asked = {"COUNTS": str(counts), "KILLS": "2", "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    # A loaded machine takes longer than Dask's 15 s to start a worker anew: here every machine takes longer than is told.
+    dask = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1", "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "100ms"}
+    asked = {"COUNTS": str(counts), "KILLS": "2", **dask}
     done = cli("all", "--plugin", "engine_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
     assert done.returncode == 1, done.stderr
     outcomes = _outcomes(out)

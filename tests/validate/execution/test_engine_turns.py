@@ -48,6 +48,7 @@ class Campaign:
         self.silent, self.tries, self.crashes = 0, 2, Counter[str]()
         self.watch: Any = lambda running: None
         self.dumb, self.told = False, list[str]()
+        self.cluster: Any = None  # that of a Dask client: one of this machine, if it is one
         self._provenance, store = gather("a test"), Store(folder)
         store.prepare()
         self.context = ExecutionContext(store=store, provenance=self._provenance)
@@ -74,7 +75,9 @@ class Campaign:
         return engine
 
     def dask(self) -> DaskEngine:
-        client = SimpleNamespace(nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"))
+        client = SimpleNamespace(
+            nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"), cluster=self.cluster
+        )
         return DaskEngine(client, self.context, 1, self.context.store.runs / "mark", len(self.tasks))
 
     def submit(self, _function: Any, task: Any, _name: str) -> Future[Any]:
@@ -189,6 +192,20 @@ def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Camp
         campaign.run(campaign.dask())
     (said,) = campaign.told
     assert not unsaid(said, "Dask cluster at here", "no workers now", "1 tasks wait")
+
+
+@NEEDS_DASK
+def test_workers_of_this_machine_that_nobody_starts_anew_are_not_waited_for(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+    from distributed import Status  # pyright: ignore[reportMissingImports]
+
+    nannies = [SimpleNamespace(status=Status.closed), SimpleNamespace(status=Status.failed)]
+    campaign.cluster, campaign.dumb = SimpleNamespace(workers=dict(enumerate(nannies))), True
+    monkeypatch.setattr(module, "_SILENCE", 0.0)
+    with pytest.raises(MachineError) as caught:
+        campaign.run(campaign.dask())
+    assert not unsaid(caught.value, "--engine dask", "workers ended", "1 tasks wait", "same command", "--engine local")
+    nannies[0].status = Status.running  # it starts one
+    assert "no workers now" in campaign.dask().why_idle(1)
 
 
 @NEEDS_DASK

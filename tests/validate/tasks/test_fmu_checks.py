@@ -48,6 +48,7 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert len({(row.name, row.type) for row in record.fmu.rows}) == len(record.fmu.rows)
     (row,) = csv.DictReader((tmp_path / "checks.csv").read_text(encoding="utf-8").splitlines())
     assert (row["kind"], row["scene"], row["outcome"], row["passed"]) == ("FMU", "bouncing_mass", "answered", "True")
+    assert json.loads((tmp_path / "campaign.json").read_text())["violation"] == [], "nothing was planned for"
     assert "bouncing_mass" in (tmp_path / "pages" / "fmus.html").read_text(encoding="utf-8")
     again = cli(*command, "--json")
     assert "1 stored, 0 to run" in again.stderr

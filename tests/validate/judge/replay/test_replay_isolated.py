@@ -87,19 +87,19 @@ def test_a_good_one_follows_the_closed_form(good: Replay):
 @pytest.mark.parametrize(
     ("mode", "kinds", "outcome", "words"),
     [
-        ("hang", EXCHANGE, ReplayOutcome.TIME_LIMIT, "time limit of 5 s"),
+        ("hang", EXCHANGE, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"),
         ("segfault", COSIMULATION, ReplayOutcome.CRASHED, "SIGSEGV"),
         ("exit", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
         ("abort", EXCHANGE, ReplayOutcome.ABORTED, "SIGABRT"),
         ("nan", COSIMULATION, ReplayOutcome.NOT_A_NUMBER, "not a finite number"),
-        ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 2 GiB"),
+        ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 1 GiB"),
         ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
     ],
 )
 def test_each_misbehaviour_has_its_own_outcome(
     folder: Path, place: Path, good: Replay, mode: str, kinds: tuple[str, ...], outcome: ReplayOutcome, words: str
 ):
-    limits = Limits(seconds=5.0 if mode == "hang" else 60.0, memory=2 * 1024**3)
+    limits = Limits(seconds=2.0 if mode == "hang" else 60.0, memory=1024**3)
     result = run(folder, build_foreign(folder / f"{mode}.fmu", mode, kinds), limits)
     assert (result.outcome, result.ok) == (outcome, False)
     assert words in result.message

@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def wired(folder: Path) -> Wire:
     def call(given: str | None, plan: str | None = None, fmu: str = "cart.fmu", hold: str | None = None) -> tuple[Foreign, Trajectory]:
         if given is not None:
@@ -300,9 +300,8 @@ def renamed(path: Path, names: dict[str, str], more: str = "", units: str = "<Mo
 STRANGE = ["kraft_längs", "θ1", "a b  c", 'it\'s "so"', "körper.x[1].ẋ", "🚗", "a/b", "-1", "x,y;z", "<&>", "t", "gap_x"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", STRANGE)
-def test_any_name_of_variables_columns_and_contacts_works(folder: Path, wired: Wire, name: str):
+def called(folder: Path, wired: Wire, name: str) -> tuple[Foreign, Trajectory]:
+    """The cart, its variables, columns and contact called by this name, at rest."""
     renamed(folder / "named.fmu", {"body.pos": name, "drive.force": f"{name} in", "stop.gap": f"{name} gap"})
     key = json.dumps(name, ensure_ascii=False)
     given = f"""
@@ -315,10 +314,20 @@ plan = {{ time = "the time" }}
 gap = {{ variable = {json.dumps(f"{name} gap", ensure_ascii=False)}, scale = 0.001 }}
 """
     header = ",".join('"' + part.replace('"', '""') + '"' for part in ("the time", name, f"u {name}"))
-    foreign, plan = wired(given, f"{header}\n0,0.1,1\n0.1,0.1,\n", "named.fmu")
-    result = replayed(folder, (foreign, plan), "named.fmu")
+    return wired(given, f"{header}\n0,0.1,1\n0.1,0.1,\n", "named.fmu")
+
+
+@pytest.fixture(scope="module")
+def moved(folder: Path, wired: Wire) -> Replay:
+    """A replay, which tells variables by their numbers: that of any other name. A child takes a name with everything that is strange."""
+    return replayed(folder, called(folder, wired, " ".join(STRANGE)), "named.fmu")
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_any_name_of_variables_columns_and_contacts_works(folder: Path, wired: Wire, moved: Replay, name: str):
+    foreign, _ = called(folder, wired, name)
     assert foreign.model.coordinates[0].name == name
-    write_replay(folder / "named.nc", result, foreign.model)
+    write_replay(folder / "named.nc", moved, foreign.model)
     columns, _ = read_columns(folder / "named.nc")
     assert name in columns or any(item.description.startswith(name) for item in columns.values())
     assert f"gap_{name}" in columns or any(f"gap_{name}" in item.description for item in columns.values())
@@ -330,7 +339,7 @@ def test_any_name_works_without_a_map(folder: Path, wired: Wire, name: str):
     quoted = f'"{name}"'
     foreign, plan = wired(None, f"t,{quoted},drive.force\n0,100,0\n0.1,100,\n", "equal.fmu")
     assert [item.name for item in foreign.model.coordinates] == [name]
-    assert replayed(folder, (foreign, plan), "equal.fmu").q[0, 0] == 100.0
+    assert plan.q[0, 0] == 100.0
 
 
 def test_umlaut_may_be_written_as_one_sign_or_two(wired: Wire, folder: Path):
@@ -393,9 +402,9 @@ def test_velocities_of_equal_names_belong_to_the_positions_they_are_derivatives_
 
 @pytest.mark.slow
 def test_hint_among_very_many_names_is_quick_and_right():
-    """difflib alone takes 40 us a name of this length, 18 s of all. The bound is about five times what it takes."""
-    known = [f"model.part[{index}].länge_{index % 7}" for index in range(400_000)] + ["body.pos", "body.vel"]
+    """difflib alone takes 40 us a name of this length, 4 s of all. The bound is about five times what it takes."""
+    known = [f"model.part[{index}].länge_{index % 7}" for index in range(100_000)] + ["body.pos", "body.vel"]
     began = time.process_time()
     assert hint("body.poss", known) == " (near it: body.pos, body.vel)"
     assert re.fullmatch(r" \(near it: model\.part\[\d+\]\.länge_3, .*\)", hint("model.part[12345].lange_3", known))
-    assert time.process_time() - began < 12.0
+    assert time.process_time() - began < 3.0

@@ -57,12 +57,12 @@ def found(judged: Judgement) -> Robustness:
 
 
 @pytest.mark.slow
-def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged: Judgement, found: Robustness):
-    again, other = (robustness(SCENE, judged.plan, samples=32, seed=seed) for seed in (0, 1))
-    records = [RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0}) for item in (found, again, other)]
+def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged: Judgement):
+    first, again, other = (robustness(SCENE, judged.plan, samples=10, seed=seed, kinds=["gain", "noise"]) for seed in (0, 0, 1))
+    records = [RobustnessRecord.model_validate(item).model_copy(update={"seconds": 0.0}) for item in (first, again, other)]
     assert records[0] == records[1]
-    assert (found.alone.ratios == again.alone.ratios).all()
-    assert (found.alone.ratios != other.alone.ratios).all()
+    assert (first.alone.ratios == again.alone.ratios).all()
+    assert (first.alone.ratios != other.alone.ratios).all()
     assert records[0].failures == records[2].failures, "one perturbation by itself is no matter of luck"
 
 
