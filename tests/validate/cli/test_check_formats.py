@@ -138,7 +138,7 @@ def test_a_waiver_turns_a_failure_and_nothing_else(tmp_path: Path, cli):
 
 
 @pytest.mark.parametrize(
-    "waiver, words", [("archive", "NAME=REASON"), ("archive= ", "NAME=REASON"), ("archiv=why", "did you mean archive?")]
+    ("waiver", "words"), [("archive", "NAME=REASON"), ("archive= ", "NAME=REASON"), ("archiv=why", "did you mean archive?")]
 )
 def test_a_waiver_that_is_none_is_one_sentence(tmp_path: Path, cli, waiver: str, words: str):
     done = cli("check", str(_doubled(tmp_path)), "--waive", waiver)
