@@ -45,12 +45,14 @@ from reports.pages import (
     tightening,
     time_spent,
     tolerance,
+    truth,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
 from reports.records.check_record import CheckRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord, SceneRecord
 from reports.records.robustness_record import RobustnessRecord
+from reports.records.truth_record import TruthRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
@@ -179,6 +181,11 @@ def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None
     """The text of the page of how much a plan can take. plan: what it is called; run, folder: of what moves in the player (reports.pages.robustness)."""
     title = f"How much {plan} can take on {record.scene}"
     return page(Templates(), [robustness.build(record, run, folder)], title=title, lead=record.summary, again="")
+
+
+def render_truth(record: TruthRecord, again: str) -> str:
+    """The text of the page of the truth suite. again: the command that makes it anew."""
+    return page(Templates(), [truth.build(record)], title="The contact truth suite", lead=record.summary, again=again)
 
 
 def page(

@@ -74,11 +74,12 @@ def _row(record: CheckRecord) -> CaseRow:
         sign=sign,
         happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
         decisive=tuple(sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
-        plots=tuple(_plot(chart) for chart in record.charts if any(series.x for series in chart.series)),
+        plots=tuple(plot_of(chart) for chart in record.charts if any(series.x for series in chart.series)),
     )
 
 
-def _plot(chart: ChartRecord) -> Plot:
+def plot_of(chart: ChartRecord) -> Plot:
+    """A chart as it is drawn."""
     plot = Plot(
         chart.title,
         _axis(chart.x, [x for series in chart.series for x in series.x]),

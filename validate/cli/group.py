@@ -35,6 +35,7 @@ _COMMANDS = {
     "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
     "robust": "How much a plan can take: the share of perturbed worlds in which it still arrives.",
+    "truth": "What is true of contact, and what our FMU and other simulators make of it.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
     "doctor": "Try what this machine can do, and say how to mend what it cannot.",

@@ -1,0 +1,61 @@
+"""The page of the truth suite: a table of problems by engines, what explains the largest disagreement on each, and error against CPU time."""
+
+from __future__ import annotations
+
+from reports.pages.section import Section
+from reports.pages.stress_cases import plot_of
+from reports.records.truth_record import TruthRecord, TruthRow
+
+
+def build(record: TruthRecord) -> Section:
+    """The section of the page."""
+    values = {
+        "record": record,
+        "problems": record.problems,
+        "largest": [largest_disagreement(rows) for rows in record.problems],
+        "plots": [plot_of(chart) for chart in record.charts],
+    }
+    return Section("truth", "What is true, and what engines make of it", "truth.html", values)
+
+
+def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
+    """The row that is furthest from the truth; of those that came to no number the first, where all others are no further; None without a row."""
+    lost = [row for row in rows if row.came == "done" and row.error is None]
+    told = sorted((row for row in rows if row.error is not None), key=lambda row: row.error or 0.0)
+    return next(iter([*lost, *reversed(told), *rows]), None)
+
+
+def as_markdown(record: TruthRecord, command: str) -> str:
+    """The same as a page of the docs, without times: it is equal whenever it is made."""
+    head = ["problem", *(engine.name for engine in record.engines)]
+    lines = [
+        "# The contact truth suite",
+        "",
+        f"Made by `{command}`; [engines.md](engines.md) says what each engine is told.",
+        "",
+        record.summary,
+        "",
+    ]
+    lines += [
+        f"- **{engine.name}**: {engine.title}{f' {engine.version}' if engine.version else ''}; {engine.law}." for engine in record.engines
+    ]
+    lines += [
+        "",
+        "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step.",
+        "",
+    ]
+    lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for rows in record.problems:
+        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(_cell, rows))} |")
+    lines += ["", "What explains the largest disagreement:", "", "| problem | exact answer | furthest | why |", "|---|---|---|---|"]
+    for rows in record.problems:
+        worst = largest_disagreement(rows)
+        if worst is not None:
+            lines.append(f"| {worst.phenomenon}: {worst.problem} | {worst.source} | {worst.engine} | {worst.sentence} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(row: TruthRow) -> str:
+    if row.came != "done":
+        return row.came
+    return "diverges" if row.error is None else f"{row.error:.0e}{'' if row.order is None else f' ({row.order:.1f})'}"

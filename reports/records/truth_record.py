@@ -1,0 +1,59 @@
+"""TruthRecord: what every engine made of every problem of the truth suite, as `validate truth` writes it (docs/engines.md)."""
+
+from __future__ import annotations
+
+from reports.records.check_record import ChartRecord
+from reports.records.record import Finite, Model
+
+
+class LevelRecord(Model):
+    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step."""
+
+    step: Finite | None
+    tolerance: Finite | None
+    error: Finite | None
+    energy: Finite | None
+    microseconds: Finite | None
+
+
+class TruthRow(Model):
+    """What an engine made of a problem. came: done, cannot express it, not installed, failed; worst: the quantity that decides its error."""
+
+    phenomenon: str
+    problem: str
+    source: str
+    engine: str
+    came: str
+    sentence: str
+    worst: str
+    order: Finite | None
+    levels: tuple[LevelRecord, ...]
+
+    @property
+    def error(self) -> float | None:
+        """At the finest level; None where there is none."""
+        return self.levels[-1].error if self.levels else None
+
+
+class EngineRecord(Model):
+    """An engine that was asked: its name, what it is called, how it makes contact, the version of its package."""
+
+    name: str
+    title: str
+    law: str
+    version: str
+
+
+class TruthRecord(Model):
+    """engines, and rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
+
+    engines: tuple[EngineRecord, ...]
+    rows: tuple[TruthRow, ...]
+    summary: str
+    charts: tuple[ChartRecord, ...] = ()
+
+    @property
+    def problems(self) -> list[tuple[TruthRow, ...]]:
+        """Rows of each problem, in the order of the engines."""
+        width = len(self.engines)
+        return [self.rows[place : place + width] for place in range(0, len(self.rows), width)]

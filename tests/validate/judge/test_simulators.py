@@ -1,0 +1,138 @@
+"""Engines: found by their files, run in a child, each way to fail a row; MuJoCo is told what the scene says and nothing else."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.errors import MachineError, UnknownNameError
+from models.trajectory import Trajectory, uniform_grid
+from validate.execution.isolated import Limits
+from validate.judge import simulator
+from validate.judge.engines._mechanism import axes_of_bodies, mechanism_of
+from validate.judge.simulator import Came, CannotExpressError, Drive, describe_engine, engine_names, load_engine, run_engine
+
+# Scenes that MuJoCo is told whole, and how near it comes to our replay at a fiftieth of the task's step [m, rad]: the tip of a cart-pole meets a constraint.
+EXPRESSED = {
+    "three_cart": 1e-7,
+    "cart_chain": 1e-7,
+    "two_discs": 1e-5,
+    "two_discs_wall": 1e-5,
+    "bouncing_mass": 1e-7,
+    "two_body_collision": 1e-7,
+    "transport": 1e-6,
+    "hopper": 1e-5,
+    "wall_pendulum": 1e-7,
+    "acrobot_limits": 1e-7,
+    "cart_pole_walls": 1e-3,
+}
+
+
+def drive(name: str, parts: int = 50) -> Drive:
+    """A scene under inputs that wander, the same each time, and that press its bodies together."""
+    scene = load_scene(name)
+    steps = scene.task.steps
+    u = np.cumsum(np.random.default_rng(0).standard_normal((steps, scene.nu)), axis=0) * 0.2
+    if name in ("three_cart", "cart_chain"):
+        u[:] = 6.0, -6.0
+    if name == "two_discs":
+        u[:] = np.where(np.arange(steps) < 200, 20.0, 0.0)[:, None] * [0.01, 1.0]
+    nothing = np.zeros((steps + 1, 0))
+    plan = Trajectory(t=uniform_grid(scene.task.step, steps), q=nothing, v=nothing, u=u, lam=nothing[1:])
+    return Drive(scene=scene, plan=plan, start=np.array(scene.task.start, dtype=float), parts=parts, tolerance=1e-13)
+
+
+def test_engines_are_found_by_their_files_ours_first_and_described_without_being_imported():
+    assert engine_names()[:2] == ("fmu", "fmu_everyday")
+    assert "mujoco" in engine_names()
+    assert describe_engine("fmu").adaptive
+    assert describe_engine("mujoco").package == "mujoco"
+    with pytest.raises(UnknownNameError, match="no engine 'mujuco'; did you mean mujoco"):
+        describe_engine("mujuco")
+
+
+def test_a_package_that_is_missing_is_said(monkeypatch):
+    monkeypatch.setattr(simulator.importlib.util, "find_spec", lambda name: None)
+    answer = run_engine("mujoco", [drive("wall_pendulum")])
+    assert answer.came is Came.MISSING
+    assert answer.why == "engine mujoco: the package mujoco is not installed; pip install 'touchstone-contact[engines]'"
+    with pytest.raises(MachineError, match="not installed"):
+        load_engine("mujoco")
+
+
+def test_what_a_mechanism_is_told_comes_from_the_scene():
+    scene = load_scene("hopper").with_parameters(m_b=2.5, k=400.0)
+    found = mechanism_of(scene)
+    assert found.masses is not None
+    np.testing.assert_allclose(found.masses, [2.5, 0.2])
+    stiffness = sum(link.strength * np.outer(link.direction, link.direction) for link in found.springs)
+    np.testing.assert_allclose(stiffness, [[100.0, -100.0], [-100.0, 100.0]], atol=1e-12)
+    assert found.touches[0].stiffness == 400.0
+    np.testing.assert_allclose(found.drive, [[1.0], [-1.0]])
+    assert axes_of_bodies(mechanism_of(load_scene("two_discs"))) == [(0, 1), (2, 3)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("push_box", "gap of contact rim"),
+        ("two_finger", "mass matrix is no constant diagonal"),
+        ("hopper_planar", "potential is no sum of springs"),
+    ],
+)
+def test_what_no_mechanism_expresses_is_said_in_a_sentence(name: str, words: str):
+    with pytest.raises(CannotExpressError, match=words):
+        mechanism_of(load_scene(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(EXPRESSED))
+def test_mujoco_makes_the_motion_of_our_reference(name: str):
+    pytest.importorskip("mujoco")
+    asked = drive(name)
+    true, other = (load_engine(engine)(asked) for engine in ("fmu", "mujoco"))
+    assert np.ptp(true.q, axis=0).max() > 1e-3
+    assert np.abs(true.q - other.q).max() <= EXPRESSED[name]
+    half = load_engine("mujoco")(replace(asked, start=asked.start * np.where(asked.start == 0.0, 1.0, 1.001)))
+    assert np.abs(true.q - half.q).max() > EXPRESSED[name], "a start a thousandth off must show"
+
+
+def test_mujoco_says_what_it_cannot_express():
+    pytest.importorskip("mujoco")
+    answer = run_engine("mujoco", [drive("damped_collision", 1)])
+    assert answer.came is Came.CANNOT
+    assert "contact bumper: MuJoCo has no damping that grows with the depth" in answer.why
+
+
+def test_a_motion_that_diverges_is_told_as_such():
+    pytest.importorskip("mujoco")
+    asked = drive("bouncing_mass", 1)
+    stiff = replace(asked, scene=asked.scene.with_parameters(k=1e12))
+    assert not load_engine("mujoco")(stiff).finite or np.abs(load_engine("mujoco")(stiff).q).max() > 1e3
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("import os; os.abort()", "it aborted"),
+        ("import time; time.sleep(60)", "time limit of 5 s"),
+        ("raise ValueError('no')", "ValueError: no"),
+    ],
+)
+def test_an_engine_that_crashes_hangs_or_raises_is_a_row(monkeypatch, tmp_path, body: str, words: str):
+    (tmp_path / "broken_engine.py").write_text(
+        f"from validate.judge import simulator\ndef simulate(drive):\n    {body}\nsimulator.load_engine = lambda name: simulate\nanswer = simulator.answer\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    in_child = simulator.run_isolated
+    monkeypatch.setattr(
+        simulator, "run_isolated", lambda function, *given, **settings: in_child("broken_engine:answer", *given, **settings)
+    )
+    answer = run_engine("fmu", [drive("wall_pendulum", 1)], limits=Limits(seconds=5.0))
+    assert answer.came is Came.FAILED
+    assert words in answer.why

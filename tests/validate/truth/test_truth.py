@@ -1,0 +1,181 @@
+"""The truth suite: its answers are right, two ways; it finds five faults planted in each adapter; what it writes is equal twice but for times."""
+
+import importlib
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from models.fmu.reference import Equations, Piece, true_motion
+from models.scene import Scene
+from reports.pages.truth import as_markdown, largest_disagreement
+from reports.render import render_truth
+from validate.cli.truth import as_csv, named_engines, recorded, reference_is_right
+from validate.judge.simulator import Answer, Came, Drive, Motion, describe_engine, load_engine
+from validate.stress.cases.h06_zeno import restitution
+from validate.truth import suite
+from validate.truth.problems import Problem, problems
+from validate.truth.suite import Row, drives, judged, observed_order
+
+PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
+# What each fault is looked for with, the first of them that the engine expresses.
+SHOWS = {
+    "stiffness / 2": "rebound: undamped",
+    "friction off": "creep under load: mu = 0.5, half of what friction holds",
+    "step x 2": "two-body collision: masses 1 and 3",
+    "sign of the normal": "rebound: undamped",
+    "damping ignored": "rebound: Kelvin-Voigt damping",
+}
+
+
+def asked(problem: Problem, engine: str) -> Row:
+    """The row of an engine that runs here."""
+    simulate = load_engine(engine)
+    motions = tuple(simulate(drive) for drive in drives(problem, describe_engine(engine)))
+    return judged(problem, engine, Answer(came=Came.DONE, motions=motions), problem.end())
+
+
+def test_there_are_thirteen_phenomena():
+    assert len({problem.phenomenon for problem in PROBLEMS.values()}) == 13
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, problem in PROBLEMS.items() if problem.exact and not name.startswith(("energy", "dying"))])
+def test_a_closed_form_is_what_our_own_integration_gives(name: str):
+    problem = PROBLEMS[name]
+    found = true_motion(Equations(problem.scene), [Piece(end=problem.duration, u=np.array(problem.u))], np.array([problem.duration]))[0][0]
+    scales = np.repeat([problem.position, problem.velocity], problem.scene.nq)
+    assert np.nanmax(np.abs(found - problem.end()) / scales) <= 1e-9
+
+
+def test_dying_bounces_rest_when_the_series_of_flights_says():
+    """t_1 + (2 v/g) e/(1 - e) of flights and the contacts between them; gravity, which acts in contact too, takes a tenth of e here."""
+    problem = PROBLEMS["dying bounces: damping ratio 0.2, until it rests"]
+    v, e = math.sqrt(2 * 9.81 * 0.5), restitution(0.2)
+    series = v / 9.81 + 2 * v / 9.81 * e / (1 - e)
+    rest = next(ask.exact for ask in problem.asks if ask.name == "time of rest")
+    assert 0.8 * series < rest < series + 8 * 0.1
+
+
+@pytest.mark.parametrize("name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values()))
+def test_our_reference_is_right(name: str):
+    assert asked(PROBLEMS[name], "fmu").error <= suite.NEAR
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", SHOWS)
+@pytest.mark.parametrize("engine", ["fmu", "fmu_everyday", "mujoco"])
+def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault: str):
+    if engine == "mujoco":
+        pytest.importorskip("mujoco")
+    problem = PROBLEMS[SHOWS[fault]]
+    assert asked(problem, engine).error < 2e-3
+    plant(monkeypatch, engine, fault)
+    wrong = asked(problem, engine).error
+    assert not wrong < 2e-2
+
+
+def plant(monkeypatch, engine: str, fault: str) -> None:
+    """The fault, where the adapter reads the scene or makes its steps."""
+    module = importlib.import_module(f"validate.judge.engines.{engine}")
+    if fault == "step x 2":
+        if engine == "mujoco":
+            step = module.mujoco.mj_step
+            monkeypatch.setattr(module.mujoco, "mj_step", lambda model, data, nstep: step(model, data, 2 * nstep))
+        else:
+            monkeypatch.setattr(module, "HeldInputs", lambda plan, held=module.HeldInputs: held(replace(plan, t=2.0 * plan.t)))
+        return
+    name = "mechanism_of" if engine == "mujoco" else "build_fmu"
+    read = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda scene, **given: read(spoilt(scene, fault), **given))
+    if engine == "mujoco":
+        given = module._set_constraints
+        monkeypatch.setattr(module, "_set_constraints", lambda model, scene, *rest: given(model, spoilt(scene, fault), *rest))
+
+
+def spoilt(scene: Scene, fault: str) -> Scene:
+    """A scene as a faulty adapter reads it."""
+    if fault == "friction off":
+        return replace(scene, frictions=tuple(replace(item, coefficient=sp.S.Zero) for item in scene.frictions))
+    change = {
+        "stiffness / 2": lambda contact: replace(contact, stiffness=contact.stiffness / 2),
+        "sign of the normal": lambda contact: replace(contact, penetration=-contact.penetration),
+        "damping ignored": lambda contact: replace(contact, damping=sp.S.Zero),
+    }[fault]
+    return replace(scene, contacts=tuple(map(change, scene.contacts)))
+
+
+def test_order_is_the_slope_of_error_over_step():
+    assert observed_order([1.6e-3, 4e-4, 1e-4, 2.5e-5]) == pytest.approx(2.0)
+    assert observed_order([1e-3, 1e-14, math.nan, 0.0]) is None
+
+
+def test_each_disagreement_is_explained_by_what_was_measured():
+    pytest.importorskip("mujoco")
+    creeps = asked(PROBLEMS["creep under load: mu = 0.5, half of what friction holds"], "mujoco")
+    assert creeps.sentence.startswith("regularised friction: 4 times as soft it is 4.0 times as wrong")
+    coarse = asked(PROBLEMS["stiffness at fixed step: k = 1e+08 N/m, h = 4 to 0.5 ms"], "mujoco")
+    assert coarse.sentence.startswith("too long a step: the finest is 5.8 radians of the contact")
+    collided = asked(PROBLEMS["two-body collision: masses 1 and 3"], "mujoco")
+    assert "the step's error: it falls with order" in collided.sentence
+
+
+def test_an_error_that_no_step_mends_is_decided_by_one_much_shorter():
+    problem = PROBLEMS["two-body collision: masses 1 and 3"]
+    end = problem.end()
+    stays = Motion(q=np.tile(end[:2], (151, 1)) + 0.01, v=np.tile(end[2:], (151, 1)), steps=1, seconds=0.0)
+    row = judged(problem, "fmu_everyday", Answer(came=Came.DONE, motions=(stays,) * 4), end)
+    assert row.sentence.startswith("its law of contact")
+    assert "32 times as short" in suite._decided(row, Answer(came=Came.DONE, motions=(stays,)), end).sentence
+    right = replace(stays, q=stays.q - 0.01)
+    assert suite._decided(row, Answer(came=Came.DONE, motions=(right,)), end).sentence.startswith("the step's error, uneven")
+    lost = replace(stays, q=stays.q * np.nan)
+    assert (
+        judged(problem, "fmu_everyday", Answer(came=Came.DONE, motions=(lost,) * 4), end).sentence == "it diverges, at the finest step too"
+    )
+
+
+@pytest.mark.slow
+def test_what_is_written_is_equal_twice_but_for_times(monkeypatch):
+    few = [PROBLEMS["two-body collision: masses 1 and 3"], PROBLEMS["rebound: Hunt-Crossley damping"]]
+    monkeypatch.setattr(suite, "problems", lambda: few)
+    runs = [recorded(("fmu", "fmu_everyday"), suite.measure(("fmu", "fmu_everyday"))) for _ in range(2)]
+    one, other = ([line.rsplit(",", 1)[0] for line in as_csv(record).splitlines()] for record in runs)
+    assert one == other
+    assert len(one) == 1 + 2 * 2 * 4
+    assert as_markdown(runs[0], "x") == as_markdown(runs[1], "x")
+    page = render_truth(runs[0], "python -m validate truth")
+    assert "Hunt-Crossley" in page
+    assert "grid-of-figs" in page
+
+
+def test_rows_without_a_number_stand_in_the_table():
+    problem = PROBLEMS["rebound: Hunt-Crossley damping"]
+    lost = judged(problem, "mujoco", Answer(came=Came.MISSING, why="engine mujoco: not installed"), problem.end())
+    fine = replace(lost, engine="fmu", came=Came.CANNOT, sentence="it has no such contact")
+    record = recorded(("fmu", "mujoco"), [fine, lost])
+    assert "cannot express it | not installed" in as_markdown(record, "x")
+    assert largest_disagreement(record.problems[0]) is not None
+    assert not reference_is_right([fine])
+
+
+@pytest.mark.slow
+def test_a_name_that_is_no_engine_and_one_that_is_missing(cli, monkeypatch, tmp_path: Path):
+    done = cli("truth", "--engine", "mujuco")
+    assert done.returncode == 2
+    assert "there is no engine 'mujuco'; did you mean mujoco" in done.stderr
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mujoco'] = None\n")
+    done = cli("truth", "--engine", "mujoco", PYTHONPATH=os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])]))
+    assert done.returncode == 3
+    assert "the package mujoco is not installed; pip install" in done.stderr
+    assert named_engines("fmu, fmu") == ("fmu",)
+
+
+def test_a_drive_gives_inputs_as_they_are_held():
+    problem = PROBLEMS["symmetric squeeze: two carts press a third"]
+    drive = Drive(scene=problem.scene, plan=problem.plan, start=np.zeros(6))
+    np.testing.assert_array_equal(drive.inputs(3, 0.5), [6.0, -6.0])

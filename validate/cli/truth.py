@@ -1,0 +1,226 @@
+"""`truth`: the contact truth suite."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from models.errors import MachineError
+from validate.cli.table import print_table, say, wide_option
+
+if TYPE_CHECKING:
+    from reports.records.check_record import ChartRecord
+    from reports.records.truth_record import TruthRecord
+    from validate.truth.suite import Row
+
+# Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind of contact.
+_DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate truth
+  python -m validate truth --engine fmu,mujoco --out runs/truth
+
+Exit codes: 0 our reference is right to 1e-7 on every problem, whatever the others
+are; 1 it is not; 2 a mistake; 3 an engine that was asked for by name is not
+installed, or a system requirement is missing.
+"""
+)
+@click.option("--engine", "engines", metavar="NAME,..", help="Engines to ask, by name; without it all there are.")
+@click.option("-j", "--jobs", type=click.IntRange(min=1), metavar="N", help="Problems at a time.  [default: the number of cores]")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write truth.html, truth.csv and truth.json there."
+)
+@click.option(
+    "--markdown",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.md",
+    help="Write the table of errors there, as docs/truth.md is.",
+)
+@wide_option
+@click.pass_obj
+def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, out: Path | None, markdown: Path | None) -> int:
+    """Put problems with exact answers to our FMU and to other simulators.
+
+    Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy, time, and a sentence on the largest disagreement.
+    docs/engines.md says what each engine is told.
+    """
+    from reports.pages.truth import as_markdown, largest_disagreement
+    from reports.render import render_truth
+    from validate.judge.simulator import engine_names
+    from validate.store.disk import make_folder, write_durably
+    from validate.store.provenance import command_line
+    from validate.truth.suite import measure
+
+    asked = named_engines(engines) if engines else engine_names()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    rows = measure(asked, jobs=jobs or cores, tell=lambda text: click.echo(text, err=True))
+    record = recorded(asked, rows)
+    if out is not None:
+        make_folder(out)
+        write_durably(out / "truth.html", render_truth(record, command_line(arguments)))
+        write_durably(out / "truth.csv", as_csv(record))
+        write_durably(out / "truth.json", record.model_dump_json(indent=1))
+    if markdown is not None:
+        make_folder(markdown.parent)
+        write_durably(markdown, as_markdown(record, command_line(arguments)))
+    shown = [
+        [
+            f"{of[0].phenomenon}: {of[0].problem}",
+            *(row.came if row.came != "done" else "diverges" if row.error is None else f"{row.error:.0e}" for row in of),
+        ]
+        for of in record.problems
+    ]
+    print_table(["problem", *asked], shown, tuple(asked))
+    click.echo()
+    for of in record.problems:
+        worst = largest_disagreement(of)
+        if worst is not None:
+            say(f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}.")
+    say(record.summary)
+    return 0 if reference_is_right(rows) else 1
+
+
+def named_engines(text: str) -> tuple[str, ...]:
+    """The engines of a comma-separated list, each once. Raises UnknownNameError, MachineError for one whose package is missing."""
+    from validate.judge.simulator import describe_engine, missing
+
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise click.UsageError("--engine: name at least one engine.")
+    for name in names:
+        describe_engine(name)
+    absent = [sentence for name in names if (sentence := missing(name))]
+    if absent:
+        raise MachineError(f"{'; '.join(absent)}.")
+    return names
+
+
+def reference_is_right(rows: list[Row]) -> bool:
+    """Whether our reference, where it was asked, is as near to every answer as it must be."""
+    from validate.truth.suite import NEAR, REFERENCE
+
+    return all(row.error <= NEAR for row in rows if row.engine == REFERENCE)
+
+
+def recorded(engines: tuple[str, ...], rows: list[Row]) -> TruthRecord:
+    """What is written of it."""
+    from reports.records.truth_record import EngineRecord, LevelRecord, TruthRecord, TruthRow
+    from validate.judge.simulator import describe_engine
+    from validate.truth.suite import NEAR, REFERENCE
+
+    def finite(value: float | None) -> float | None:
+        return value if value is not None and math.isfinite(value) else None
+
+    told = []
+    for row in rows:
+        problem = row.problem
+        levels = tuple(
+            LevelRecord(
+                step=level.step,
+                tolerance=level.tolerance,
+                error=finite(level.error),
+                energy=finite(level.energy),
+                microseconds=level.microseconds,
+            )
+            for level in row.levels
+        )
+        told.append(
+            TruthRow(
+                phenomenon=problem.phenomenon,
+                problem=problem.name,
+                source=problem.source,
+                engine=row.engine,
+                came=row.came.value,
+                sentence=row.sentence,
+                worst=row.worst,
+                order=row.order,
+                levels=levels,
+            )
+        )
+    about = {name: describe_engine(name) for name in engines}
+    phenomena = len({row.phenomenon for row in told})
+    own = [row.error for row in rows if row.engine == REFERENCE]
+    summary = f"{phenomena} phenomena in {len(told) // len(engines)} problems, by {', '.join(engines)}."
+    if own:
+        summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
+    return TruthRecord(
+        engines=tuple(EngineRecord(name=name, title=item.title, law=item.law, version=_version(item.package)) for name, item in about.items()),
+        rows=tuple(told), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
+    )  # fmt: skip
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package) if package else ""
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _chart(phenomenon: str, rows: list[Row]) -> ChartRecord | None:
+    """Error against CPU time of the first problem of a phenomenon, a curve an engine."""
+    from validate.stress.case import chart
+
+    first = next((row.problem for row in rows if row.problem.phenomenon == phenomenon), None)
+    drawn = {
+        row.engine: ([level.seconds for level in row.levels], [level.error for level in row.levels])
+        for row in rows
+        if row.problem is first and row.levels
+    }
+    if first is None or not drawn:
+        return None
+    words = "Down and to the left is better: less error for less time. Each curve is one engine at four steps or tolerances."
+    return chart(f"{phenomenon}, {first.name}", ("CPU time", "s"), ("error", ""), drawn, log_x=True, log_y=True, words=words)
+
+
+def as_csv(record: TruthRecord) -> str:
+    """A row a level: all that was measured."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        [
+            "phenomenon",
+            "problem",
+            "engine",
+            "came",
+            "step",
+            "tolerance",
+            "error",
+            "worst",
+            "energy error",
+            "order",
+            "sentence",
+            "microseconds",
+        ]
+    )
+    for row in record.rows:
+        for level in row.levels or (None,):
+            numbers = (None,) * 5 if level is None else (level.step, level.tolerance, level.error, level.energy, level.microseconds)
+            step, tolerance, error, energy, microseconds = ("" if value is None else repr(value) for value in numbers)
+            order = "" if row.order is None else repr(row.order)
+            rows.writerow(
+                [
+                    row.phenomenon,
+                    row.problem,
+                    row.engine,
+                    row.came,
+                    step,
+                    tolerance,
+                    error,
+                    row.worst,
+                    energy,
+                    order,
+                    row.sentence,
+                    microseconds,
+                ]
+            )
+    return text.getvalue()

@@ -1,0 +1,1 @@
+"""The contact truth suite: phenomena with exact answers, put to every engine."""
