@@ -46,8 +46,11 @@ _SAME, _LONGEST = 1e-5, 1e-1
 _GOOD_ENOUGH = 1e-13
 # A refined point may violate rows and bounds by this, or by as much as Ipopt's did.
 _STAYS_FEASIBLE = 1e-9
-# Where more than this is left and the objective is flatter than _FLAT, Ipopt's tolerance was too loose for it: once more with a tighter one.
-_UNREFINED, _FLAT, _TIGHTEST = 1e-6, 1e-1, 1e-14
+# Where more than this is left, Ipopt's tolerance was too loose to tell what is active: once more from there with a tighter one, by this at least, and by
+# more where the objective is flat.
+_UNREFINED, _TIGHTER, _TIGHTEST = 1e-6, 1e-3, 1e-14
+
+_SMALL_BARRIER = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -338,7 +341,7 @@ class Branching:
 
     def _solve_anew(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
         problem, columns = self._columns.problem, self._columns
-        low, high, row_low, row_high = (bound.copy() for bound in self._work.branch_bounds)
+        low, high, row_low, row_high = (bound.copy() for bound in self._columns.bounds)
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
         # Where v equals a variable u of the user both are held and the row between them says nothing more: a row holds within a tolerance
@@ -383,10 +386,10 @@ class Branching:
     def _refined(self, problem: IpoptProblem, result: IpoptResult, options: dict[str, Any]) -> Refined:
         better = refined(problem, result, self._size)
         size = min(self._size, slope_size(problem, better.x))
-        if better.error <= _UNREFINED or not 0.0 < size < _FLAT or self._budget.is_over:
+        if better.error <= _UNREFINED or not size > 0.0 or self._budget.is_over:
             return better
-        tight = {**options, "tol": max(_TIGHTEST, options["tol"] * size**2)}
-        scaled = self._budget.run(problem, tight, Start(x=better.x))
+        tight = {**options, "tol": max(_TIGHTEST, options["tol"] * min(size**2, _TIGHTER)), "mu_init": _SMALL_BARRIER}
+        scaled = self._budget.run(problem, tight, Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
         again = refined(problem, scaled, self._size) if scaled.solved else better
         return again if again.error < better.error else better
 

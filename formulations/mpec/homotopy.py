@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyomo.environ as pyo
 
 from formulations.ipopt import IpoptProblem, IpoptResult, MissingValueError, Start, compile_model, solve
 from formulations.ipopt.solve import repeats_constraints
@@ -33,11 +34,13 @@ _RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
 class Columns:
     """Where things are in a compiled problem.
 
-    first[k], second[k]: columns of pair k; twin[k]: the column of the user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
+    bounds: of variables and rows as the problem was compiled, (n,), (n,), (m,), (m,); first[k], second[k]: columns of pair k; twin[k]: the column of the
+    user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
     """
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
+        self.bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
         self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
         self.first = np.array([self.place[id(pair.first)] for pair in lifted.pairs], dtype=np.intp)
         self.second = np.array([self.place[id(pair.second)] for pair in lifted.pairs], dtype=np.intp)
@@ -63,22 +66,20 @@ def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
 
 
 class Workspace:
-    """Compiled once per strategy; only numbers change afterwards."""
+    """Compiled once per strategy, `branches` once for all; only numbers change afterwards. own: `id`s of the variables that the user does not have."""
 
-    def __init__(self, lifted: Lifted, strategy: Strategy) -> None:
-        self.lifted = lifted
-        self.branches = _compile_branches(lifted)
-        problem = self.branches.problem
-        self.branch_bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
-        self.strategy = strategy
-        strategy.attach(lifted)
+    def __init__(self, lifted: Lifted, branches: Columns, strategy: Strategy) -> None:
+        self.lifted, self.branches, self.strategy = lifted, branches, strategy
+        self._steered = strategy.attach(lifted)
         self.relaxed = Columns(compile_model(lifted.shadow), lifted)
+        added = lifted.shadow.relaxation.component_data_objects(pyo.Var)
+        self.own = {id(variable) for variable in (*self._slacks(), *added)}
         known = self.relaxed.place
         self._to_branch = np.array([known.get(id(variable), -1) for variable in self.branches.problem.variables], dtype=np.intp)
 
     def set(self, eps: float) -> None:
         """Move the relaxation to eps."""
-        self.strategy.set(self.lifted, eps)
+        self._steered.value = self.strategy.number(eps)
         self.relaxed.problem.refresh(check=False)
 
     def start(self, number: int = 0) -> np.ndarray:
@@ -158,8 +159,8 @@ def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
         x[columns] = np.clip(chosen, problem.lower[columns], problem.upper[columns])
 
 
-def _compile_branches(lifted: Lifted) -> Columns:
-    """The problem without products. A side that stands nowhere else keeps its row w >= 0, so that it has a column."""
+def compile_branches(lifted: Lifted) -> Columns:
+    """The problem without products, to be compiled before any relaxation. A side that stands nowhere else keeps its row w >= 0, so that it has a column."""
     lifted.products(active=False)
     problem = compile_model(lifted.shadow)
     present = {id(variable) for variable in problem.variables}
@@ -170,7 +171,6 @@ def _compile_branches(lifted: Lifted) -> Columns:
         problem = compile_model(lifted.shadow)
         for pair in lonely:
             pair.c.deactivate()
-    lifted.products(active=True)
     return Columns(problem, lifted)
 
 

@@ -191,6 +191,16 @@ class Lifted:
     pairs: tuple[LiftedPair, ...]
     imposed: tuple[tuple[Any, int, Any], ...]
 
+    def relaxation(self) -> Any:
+        """A new empty block for a relaxation; products and what was written for another relaxation are no part of the shadow any more."""
+        shadow = self.shadow
+        shadow.del_component("relaxation")
+        shadow.relaxation = pyo.Block()
+        self.products(active=False)
+        if shadow.component("user_objective") is not None:
+            shadow.user_objective.activate()
+        return shadow.relaxation
+
     def products(self, *, active: bool) -> None:
         """Switch all products v w <= mpec_bound on or off."""
         for pair in self.pairs:

@@ -206,7 +206,7 @@ def result_of(
     """
     work, branch, x = candidate.work, candidate.branch, candidate.x
     problem = candidate.columns.problem
-    mine = _own(candidate)
+    mine = work.own
     keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
@@ -267,7 +267,7 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     assert branch is not None
     problem = columns.problem
     slope = branch.slope
-    mine = _own(candidate)
+    mine = candidate.work.own
     users = {id(row) for row in _user_rows(candidate)}
     rows = ComponentMap((row, -value) for row, value in zip(problem.equations, branch.lagrange.tolist(), strict=True) if id(row) in users)
     bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
@@ -308,13 +308,6 @@ def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, flo
                 del bounds[body]  # of two pairs with this side one has it
         told.append((condition, (candidate.sense * both[0], candidate.sense * both[1])))
     return tuple(told)
-
-
-def _own(candidate: Candidate) -> set[int]:
-    """Variables that exist in the shadow only."""
-    shadow = candidate.work.lifted.shadow
-    extra = [shadow.elastic] if shadow.component("elastic") is not None else []
-    return {id(variable) for variable in (*shadow.slack.values(), *(pair.first for pair in candidate.work.lifted.pairs), *extra)}
 
 
 def _user_rows(candidate: Candidate) -> tuple[Any, ...]:

@@ -34,7 +34,7 @@ from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_mult
 from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
-from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, natural_residual
+from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, compile_branches, natural_residual
 from formulations.mpec.kinks import SmoothCopy, smooth_copy
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
@@ -47,7 +47,7 @@ from formulations.mpec.result import (
     result_of,
     verdict,
 )
-from formulations.mpec.strategies import STRATEGIES, MpecSettings, Strategy, read_settings
+from formulations.mpec.strategies import STRATEGIES, MpecSettings, read_settings
 from formulations.solution import Outcome
 
 logger = logging.getLogger(__name__)
@@ -124,13 +124,15 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     steps: list[Step] = []
     attempts: list[StrategyAttempt] = []
     searched: list[Branch] = []
-    first_success, has_pairs = 0, True
-    for start, name in itertools.product(range(settings.starts), settings.strategies):
-        if not has_pairs and name != settings.strategies[0]:
-            continue  # without pairs all strategies are the same
+    first_success = 0
+    lifted = lift(model)
+    branches, works = compile_branches(lifted), dict[str, Workspace]()
+    strategies = settings.strategies if lifted.pairs else settings.strategies[:1]  # without pairs all are the same
+    for start, name in itertools.product(range(settings.starts), strategies):
         before = budget.iterations
-        candidate = _run_strategy(model, STRATEGIES[name], start, settings, budget, steps, searched)
-        has_pairs = bool(candidate.work.lifted.pairs)
+        if name not in works:
+            works[name] = Workspace(lifted, branches, STRATEGIES[name])
+        candidate = _run_strategy(works[name], start, settings, budget, steps, searched)
         outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
         if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
             result = _judged(model, candidate, settings, budget)
@@ -176,19 +178,18 @@ def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
 
 
 def _run_strategy(
-    model: Any, strategy: Strategy, number: int, settings: MpecSettings, budget: WorkBudget, steps: list[Step], searched: list[Branch]
+    work: Workspace, number: int, settings: MpecSettings, budget: WorkBudget, steps: list[Step], searched: list[Branch]
 ) -> Candidate:
     """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
 
     searched: branches around which others were tried before, which is not done again
     """
-    lifted = lift(model)
-    work = Workspace(lifted, strategy)
+    strategy = work.strategy
     start = work.start(number)
     path, branching = Path(work, strategy, settings, budget, steps), Branching(work, start, settings, budget)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
-    if not lifted.pairs:
+    if not work.lifted.pairs:
         branch = branching.polish(start)
         message = "" if branching.last is None else branching.last.message
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
@@ -256,8 +257,8 @@ def _judged(model: Any, candidate: Candidate, settings: MpecSettings, budget: Wo
     if settings.certificate:
         with values_set(candidate.columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
-            if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
-                with_multipliers, certificate = False, certify(model)
+            if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate found its own
+                with_multipliers, certificate = False, replace(certificate, given_dual=math.nan)
     ended = verdict(candidate, residual, certificate, settings)
     return result_of(candidate, settings, *ended, residual=residual, certificate=certificate, with_multipliers=with_multipliers)
 

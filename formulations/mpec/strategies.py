@@ -1,7 +1,7 @@
 """Strategies: the ways to make the pairs of a shadow smooth, each steered by one number eps > 0 that goes to 0.
 
-STRATEGIES["scholtes"].attach(lifted)        # once, before the shadow is compiled
-STRATEGIES["scholtes"].set(lifted, eps)
+steered = STRATEGIES["scholtes"].attach(lifted)        # once, before the shadow is compiled
+steered.value = STRATEGIES["scholtes"].number(eps)
 
 `MpecSettings` are the options of a solve: `mpec_ipopt` reads its own by name, everything else goes to Ipopt (and is refused there if Ipopt does not
 have it).
@@ -38,23 +38,23 @@ class Strategy(ABC):
     bounds_products: bool = False
 
     @abstractmethod
-    def attach(self, lifted: Lifted) -> None:
-        """Write the relaxation into the shadow, once, before it is compiled."""
+    def attach(self, lifted: Lifted) -> Any:
+        """Write the relaxation into the shadow, in place of another. Returns the mutable Param that steers it."""
 
-    @abstractmethod
-    def set(self, lifted: Lifted, eps: float) -> None:
-        """Move the mutable Param to this eps."""
+    def number(self, eps: float) -> float:
+        """What the Param is at this eps."""
+        return eps
 
 
 def _replace_objective(shadow: Any, penalty: Any) -> None:
     """Add a penalty (to be kept small) to whatever the user's objective is."""
     given = shadow.component("user_objective")
     if given is None:
-        shadow.penalised = pyo.Objective(expr=penalty)
+        shadow.relaxation.penalised = pyo.Objective(expr=penalty)
         return
     given.deactivate()
     sign = 1.0 if given.sense == pyo.minimize else -1.0
-    shadow.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
+    shadow.relaxation.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
 
 
 class Scholtes(Strategy):
@@ -67,13 +67,11 @@ class Scholtes(Strategy):
     first = 1e3
     bounds_products = True
 
-    def attach(self, lifted: Lifted) -> None:
+    def attach(self, lifted: Lifted) -> Any:
         """Products at most `mpec_bound`."""
+        lifted.relaxation()
         lifted.products(active=True)
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        """The bound is eps."""
-        lifted.shadow.mpec_bound.value = eps
+        return lifted.shadow.mpec_bound
 
 
 class _PathEquation(Strategy):
@@ -86,22 +84,18 @@ class _PathEquation(Strategy):
     def radicand(v: Any, w: Any, eps: Any) -> Any:
         """Of two expressions and the Param that goes to 0."""
 
-    def attach(self, lifted: Lifted) -> None:
+    def attach(self, lifted: Lifted) -> Any:
         """One equation a pair instead of its product."""
-        lifted.products(active=False)
-        shadow = lifted.shadow
-        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
+        block = lifted.relaxation()
+        block.smoothing = pyo.Param(mutable=True, initialize=self.first)
         sides = [(pair.first, pair.second) for pair in lifted.pairs]
 
-        def equation(_: Any, k: int) -> Any:
+        def equation(block: Any, k: int) -> Any:
             v, w = sides[k]
-            return v + w - pyo.sqrt(self.radicand(v, w, shadow.smoothing)) == 0
+            return v + w - pyo.sqrt(self.radicand(v, w, block.smoothing)) == 0
 
-        shadow.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        """The smoothing is eps."""
-        lifted.shadow.smoothing.value = eps
+        block.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
+        return block.smoothing
 
 
 class Smoothing(_PathEquation):
@@ -131,19 +125,20 @@ class _Penalty(Strategy):
 
     last = 1e-8
 
-    def attach(self, lifted: Lifted) -> None:
+    def attach(self, lifted: Lifted) -> Any:
         """No products; a weighted penalty in the objective."""
-        lifted.products(active=False)
-        lifted.shadow.weight = pyo.Param(mutable=True, initialize=1.0)
-        self._penalise(lifted.shadow, [(pair.first, pair.second) for pair in lifted.pairs])
+        block = lifted.relaxation()
+        block.weight = pyo.Param(mutable=True, initialize=1.0)
+        _replace_objective(lifted.shadow, self._penalty(block, [(pair.first, pair.second) for pair in lifted.pairs]))
+        return block.weight
 
     @abstractmethod
-    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
-        """Put the weighted penalty of the pairs with these sides into the objective."""
+    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
+        """The penalty of the pairs with these sides, times `block.weight`."""
 
-    def set(self, lifted: Lifted, eps: float) -> None:
+    def number(self, eps: float) -> float:
         """The weight is 1 / eps."""
-        lifted.shadow.weight.value = 1.0 / eps
+        return 1.0 / eps
 
 
 class Elastic(_Penalty):
@@ -151,10 +146,10 @@ class Elastic(_Penalty):
 
     name = "elastic"
 
-    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
-        shadow.elastic = pyo.Var(bounds=(0.0, None), initialize=1.0)
-        shadow.elastic_product = pyo.Constraint(range(len(sides)), rule=lambda _, k: sides[k][0] * sides[k][1] <= shadow.elastic)
-        _replace_objective(shadow, shadow.weight * shadow.elastic)
+    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
+        block.elastic = pyo.Var(bounds=(0.0, None), initialize=1.0)
+        block.elastic_product = pyo.Constraint(range(len(sides)), rule=lambda block, k: sides[k][0] * sides[k][1] <= block.elastic)
+        return block.weight * block.elastic
 
 
 class L1Penalty(_Penalty):
@@ -162,8 +157,8 @@ class L1Penalty(_Penalty):
 
     name = "l1_penalty"
 
-    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
-        _replace_objective(shadow, sum((shadow.weight * first * second for first, second in sides), start=0.0))
+    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
+        return sum((block.weight * first * second for first, second in sides), start=0.0)
 
 
 class Direct(Scholtes):

@@ -299,7 +299,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
 
 
 def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
-    """Largest of: what the multipliers leave of the gradient; wrong signs; products of multiplier and distance. Relative to the scale."""
+    """Largest of: what the multipliers leave of the gradient; wrong signs; multipliers of what is not active. Relative to the scale."""
     none = (0.0, 0.0)
     y = np.array([
         multipliers.rows.get(row.source, 0.0) if row.argument is None else multipliers.pairs.get(row.source, none)[row.argument]
@@ -313,12 +313,17 @@ def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplie
         rest = rest - matrix.T @ vector
     wrong = [float(np.max(np.abs(rest), initial=0.0))]
     for row, multiplier in zip((*local.rows, *local.bounds), (*y, *z), strict=True):
-        distance = row.value - row.lower if multiplier > 0 else row.upper - row.value
+        limit = row.lower if multiplier > 0 else row.upper
         if multiplier != 0.0 and row.lower != row.upper:
-            wrong.append(abs(multiplier) if math.isinf(distance) else abs(multiplier) * max(0.0, distance))
-    wrong += [abs(m) * max(0.0, p.first) for m, p in zip(nu, local.pairs, strict=True)]
-    wrong += [abs(m) * max(0.0, p.second) for m, p in zip(mu, local.pairs, strict=True)]
+            wrong.append(_wrong(multiplier, abs(row.value - limit), _size(row)))
+    wrong += [_wrong(m, p.first, 1.0) for m, p in zip(nu, local.pairs, strict=True)]
+    wrong += [_wrong(m, p.second, 1.0) for m, p in zip(mu, local.pairs, strict=True)]
     return _largest(wrong) / active.scale
+
+
+def _wrong(multiplier: float, distance: float, size: float) -> float:
+    """A multiplier of what is not active counts whole, as for who looks for multipliers without knowing these; of what is active, times the distance."""
+    return abs(multiplier) * (max(0.0, distance) if distance <= _ACTIVE * size else 1.0)
 
 
 def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:

@@ -217,10 +217,10 @@ BOX = local(
     [
         ({}, {}, {}, 8.0),
         ({_equal: -8.0}, {}, {}, 4.0),
-        ({_equal: -8.0, _least: 4.0}, {}, {}, 4.0 * 2.0),  # its row is 2 away from its bound
+        ({_equal: -8.0, _least: 4.0}, {}, {}, 4.0),  # its row is 2 away from its bound: a multiplier there counts whole
         ({_equal: -13.0}, {_y: 5.0}, {}, 5.0),  # y has no lower bound: no push of 5 may come from there
         ({_equal: -8.0}, {_x: 4.0}, {}, 4.0),  # x is 1 away from its bound
-        ({}, {_x: 4.0, _y: -8.0}, {}, 4.0),  # y is 0.5 away from its upper one: 4 of each
+        ({}, {_x: 4.0, _y: -8.0}, {}, 8.0),  # y is 0.5 away from its upper one
         ({_equal: -8.0}, {}, {_pair: (2.0, 0.0)}, 2.0),  # of the second argument, which is the first side: mu = 2
         ({_equal: -8.0}, {}, {_pair: (0.0, -4.0)}, 4.0),  # of the first side, flipped: nu = 4, which leaves (0, -4)
     ],
@@ -230,10 +230,13 @@ def test_what_multipliers_leave_by_hand(rows: dict, bounds: dict, pairs: dict, l
     assert found == pytest.approx(left / 8.0)
 
 
-@pytest.mark.parametrize(("given", "left"), [((3.0, 0.0), 30.0), ((-3.0, 0.0), 30.0), ((0.0, 3.0), 60.0), ((0.0, -3.0), 60.0)])
-def test_a_multiplier_of_a_side_that_is_not_zero_counts_by_its_distance(given: tuple[float, float], left: float):
-    """It leaves nothing of the gradient, but its sides are 10 and 20."""
-    one = pair(10.0, 20.0)
+@pytest.mark.parametrize("given", [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)])
+@pytest.mark.parametrize(("distance", "left"), [(10.0, 3.0), (1e-5, 3.0), (5e-7, 1.5e-6)])
+def test_a_multiplier_of_a_side_counts_whole_where_it_is_open_else_by_its_distance(
+    given: tuple[float, float], distance: float, left: float
+):
+    """It leaves nothing of the gradient, but its side is not 0."""
+    one = pair(distance, distance)
     model = local([row(1.0)], pairs=[(one, (1.0,), (1.0,))], gradient=(sum(given),))
     assert _given_residual(model, active_set(model, 1e-6), Multipliers(pairs={one.source: given})) == pytest.approx(left / 3.0)
     near = pair(-10.0, -20.0)

@@ -15,7 +15,7 @@ from pyomo.opt import SolverStatus, TerminationCondition
 
 from formulations.mpec import MpecSettings, Multipliers, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
-from formulations.mpec.homotopy import WorkBudget, Workspace
+from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
@@ -177,7 +177,7 @@ def test_biactive_and_strongly_stationary():
 def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     """With x held at 0, y ends at 0 too, and x is worth more than 0: the multiplier says so."""
     m = two(lambda m: (m.x - 1) ** 2 + (m.y + 1) ** 2)
-    work = Workspace(lift(m), STRATEGIES["scholtes"])
+    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"])
     x = np.zeros(work.relaxed.problem.n)
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
     branching = Branching(work, x, MpecSettings(), WorkBudget(None))
