@@ -49,7 +49,7 @@ _STAYS_FEASIBLE = 1e-9
 # Where more than this is left, Ipopt's tolerance was too loose to tell what is active: once more from there with a tighter one, by this at least, and by
 # more where the objective is flat.
 _UNREFINED, _TIGHTER, _TIGHTEST = 1e-6, 1e-3, 1e-14
-
+# The barrier that a solve begins with which goes on from a solution.
 _SMALL_BARRIER = 1e-10
 
 
