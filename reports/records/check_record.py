@@ -48,7 +48,7 @@ class ChartRecord(Model):
 class CheckRow(Model):
     """One check of an FMU: what it claims of a sound one, and what was found.
 
-    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it, or nothing; severity: what a failure of it is.
+    type: "ME", "CS", or nothing for the file; clause: the section of the standard that demands it, or nothing; severity: what a failure of it is, or nothing where that is not known.
     """
 
     name: str
@@ -58,7 +58,7 @@ class CheckRow(Model):
     sentence: str
     seconds: Finite
     clause: str = ""
-    severity: Literal["error", "behaviour", "advice"] = "error"
+    severity: Literal["", "error", "behaviour", "advice"] = ""
 
 
 class FmuRecord(Model):

@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # the child of an engine that needs no scene's equations impo
     from models.scene import Scene
 
 FOLDER = Path(__file__).parent / "engines"
-_INSTALL = "pip install 'touchstone-contact[engines]'"
+_INSTALL = "pip install -e '.[engines]'"
 # What a run of an engine may use; the largest of the truth suite takes some 20 s of it on a quiet core.
 LIMITS = Limits(seconds=300.0)
 

@@ -57,7 +57,7 @@ def test_a_package_that_is_missing_is_said(monkeypatch):
     monkeypatch.setattr(simulator.importlib.util, "find_spec", lambda name: None)
     answer = run_engine("mujoco", [drive("wall_pendulum")])
     assert answer.came is Came.MISSING
-    assert answer.why == "engine mujoco: the package mujoco is not installed; pip install 'touchstone-contact[engines]'"
+    assert answer.why == "engine mujoco: the package mujoco is not installed; pip install -e '.[engines]'"
     with pytest.raises(MachineError, match="not installed"):
         load_engine("mujoco")
 
