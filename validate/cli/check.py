@@ -11,10 +11,9 @@ from typing import TypeAlias
 import click
 
 from validate.cli import check_formats as formats
-from validate.cli.options import FiniteRange
+from validate.cli.options import FiniteRange, write, written_to
 from validate.cli.table import one_line, say, wide_option
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
-from validate.store.disk import make_folder, write_durably
 from validate.store.provenance import command_line
 
 # An FMU's report, with the seconds that its checks took: wall and CPU [s].
@@ -39,34 +38,10 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object; of several FMUs, a list of them.")
-@click.option(
-    "--html",
-    "html_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write a page there with every check.",
-)
-@click.option(
-    "--junit",
-    "junit_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.xml",
-    help="Write JUnit XML there, for CI: a test suite an FMU, a test case a check.",
-)
-@click.option(
-    "--sarif",
-    "sarif_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.sarif",
-    help="Write SARIF there, for code scanning: what failed, what was waived, and advice.",
-)
-@click.option(
-    "--markdown",
-    "markdown_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.md",
-    help="Write Markdown there, to be pasted into an issue or a README.",
-)
+@written_to("--html", "html_file", "FILE.html", "a page with every check")
+@written_to("--junit", "junit_file", "FILE.xml", "JUnit XML, for CI: a test suite an FMU, a test case a check")
+@written_to("--sarif", "sarif_file", "FILE.sarif", "SARIF, for code scanning: what failed, what was waived, and advice")
+@written_to("--markdown", "markdown_file", "FILE.md", "Markdown, to be pasted into an issue or a README")
 @click.option(
     "--waive",
     "waivers",
@@ -94,10 +69,15 @@ def command(
     in child processes: one that hangs or crashes fails the check, and harms nothing else.
     """
     checked: list[Checked] = []
-    waived = _waivers(waivers)
+    waived, context = _waivers(waivers), click.get_current_context()
+
+    def told(row: FmuCheckRow) -> None:
+        with context.scope(cleanup=False):  # rows are told by another thread, which knows no --wide of its own
+            _print(row)
+
     for file in files:
         before = os.times()
-        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else _print)
+        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else told)
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
         checked.append((report, after.elapsed - before.elapsed, cpu))
@@ -111,19 +91,14 @@ def command(
         found = [formats.data(report) for report in reports]
         click.echo(json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False))
     if html_file is not None:
-        _write(html_file, _page(checked, arguments))
+        write(html_file, _page(checked, arguments))
     if junit_file is not None:
-        _write(junit_file, formats.junit([(report, spent) for report, spent, _ in checked]))
+        write(junit_file, formats.junit([(report, spent) for report, spent, _ in checked]))
     if sarif_file is not None:
-        _write(sarif_file, formats.sarif(reports))
+        write(sarif_file, formats.sarif(reports))
     if markdown_file is not None:
-        _write(markdown_file, formats.markdown(reports, command_line(arguments)))
+        write(markdown_file, formats.markdown(reports, command_line(arguments)))
     return max((report.exit_code for report in reports), key=(0, 3, 1).index)
-
-
-def _write(file: Path, content: str | bytes) -> None:
-    make_folder(file.parent)
-    write_durably(file, content)
 
 
 def _summary(report: CheckReport) -> str:

@@ -16,6 +16,7 @@ from click.shell_completion import CompletionItem
 
 from models.catalog import scene_names
 from validate.cli.table import wide_option
+from validate.store.disk import make_folder, write_durably
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -35,6 +36,18 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number.", param, ctx)
         return number
+
+
+def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[_Command], _Command]:
+    """An option for a file that a command writes. name: of the command's parameter; what: is written."""
+    kind = click.Path(path_type=Path, dir_okay=False)
+    return click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")
+
+
+def write(file: Path, content: str | bytes) -> None:
+    """Write such a file, its folder too. Raises MachineError where the disk refuses."""
+    make_folder(file.parent)
+    write_durably(file, content)
 
 
 def _our_plugin() -> str:

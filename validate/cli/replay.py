@@ -14,7 +14,7 @@ import click
 
 from models.catalog import load_scene
 from validate.cli.metrics import Row, print_metrics
-from validate.cli.options import FiniteRange, scenes
+from validate.cli.options import FiniteRange, scenes, write, written_to
 from validate.cli.table import say, warn, wide_option
 from validate.execution.isolated import Limits
 from validate.store.disk import make_folder, write_durably
@@ -73,13 +73,7 @@ or FMU; 3 a system requirement is missing.
 )
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
-@click.option(
-    "--html",
-    "html_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write a page there with verdict, player, plots and metrics.",
-)
+@written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
 @click.pass_obj
 def command(
@@ -206,8 +200,7 @@ def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
-    make_folder(target.parent)
-    write_durably(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))
+    write(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))
 
 
 def _print(judgement: Judgement) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from validate.cli.options import scenes
+from validate.cli.options import scenes, write, written_to
 from validate.cli.table import print_table, say, short, wide_option
 
 if TYPE_CHECKING:
@@ -44,20 +44,8 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 @click.option("--anyway", is_flag=True, help="Measure a plan too that does not hold to begin with.")
 @click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
 @wide_option
-@click.option(
-    "--html",
-    "html_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write a page with curves and player there.",
-)
-@click.option(
-    "--csv",
-    "csv_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.csv",
-    help="Write every world there: what was otherwise in it, and how near to its limit the plan came.",
-)
+@written_to("--html", "html_file", "FILE.html", "a page with curves and player")
+@written_to("--csv", "csv_file", "FILE.csv", "every world: what was otherwise in it, and how near to its limit the plan came")
 def command(
     plan: str,
     scene: str | None,
@@ -78,7 +66,6 @@ def command(
     from reports.records.robustness_record import RobustnessRecord
     from validate.cli.group import INTERRUPTED
     from validate.judge.robustness import robustness
-    from validate.store.disk import make_folder, write_durably
 
     subject, trajectory, name = _plan_of(plan, scene, folder)
     found = robustness(
@@ -92,13 +79,11 @@ def command(
     )
     record = RobustnessRecord.model_validate(found)
     if csv_file is not None:
-        make_folder(csv_file.parent)
-        write_durably(csv_file, _worlds(found))
+        write(csv_file, _worlds(found))
     if html_file is not None:
         from validate.tasks.shown import robustness_page
 
-        make_folder(html_file.parent)
-        write_durably(html_file, robustness_page(found, record, subject, trajectory, name))
+        write(html_file, robustness_page(found, record, subject, trajectory, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:

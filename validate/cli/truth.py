@@ -5,21 +5,29 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from models.errors import MachineError
+from reports.pages.truth import as_markdown, largest_disagreement
+from reports.records.check_record import ChartRecord
+from reports.records.truth_record import EngineRecord, LevelRecord, TruthRecord, TruthRow
+from reports.render import render_truth
+from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
+from validate.execution.process import usable_cores
+from validate.judge.simulator import describe_engine, engine_names, missing
+from validate.store.provenance import command_line
+from validate.stress.case import chart
+from validate.truth.suite import NEAR, REFERENCE, EngineResult, measure
 
-if TYPE_CHECKING:
-    from reports.records.check_record import ChartRecord
-    from reports.records.truth_record import TruthRecord
-    from validate.truth.suite import Row
-
+# Of the CSV; times come last, as nothing else differs between two runs.
+_COLUMNS = (
+    *("phenomenon", "problem", "engine", "came", "step", "tolerance"),
+    *("error", "worst", "energy error", "order", "sentence", "microseconds"),
+)
 # Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind of contact.
 _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
 
@@ -40,12 +48,7 @@ installed, or a system requirement is missing.
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write truth.html, truth.csv and truth.json there."
 )
-@click.option(
-    "--markdown",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.md",
-    help="Write the table of errors there, as docs/truth.md is.",
-)
+@written_to("--markdown", "markdown", "FILE.md", "the table of errors, as docs/truth.md is")
 @wide_option
 @click.pass_obj
 def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, out: Path | None, markdown: Path | None) -> int:
@@ -54,25 +57,15 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
     Thirteen phenomena, from a rebound to stick-slip, each at four steps: error, order, energy, time, and a sentence on the largest disagreement.
     docs/engines.md says what each engine is told.
     """
-    from reports.pages.truth import as_markdown, largest_disagreement
-    from reports.render import render_truth
-    from validate.judge.simulator import engine_names
-    from validate.store.disk import make_folder, write_durably
-    from validate.store.provenance import command_line
-    from validate.truth.suite import measure
-
     asked = named_engines(engines) if engines else engine_names()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    rows = measure(asked, jobs=jobs or cores, tell=lambda text: click.echo(text, err=True))
+    rows = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
     record = recorded(asked, rows)
     if out is not None:
-        make_folder(out)
-        write_durably(out / "truth.html", render_truth(record, command_line(arguments)))
-        write_durably(out / "truth.csv", as_csv(record))
-        write_durably(out / "truth.json", record.model_dump_json(indent=1))
+        write(out / "truth.html", render_truth(record, command_line(arguments)))
+        write(out / "truth.csv", as_csv(record))
+        write(out / "truth.json", record.model_dump_json(indent=1))
     if markdown is not None:
-        make_folder(markdown.parent)
-        write_durably(markdown, as_markdown(record, command_line(arguments)))
+        write(markdown, as_markdown(record, command_line(arguments)))
     shown = [
         [
             f"{of[0].phenomenon}: {of[0].problem}",
@@ -92,8 +85,6 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
 
 def named_engines(text: str) -> tuple[str, ...]:
     """The engines of a comma-separated list, each once. Raises UnknownNameError, MachineError for one whose package is missing."""
-    from validate.judge.simulator import describe_engine, missing
-
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
         raise click.UsageError("--engine: name at least one engine.")
@@ -105,18 +96,13 @@ def named_engines(text: str) -> tuple[str, ...]:
     return names
 
 
-def reference_is_right(rows: list[Row]) -> bool:
+def reference_is_right(rows: list[EngineResult]) -> bool:
     """Whether our reference, where it was asked, is as near to every answer as it must be."""
-    from validate.truth.suite import NEAR, REFERENCE
-
     return all(row.error <= NEAR for row in rows if row.engine == REFERENCE)
 
 
-def recorded(engines: tuple[str, ...], rows: list[Row]) -> TruthRecord:
+def recorded(engines: tuple[str, ...], rows: list[EngineResult]) -> TruthRecord:
     """What is written of it."""
-    from reports.records.truth_record import EngineRecord, LevelRecord, TruthRecord, TruthRow
-    from validate.judge.simulator import describe_engine
-    from validate.truth.suite import NEAR, REFERENCE
 
     def finite(value: float | None) -> float | None:
         return value if value is not None and math.isfinite(value) else None
@@ -166,10 +152,8 @@ def _version(package: str) -> str:
         return ""
 
 
-def _chart(phenomenon: str, rows: list[Row]) -> ChartRecord | None:
+def _chart(phenomenon: str, rows: list[EngineResult]) -> ChartRecord | None:
     """Error against CPU time of the first problem of a phenomenon, a curve an engine."""
-    from validate.stress.case import chart
-
     first = next((row.problem for row in rows if row.problem.phenomenon == phenomenon), None)
     drawn = {
         row.engine: ([level.seconds for level in row.levels], [level.error for level in row.levels])
@@ -186,41 +170,12 @@ def as_csv(record: TruthRecord) -> str:
     """A row a level: all that was measured."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(
-        [
-            "phenomenon",
-            "problem",
-            "engine",
-            "came",
-            "step",
-            "tolerance",
-            "error",
-            "worst",
-            "energy error",
-            "order",
-            "sentence",
-            "microseconds",
-        ]
-    )
+    rows.writerow(_COLUMNS)
     for row in record.rows:
         for level in row.levels or (None,):
             numbers = (None,) * 5 if level is None else (level.step, level.tolerance, level.error, level.energy, level.microseconds)
             step, tolerance, error, energy, microseconds = ("" if value is None else repr(value) for value in numbers)
             order = "" if row.order is None else repr(row.order)
-            rows.writerow(
-                [
-                    row.phenomenon,
-                    row.problem,
-                    row.engine,
-                    row.came,
-                    step,
-                    tolerance,
-                    error,
-                    row.worst,
-                    energy,
-                    order,
-                    row.sentence,
-                    microseconds,
-                ]
-            )
+            about = (row.phenomenon, row.problem, row.engine, row.came)
+            rows.writerow([*about, step, tolerance, error, row.worst, energy, order, row.sentence, microseconds])
     return text.getvalue()

@@ -98,7 +98,7 @@ class Drive:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SimulatedMotion:
     """What an engine made of a drive: q, v (nodes, nq) [m, rad, m/s, rad/s], not finite from where it diverged; its steps, 0 where it does not count them, and CPU seconds [s]."""
 
     q: np.ndarray
@@ -122,11 +122,11 @@ class Came(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Answer:
+class EngineAnswer:
     """motions: one a drive where it came to its end, else none and a sentence that says why."""
 
     came: Came
-    motions: tuple[Motion, ...] = ()
+    motions: tuple[SimulatedMotion, ...] = ()
     why: str = ""
 
 
@@ -156,7 +156,7 @@ def missing(name: str) -> str:
     return f"engine {name}: the package {package} is not installed; {_INSTALL}"
 
 
-def load_engine(name: str) -> Callable[[Drive], Motion]:
+def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
     """What steps a scene by that engine. Raises UnknownNameError, MachineError where its package is missing."""
     absent = missing(name)
     if absent:
@@ -164,7 +164,7 @@ def load_engine(name: str) -> Callable[[Drive], Motion]:
     return importlib.import_module(f"validate.judge.engines.{name}").simulate
 
 
-def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -> Answer:
+def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -> EngineAnswer:
     """Make all motions of one scene in a child.
 
     Parameters
@@ -178,7 +178,7 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
 
     Returns
     -------
-    Answer
+    EngineAnswer
         Motions, or a sentence: of what the engine cannot express, of a missing package, of how the child ended.
 
     Raises
@@ -190,7 +190,7 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     """
     absent, first = missing(name), drives[0]
     if absent:
-        return Answer(came=Came.MISSING, why=absent)
+        return EngineAnswer(came=Came.MISSING, why=absent)
     plan = first.plan
     request = {
         "engine": name,
@@ -202,14 +202,14 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     arrays |= {} if plan.u_end is None else {"u_end": plan.u_end}
     done = run_isolated("validate.judge.simulator:answer", request, arrays, limits=limits, what=f"engine {name}")
     if done.ending is Ending.ERROR:
-        return Answer(came=Came.CANNOT, why=done.sentence)
+        return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
-        return Answer(came=Came.FAILED, why=done.sentence)
+        return EngineAnswer(came=Came.FAILED, why=done.sentence)
     motions = tuple(
-        Motion(q=done.arrays[f"{number}_q"], v=done.arrays[f"{number}_v"], steps=told["steps"], seconds=told["seconds"])
+        SimulatedMotion(q=done.arrays[f"{number}_q"], v=done.arrays[f"{number}_v"], steps=told["steps"], seconds=told["seconds"])
         for number, told in enumerate(done.value)
     )
-    return Answer(came=Came.DONE, motions=motions)
+    return EngineAnswer(came=Came.DONE, motions=motions)
 
 
 def answer(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
@@ -245,7 +245,7 @@ def answer(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tupl
     return value, found
 
 
-def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]], *, steps: int) -> Motion:
+def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]], *, steps: int) -> SimulatedMotion:
     """The motion node by node, by an engine that holds its state.
 
     Parameters
@@ -259,7 +259,7 @@ def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]
 
     Returns
     -------
-    Motion
+    SimulatedMotion
         NaN from where a number was not finite.
 
     Raises
@@ -276,7 +276,7 @@ def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]
         if not np.isfinite(state).all():
             break
         states[interval + 1] = state
-    return Motion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began)
+    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began)
 
 
 def finer(drive: Drive, factor: int) -> Drive:

@@ -47,7 +47,7 @@ class Ask:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+class TruthProblem:
     """See the module docstring.
 
     nodes: intervals at whose ends the motion is looked at; parts: steps of an engine in each, the coarsest first; u (nu,): constant input [N]. exact (2 nq,):
@@ -112,7 +112,7 @@ class Problem:
         return found | {ask.name: abs(ask.measure(t, q, v) - ask.exact) / ask.scale for ask in self.asks}
 
 
-def problems() -> tuple[Problem, ...]:
+def problems() -> tuple[TruthProblem, ...]:
     """All problems, by phenomenon."""
     return (
         *_rebounds(), _collision(), *_mass_ratios(), _grazing(), _squeeze(), _dying_bounces(), _stop(), *_ramps(), _creep(), _stick_slip(),
@@ -153,23 +153,23 @@ def _floor(law: DampingLaw, damping: float) -> Scene:
     return replace(scene, parameters=(*scene.parameters, damper), contacts=(floor,), answers=(), limits=())
 
 
-def _rebounds() -> list[Problem]:
+def _rebounds() -> list[TruthProblem]:
     duration, nodes, phenomenon = 0.6, 300, "rebound"
     flight = duration - drop.FALL_TIME - drop.CONTACT_TIME
-    elastic = Problem(
+    elastic = TruthProblem(
         phenomenon=phenomenon, name="undamped", scene=load_scene("bouncing_mass"), duration=duration, nodes=nodes, position=drop.DROP, velocity=drop.SPEED,
         source="closed form of the scene: free fall, swing about the static depth", energy_kept=True,
         exact=(drop.SPEED * flight - drop.GRAVITY * flight**2 / 2, drop.SPEED - drop.GRAVITY * flight),
         asks=(Ask(name="depth", unit="m", exact=drop.DEPTH, scale=drop.DEPTH, measure=deepest(0)),),
     )  # fmt: skip
-    linear = Problem(
+    linear = TruthProblem(
         phenomenon=phenomenon, name="Kelvin-Voigt damping", scene=_floor(DampingLaw.KELVIN_VOIGT, 10.0), duration=duration, nodes=nodes,
         position=drop.DROP, velocity=drop.SPEED, source=INTEGRATED,
     )  # fmt: skip
     speed, damping = 3.0, 0.2
     y = 1.0 + damping * speed
     after = (1.0 + float(lambertw(-y * math.exp(-y), 0).real)) / damping
-    growing = Problem(
+    growing = TruthProblem(
         phenomenon=phenomenon, name="Hunt-Crossley damping", scene=_started(_floor(DampingLaw.HUNT_CROSSLEY, damping), (0.6, -speed), g=0.0),
         duration=duration, nodes=nodes, position=drop.DROP, velocity=speed, source="closed form: Lambert's W (as in damped_collision), no gravity",
         exact=(math.nan, after),
@@ -197,19 +197,19 @@ def _collided(scene: Scene, duration: float) -> tuple[float, float, float, float
 _SWING = "closed form: the centre of mass moves on, the distance swings half a period"
 
 
-def _collision() -> Problem:
+def _collision() -> TruthProblem:
     scene = load_scene("two_body_collision")
     masses, start = np.array([pair.MASS_1, pair.MASS_2]), np.array(pair.START[2:])
     momentum = Ask(
         name="momentum", unit="kg m/s", exact=float(masses @ start), scale=float(masses @ np.abs(start)), measure=lambda t, q, v: float(v[-1] @ masses)
     )  # fmt: skip
-    return Problem(
+    return TruthProblem(
         phenomenon="two-body collision", name="masses 1 and 3", scene=scene, duration=0.6, nodes=150, source=_SWING, exact=_collided(scene, 0.6),
         position=1.0, velocity=pair.CLOSING_SPEED, energy_kept=True, asks=(momentum,),
     )  # fmt: skip
 
 
-def _mass_ratios() -> list[Problem]:
+def _mass_ratios() -> list[TruthProblem]:
     found = []
     for ratio in RATIOS:
         base = load_scene("two_body_collision")
@@ -218,7 +218,7 @@ def _mass_ratios() -> list[Problem]:
         duration = 0.02 + math.pi / w
         # A fifth of a radian of the contact is the coarsest step.
         found.append(
-            Problem(
+            TruthProblem(
                 phenomenon="mass ratio",
                 name=f"1 to {ratio:g}",
                 scene=scene,
@@ -234,23 +234,23 @@ def _mass_ratios() -> list[Problem]:
     return found
 
 
-def _grazing() -> Problem:
+def _grazing() -> TruthProblem:
     depth, ahead = 1e-4, 0.05
     height = math.sqrt((2 * RADIUS - depth) ** 2 - BLUR**2)
     scene = _started(load_scene("two_discs"), (-ahead, height, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     # What one disc gives the other: some 5 mm/s.
-    return Problem(
+    return TruthProblem(
         phenomenon="grazing contact", name="discs pass at a depth of 0.1 mm", scene=scene, duration=2 * ahead, nodes=50, source=INTEGRATED, u=(0.0, 0.0),
         position=5e-3 * ahead, velocity=5e-3, energy_kept=True,
     )  # fmt: skip
 
 
-def _squeeze() -> Problem:
+def _squeeze() -> TruthProblem:
     scene = load_scene("three_cart")
     middle = Ask(
         name="middle cart moved", unit="m", exact=scene.task.start[1], scale=0.1, measure=lambda t, q, v: float(q[np.abs(q[:, 1] - q[0, 1]).argmax(), 1])
     )  # fmt: skip
-    return Problem(
+    return TruthProblem(
         phenomenon="symmetric squeeze", name="two carts press a third", scene=scene, duration=2.0, nodes=200, source=INTEGRATED, u=(6.0, -6.0),
         position=0.1, velocity=0.5, asks=(middle,),
     )  # fmt: skip
@@ -265,7 +265,7 @@ def last_lift(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
     return float(t[i] + (t[i + 1] - t[i]) * q[i, 0] / (q[i, 0] - q[i + 1, 0]))
 
 
-def _dying_bounces() -> Problem:
+def _dying_bounces() -> TruthProblem:
     # A contact lasts 0.1 s: at a twentieth of that our own integration sees each.
     scene = _floor(DampingLaw.KELVIN_VOIGT, 2.0 * 0.2 * math.sqrt(drop.STIFFNESS * drop.MASS)).with_task(step=0.005)
     duration, nodes = 2.5, 5000
@@ -277,7 +277,7 @@ def _dying_bounces() -> Problem:
     height = Ask(
         name="height after two bounces", unit="m", exact=float(states[third, 0]), scale=0.1, measure=lambda t, q, v: float(q[third, 0])
     )  # fmt: skip
-    return Problem(
+    return TruthProblem(
         phenomenon="dying bounces", name="damping ratio 0.2, until it rests", scene=scene, duration=duration, nodes=nodes, source=INTEGRATED,
         exact=tuple(states[-1]), position=0.1, velocity=0.5, asks=(rest, height),
     )  # fmt: skip
@@ -317,29 +317,29 @@ def ground(angle: float, mu: float, *, belt: float = 0.0, spring: float = 0.0, s
     )  # fmt: skip
 
 
-def _stop() -> Problem:
+def _stop() -> TruthProblem:
     mu, speed = 0.4, 2.0
     sag, distance = drop.GRAVITY / 1e4, speed**2 / (2 * mu * drop.GRAVITY)
     scene = ground(0.0, mu, start=(0.0, -sag, speed, 0.0))
-    return Problem(
+    return TruthProblem(
         phenomenon="stopping distance", name="a block slides to rest, mu = 0.4", scene=scene, duration=0.8, nodes=80, position=distance, velocity=speed,
         source="closed form: v^2/(2 mu g)", exact=(distance, -sag, 0.0, 0.0),
     )  # fmt: skip
 
 
-def _tilted(phenomenon: str, name: str, mu: float, share: float) -> Problem:
+def _tilted(phenomenon: str, name: str, mu: float, share: float) -> TruthProblem:
     """A ramp that asks `share` of what friction can hold; errors are shares of the way without friction."""
     angle, duration = math.atan(share * mu), 1.0
     pull = drop.GRAVITY * math.sin(angle)
     rate = max(0.0, pull - mu * drop.GRAVITY * math.cos(angle))
     sag = drop.GRAVITY * math.cos(angle) / 1e4
-    return Problem(
+    return TruthProblem(
         phenomenon=phenomenon, name=name, scene=ground(angle, mu), duration=duration, nodes=100, position=pull * duration**2 / 2, velocity=pull * duration,
         source="closed form: constant forces", exact=(rate * duration**2 / 2, -sag, rate * duration, 0.0),
     )  # fmt: skip
 
 
-def _ramps() -> list[Problem]:
+def _ramps() -> list[TruthProblem]:
     return [
         _tilted("ramp", f"mu = {mu:g}, tilted to {share:g} of its angle: it {'slides' if share > 1 else 'sticks'}", mu, share)
         for mu in (0.2, 0.8)
@@ -347,37 +347,37 @@ def _ramps() -> list[Problem]:
     ]
 
 
-def _creep() -> Problem:
+def _creep() -> TruthProblem:
     return _tilted("creep under load", "mu = 0.5, half of what friction holds", 0.5, 0.5)
 
 
-def _stick_slip() -> Problem:
+def _stick_slip() -> TruthProblem:
     speed, mu = 0.2, 0.3
     scene = ground(0.0, mu, belt=100.0, spring=100.0, start=(0.0, -drop.GRAVITY / 1e4, 0.0, speed, 0.0, speed))
-    return Problem(
+    return TruthProblem(
         phenomenon="stick-slip", name="a block on a spring, on a belt of 100 kg", scene=scene, duration=2.0, nodes=200, source=INTEGRATED, position=0.03, velocity=speed
     )  # fmt: skip
 
 
-def _bounces() -> Problem:
+def _bounces() -> TruthProblem:
     scene = _started(load_scene("bouncing_mass"), (HEIGHT, 0.0))
     speed = math.sqrt(2 * drop.GRAVITY * HEIGHT)
     contact = (2 * math.pi - 2 * math.atan2(speed / drop.RATE, drop.SAG)) / drop.RATE
     period = 2 * speed / drop.GRAVITY + contact
-    return Problem(
+    return TruthProblem(
         phenomenon="energy over 1000 bounces", name="undamped", scene=scene, duration=BOUNCES * period, nodes=BOUNCES, source="closed form: none is lost",
         exact=(math.nan, math.nan), position=HEIGHT, velocity=speed, energy_kept=True, parts=tuple(150 * part for part in FOUR),
     )  # fmt: skip
 
 
-def _stiffnesses() -> list[Problem]:
+def _stiffnesses() -> list[TruthProblem]:
     found, base, gap, speed = [], load_scene("two_body_collision"), 0.005, 0.01
     for stiffness in STIFFNESSES:
         scene = _started(base, (0.0, 2 * pair.RADIUS + gap, speed / 2, -speed / 2), k=stiffness)
         w = math.sqrt(stiffness / pair.REDUCED_MASS)
         duration = round((gap / speed + math.pi / w + 0.2) / 0.004) * 0.004
         found.append(
-            Problem(
+            TruthProblem(
                 phenomenon="stiffness at fixed step",
                 name=f"k = {stiffness:g} N/m, h = 4 to 0.5 ms",
                 scene=scene,
@@ -393,11 +393,11 @@ def _stiffnesses() -> list[Problem]:
     return found
 
 
-def _overlap() -> Problem:
+def _overlap() -> TruthProblem:
     depth = 0.05
     scene = _started(load_scene("two_body_collision"), (0.0, 2 * pair.RADIUS - depth, 0.0, 0.0))
     w = math.sqrt(pair.STIFFNESS / pair.REDUCED_MASS)
-    return Problem(
+    return TruthProblem(
         phenomenon="penetration at the start", name="two bodies 5 cm into each other", scene=scene, duration=0.2, nodes=100, source=_SWING,
         exact=_collided(scene, 0.2), position=0.1, velocity=depth * w, energy_kept=True,
     )  # fmt: skip

@@ -18,8 +18,8 @@ import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from validate.judge.simulator import Answer, Came, Drive, Motion, Simulator, describe_engine, finer, run_engine
-from validate.truth.problems import Problem, problems
+from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, Simulator, describe_engine, finer, run_engine
+from validate.truth.problems import TruthProblem, problems
 
 # What an adaptive engine is told at the four levels; the last is the reference's own.
 TOLERANCES = (1e-7, 1e-9, 1e-11, 1e-13)
@@ -49,10 +49,10 @@ class Level:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Row:
+class EngineResult:
     """What an engine made of a problem. worst: the quantity that decides its error; order: of the error in the step, None where there is none to tell."""
 
-    problem: Problem
+    problem: TruthProblem
     engine: str
     came: Came
     sentence: str
@@ -66,7 +66,7 @@ class Row:
         return self.levels[-1].error if self.levels else math.nan
 
 
-def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[Row]:
+def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[EngineResult]:
     """All problems by these engines, each in a child of its own, so many at a time.
 
     Raises UnknownNameError for an engine that there is not, MachineError without a compiler or room.
@@ -74,7 +74,7 @@ def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None
     asked = [(problem, engine) for problem in problems() for engine in engines]
     ends = {id(problem): problem.end() for problem in dict.fromkeys(problem for problem, _ in asked)}
 
-    def one(item: tuple[Problem, str]) -> Row:
+    def one(item: tuple[TruthProblem, str]) -> EngineResult:
         problem, engine = item
         asked, end = drives(problem, describe_engine(engine)), ends[id(problem)]
         row = judged(problem, engine, run_engine(engine, asked), end)
@@ -87,7 +87,7 @@ def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None
         return list(pool.map(one, asked))
 
 
-def drives(problem: Problem, about: Simulator) -> list[Drive]:
+def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
     """Four levels, and where the engine softens a friction the finest once more, softer."""
     start = np.array(problem.scene.task.start, dtype=float)
     common = {"scene": problem.scene, "plan": problem.plan, "start": start}
@@ -97,7 +97,7 @@ def drives(problem: Problem, about: Simulator) -> list[Drive]:
     return found
 
 
-def judged(problem: Problem, engine: str, answer: Answer, end: np.ndarray) -> Row:
+def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.ndarray) -> EngineResult:
     """The row of an answer.
 
     Parameters
@@ -111,7 +111,7 @@ def judged(problem: Problem, engine: str, answer: Answer, end: np.ndarray) -> Ro
 
     Returns
     -------
-    Row
+    EngineResult
         With its sentence.
 
     Raises
@@ -120,7 +120,7 @@ def judged(problem: Problem, engine: str, answer: Answer, end: np.ndarray) -> Ro
         For an engine that there is not.
     """
     if answer.came is not Came.DONE:
-        return Row(problem=problem, engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
+        return EngineResult(problem=problem, engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
     about, energy = describe_engine(engine), _energy_of(problem.scene)
     told = [_errors(problem, motion, end, energy) for motion in answer.motions]
     levels = []
@@ -139,7 +139,7 @@ def judged(problem: Problem, engine: str, answer: Answer, end: np.ndarray) -> Ro
     order = None if about.adaptive else observed_order([level.error for level in levels])
     softer = max(told[-1].values()) / levels[-1].error if len(told) > len(levels) and levels[-1].error > 0.0 else 1.0
     sentence = _why([level.error for level in levels], about.adaptive, order, softer, _radians(problem, levels[-1].step))
-    return Row(
+    return EngineResult(
         problem=problem,
         engine=engine,
         came=Came.DONE,
@@ -150,17 +150,18 @@ def judged(problem: Problem, engine: str, answer: Answer, end: np.ndarray) -> Ro
     )
 
 
-def _decided(row: Row, answer: Answer, end: np.ndarray) -> Row:
+def _decided(row: EngineResult, answer: EngineAnswer, end: np.ndarray) -> EngineResult:
     """A row whose error does not fall over four steps, after a motion at a step much shorter: it may fall yet."""
     if answer.came is not Came.DONE:
         return row
     error = max(_errors(row.problem, answer.motions[0], end, _energy_of(row.problem.scene)).values())
-    falls = error < row.error / 4.0
-    words = (
-        f"the step's error, uneven: {row.error:.1g}, and {error:.1g} at a step {_MUCH} times as short"
-        if falls
-        else f"{row.sentence} ({error:.1g} at a step {_MUCH} times as short)"
-    )
+    beside = f"{error:.1g} at a step {_MUCH} times as short"
+    if error < row.error / 4.0:
+        words = f"the step's error, uneven: {row.error:.1g}, and {beside}"
+    elif error > 2.0 * row.error:
+        words = f"not the step's error: {row.error:.1g}, and it grows, to {beside}"
+    else:
+        words = f"{row.sentence} ({beside})"
     return replace(row, sentence=words)
 
 
@@ -170,7 +171,9 @@ def observed_order(errors: Sequence[float]) -> float | None:
     return None if len(halvings) < 2 else -float(np.polyfit(halvings, [math.log2(errors[place]) for place in halvings], 1)[0])
 
 
-def _errors(problem: Problem, motion: Motion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]) -> dict[str, float]:
+def _errors(
+    problem: TruthProblem, motion: SimulatedMotion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]
+) -> dict[str, float]:
     """By quantity, as shares; the energy beside them, where it is kept: it decides nothing else than its own problem."""
     if not motion.finite:
         return {"the motion": math.nan}
@@ -193,7 +196,7 @@ def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
     return energy
 
 
-def _radians(problem: Problem, step: float | None) -> float:
+def _radians(problem: TruthProblem, step: float | None) -> float:
     """How many radians of the stiffest contact, at the start, a step is."""
     if step is None:
         return 0.0

@@ -161,6 +161,12 @@ def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
     assert "2 times" in rows[0].sentence
 
 
+def test_rows_are_as_wide_as_the_terminal_or_as_they_like(tmp_path: Path, cli):
+    alone = ("check", str(_doubled(tmp_path)), "--only", "archive")
+    narrow, wide = (cli(*alone, *more, COLUMNS="40").stdout.splitlines()[0] for more in ((), ("--wide",)))
+    assert len(narrow) <= 40 < len(wide)
+
+
 def _doubled(folder: Path) -> Path:
     """A sound FMU with an entry that is there twice."""
     path = folder / "twice.fmu"

@@ -65,6 +65,17 @@ def test_list_names_everything(cli):
     assert all(name in plain for name in pipeline_names())
 
 
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("name", sorted(_COMMANDS))
+def test_a_command_imports_by_itself(cli_environment, name: str):
+    """In a process of its own: an import that misses another's, or goes in a circle, shows where nothing else was imported before."""
+    command = [sys.executable, "-m", "validate", name, "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, env=cli_environment, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert name in done.stdout.splitlines()[0]
+
+
 SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
 
 

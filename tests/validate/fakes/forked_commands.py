@@ -78,5 +78,5 @@ def _import_commands() -> None:
 
 if __name__ == "__main__":
     _import_commands()
-    program = _serve()
-    importlib.import_module("validate.__main__").main({"validate": "validate.cli.group", "benchmarks": "benchmarks.commands"}[program])
+    module = _serve()
+    importlib.import_module(f"{module}.__main__").main(f"{module}.cli.group")

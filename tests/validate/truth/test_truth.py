@@ -3,6 +3,8 @@
 import importlib
 import math
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +17,11 @@ from models.scene import Scene
 from reports.pages.truth import as_markdown, largest_disagreement
 from reports.render import render_truth
 from validate.cli.truth import as_csv, named_engines, recorded, reference_is_right
-from validate.judge.simulator import Answer, Came, Drive, Motion, describe_engine, load_engine
+from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, load_engine
 from validate.stress.cases.h06_zeno import restitution
 from validate.truth import suite
-from validate.truth.problems import Problem, problems
-from validate.truth.suite import Row, drives, judged, observed_order
+from validate.truth.problems import TruthProblem, problems
+from validate.truth.suite import EngineResult, drives, judged, observed_order
 
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
 # What each fault is looked for with, the first of them that the engine expresses.
@@ -32,11 +34,11 @@ SHOWS = {
 }
 
 
-def asked(problem: Problem, engine: str) -> Row:
+def asked(problem: TruthProblem, engine: str) -> EngineResult:
     """The row of an engine that runs here."""
     simulate = load_engine(engine)
     motions = tuple(simulate(drive) for drive in drives(problem, describe_engine(engine)))
-    return judged(problem, engine, Answer(came=Came.DONE, motions=motions), problem.end())
+    return judged(problem, engine, EngineAnswer(came=Came.DONE, motions=motions), problem.end())
 
 
 def test_there_are_thirteen_phenomena():
@@ -127,15 +129,19 @@ def test_each_disagreement_is_explained_by_what_was_measured():
 def test_an_error_that_no_step_mends_is_decided_by_one_much_shorter():
     problem = PROBLEMS["two-body collision: masses 1 and 3"]
     end = problem.end()
-    stays = Motion(q=np.tile(end[:2], (151, 1)) + 0.01, v=np.tile(end[2:], (151, 1)), steps=1, seconds=0.0)
-    row = judged(problem, "fmu_everyday", Answer(came=Came.DONE, motions=(stays,) * 4), end)
+    stays = SimulatedMotion(q=np.tile(end[:2], (151, 1)) + 0.01, v=np.tile(end[2:], (151, 1)), steps=1, seconds=0.0)
+    row = judged(problem, "fmu_everyday", EngineAnswer(came=Came.DONE, motions=(stays,) * 4), end)
     assert row.sentence.startswith("its law of contact")
-    assert "32 times as short" in suite._decided(row, Answer(came=Came.DONE, motions=(stays,)), end).sentence
+    assert "32 times as short" in suite._decided(row, EngineAnswer(came=Came.DONE, motions=(stays,)), end).sentence
     right = replace(stays, q=stays.q - 0.01)
-    assert suite._decided(row, Answer(came=Came.DONE, motions=(right,)), end).sentence.startswith("the step's error, uneven")
+    assert suite._decided(row, EngineAnswer(came=Came.DONE, motions=(right,)), end).sentence.startswith("the step's error, uneven")
+    worse = replace(stays, q=stays.q + 0.04)
+    grown = suite._decided(row, EngineAnswer(came=Came.DONE, motions=(worse,)), end)
+    assert grown.sentence == "not the step's error: 0.01, and it grows, to 0.05 at a step 32 times as short"
     lost = replace(stays, q=stays.q * np.nan)
     assert (
-        judged(problem, "fmu_everyday", Answer(came=Came.DONE, motions=(lost,) * 4), end).sentence == "it diverges, at the finest step too"
+        judged(problem, "fmu_everyday", EngineAnswer(came=Came.DONE, motions=(lost,) * 4), end).sentence
+        == "it diverges, at the finest step too"
     )
 
 
@@ -155,7 +161,7 @@ def test_what_is_written_is_equal_twice_but_for_times(monkeypatch):
 
 def test_rows_without_a_number_stand_in_the_table():
     problem = PROBLEMS["rebound: Hunt-Crossley damping"]
-    lost = judged(problem, "mujoco", Answer(came=Came.MISSING, why="engine mujoco: not installed"), problem.end())
+    lost = judged(problem, "mujoco", EngineAnswer(came=Came.MISSING, why="engine mujoco: not installed"), problem.end())
     fine = replace(lost, engine="fmu", came=Came.CANNOT, sentence="it has no such contact")
     record = recorded(("fmu", "mujoco"), [fine, lost])
     assert "cannot express it | not installed" in as_markdown(record, "x")
@@ -163,16 +169,22 @@ def test_rows_without_a_number_stand_in_the_table():
     assert not reference_is_right([fine])
 
 
-@pytest.mark.slow
-def test_a_name_that_is_no_engine_and_one_that_is_missing(cli, monkeypatch, tmp_path: Path):
+def test_a_name_that_is_no_engine_is_one_sentence(cli):
     done = cli("truth", "--engine", "mujuco")
     assert done.returncode == 2
     assert "there is no engine 'mujuco'; did you mean mujoco" in done.stderr
+    assert named_engines("fmu, fmu") == ("fmu",)
+
+
+@pytest.mark.process
+def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(cli_environment, tmp_path: Path):
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mujoco'] = None\n")
-    done = cli("truth", "--engine", "mujoco", PYTHONPATH=os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])]))
+    paths = os.pathsep.join([str(tmp_path), cli_environment["PYTHONPATH"]])
+    command = [sys.executable, "-m", "validate", "truth", "--engine", "mujoco"]
+    done = subprocess.run(command, capture_output=True, text=True, env={**cli_environment, "PYTHONPATH": paths}, check=False)
     assert done.returncode == 3
     assert "the package mujoco is not installed; pip install" in done.stderr
-    assert named_engines("fmu, fmu") == ("fmu",)
+    assert "Traceback" not in done.stderr
 
 
 def test_a_drive_gives_inputs_as_they_are_held():

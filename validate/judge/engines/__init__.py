@@ -1,1 +1,1 @@
-"""Other simulators as judges. ONE FILE = ONE ENGINE: `ENGINE = Simulator(..)`, whose arguments are literals, and `simulate(drive) -> Motion`."""
+"""Other simulators as judges. ONE FILE = ONE ENGINE: `ENGINE = Simulator(..)`, whose arguments are literals, and `simulate(drive) -> SimulatedMotion`."""

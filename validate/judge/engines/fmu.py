@@ -11,12 +11,12 @@ from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.run import EVENT_BUDGET
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.simulator import Drive, Motion, Simulator
+from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
 ENGINE = Simulator(title="our FMU, reference (CVODE)", adaptive=True, law="the scene's own, events located")
 
 
-def simulate(drive: Drive) -> Motion:
+def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive at its tolerance. Raises FmuError."""
     with unpacked(read_package(build_fmu(drive.scene, results=False))) as package:
         variables = find_variables(package, drive.scene)

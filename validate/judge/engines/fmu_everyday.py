@@ -10,12 +10,12 @@ from validate.judge.engines._runs import motion_of
 from validate.judge.replay.everyday import simulate as step_through
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.simulator import Drive, Motion, Simulator
+from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
 ENGINE = Simulator(title="our FMU, every day (fixed step)", law="the scene's own, at its internal steps")
 
 
-def simulate(drive: Drive) -> Motion:
+def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive at its step. Raises FmuError."""
     with unpacked(read_package(build_fmu(drive.scene, results=False))) as package:
         variables, inputs = find_variables(package, drive.scene), HeldInputs(drive.plan)

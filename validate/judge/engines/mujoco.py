@@ -17,7 +17,7 @@ import numpy as np
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, axes_of_bodies, mechanism_of
-from validate.judge.simulator import CannotExpressError, Drive, Motion, Simulator, stepped
+from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
 
 mujoco: Any = importlib.import_module("mujoco")  # a checker without the package takes this file for it
 
@@ -38,7 +38,7 @@ _BALL, _BLOCK = 0.1, 100.0
 _FAR, _TINY = 1e6, 1e-12
 
 
-def simulate(drive: Drive) -> Motion:
+def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive. Raises CannotExpressError."""
     scene, h = drive.scene, float(np.diff(drive.plan.t).mean()) / drive.parts
     tree = _TREES.get(scene.name)
