@@ -127,9 +127,10 @@ def _started(scene: Scene, start: tuple[float, ...], **parameters: float) -> Sce
 
 
 def deepest(place: int) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
-    """Measures the largest depth of a coordinate below 0 [m], between nodes by the cubic through positions and velocities."""
+    """Measures the largest depth of a coordinate below 0 [m], between nodes by the cubic through positions and velocities, of t (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises nothing."""
 
     def measure(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
+        """Of t (nodes,) [s], q, v (nodes, nq) [m, m/s]: [m]. Raises nothing."""
         turns = np.flatnonzero((v[:-1, place] < 0.0) & (v[1:, place] >= 0.0))
         lowest = q[:, place].min()
         for i in turns:
@@ -257,7 +258,7 @@ def _squeeze() -> TruthProblem:
 
 
 def last_lift(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-    """The last time at which coordinate 0 falls below 0: from then on it rests; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. 0 where it never does."""
+    """The last time at which coordinate 0 falls below 0: from then on it rests; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. 0 where it never does. Raises nothing."""
     falls = np.flatnonzero((q[:-1, 0] > 0.0) & (q[1:, 0] <= 0.0))
     if not len(falls):
         return 0.0

@@ -190,6 +190,7 @@ def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
     plain, contact = d.function([d.kinetic_energy + d.potential_energy], d.q, d.v), d.function([d.penetration, d.stiffness], d.q)
 
     def energy(q: np.ndarray, v: np.ndarray) -> float:
+        """Of q, v (nq,) [m, m/s]: [J]. Raises nothing."""
         depth, stiffness = np.split(contact(q).ravel(), 2)
         return float(plain(q, v).item() + (stiffness * np.maximum(depth, 0.0) ** 2).sum() / 2)
 

@@ -51,6 +51,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
     data.qpos[places], data.qvel[places] = np.split(drive.start, 2)
 
     def advance(interval: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (nq,) [m, m/s] after the interval. Raises nothing."""
         held = drive.plan.u_end is None and drive.plan.hold.value == "zero_order"
         for part in range(1 if held else drive.parts):
             u = drive.inputs(interval, 0.0 if held else (part + 0.5) / drive.parts)
