@@ -8,6 +8,9 @@ import click
 
 from reports.rule_text import RESULTS, RULE
 from validate.cli.options import result_options, running_options
+from validate.cli.running import run_and_tell
+from validate.plan.runs import CampaignSettings
+from validate.store.provenance import command_line
 
 _RULE = "\n\n".join(["A campaign fails (exit code 1) if", *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE), *RESULTS])
 _EPILOG = f"""{_RULE}
@@ -46,9 +49,5 @@ def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options
 
     A part (-k, --scene, --quick, --last-failed) leaves the other runs of DIR in these tables and in the report.
     """
-    from validate.cli.running import run_and_tell
-    from validate.plan.runs import CampaignSettings
-    from validate.store.provenance import command_line
-
     settings = CampaignSettings(command=command_line(arguments), **options)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

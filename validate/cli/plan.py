@@ -6,16 +6,17 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from validate.cli.options import campaign_options, result_options
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
-
-if TYPE_CHECKING:
-    from validate.plan.runs import CampaignSettings
+from validate.plan.runs import CampaignSettings, PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
+from validate.plan.warnings import warnings_of
+from validate.store.store import Store
+from validate.store.stored import earlier_schema
 
 _EPILOG = """\b
 Examples:
@@ -35,18 +36,11 @@ def command(as_json: bool, as_table: bool, **options: Any) -> int:
 
     --table names each run, and says what the scenes waive. Nothing is run or written.
     """
-    from validate.plan.runs import CampaignSettings
-
     return tell_plan(CampaignSettings(**options), as_json=as_json, as_table=as_table)
 
 
 def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.plan.runs import PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
-    from validate.plan.warnings import warnings_of
-    from validate.store.store import Store
-    from validate.store.stored import earlier_schema
-
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
     warn(warnings_of(scenes.values(), steps=True))

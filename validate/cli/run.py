@@ -9,6 +9,12 @@ from typing import Any
 import click
 
 from validate.cli.options import file_options, result_options
+from validate.cli.plan import tell_plan
+from validate.cli.running import run_and_tell
+from validate.plan.read import read_campaign
+from validate.plan.runs import CampaignSettings
+from validate.plan.schema import CampaignFile
+from validate.store.provenance import command_line
 
 _EPILOG = """\b
 Examples:
@@ -46,19 +52,12 @@ def command(
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
-    from validate.plan.read import read_campaign
-    from validate.plan.schema import CampaignFile
-
     if schema:
         data = {"$schema": "https://json-schema.org/draft/2020-12/schema", **CampaignFile.model_json_schema()}
         click.echo(json.dumps(data, indent=1))
         return 0
     if file is None:
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
-    from validate.cli.plan import tell_plan
-    from validate.cli.running import run_and_tell
-    from validate.plan.runs import CampaignSettings
-    from validate.store.provenance import command_line
 
     campaign = read_campaign(file, plugin)
     settings = CampaignSettings(
