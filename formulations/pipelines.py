@@ -51,7 +51,7 @@ def load_method(name: str) -> Method:
 
 
 PAPER = "Suh and Wang, Table I"
-FREE_MOTION = "free_motion"
+FREE_MOTION, BEST_EXACT = "free_motion", "best_exact"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
@@ -171,9 +171,9 @@ PIPELINES: tuple[Pipeline, ...] = (
         source="ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched",
     ),
     Pipeline(
-        name="best_exact",
+        name=BEST_EXACT,
         title="Exact contact from a cold start, the cheapest plan of several ways",
-        legs=(Leg(method="best_exact"),),
+        legs=(Leg(method=BEST_EXACT),),
         source="ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
     ),
     Pipeline(
@@ -223,8 +223,12 @@ def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
     """The pipelines tried on a scene, in the order of the table: all of them; a method that does not apply says so itself.
 
     Only the free motion is not tried where there are inputs: it is no way to find a plan, but all that a scene without inputs has.
+    Where `mpcc` applies it is what `best_exact` does: its leg is then the same, and is solved once for both.
     """
-    return tuple(pipeline for pipeline in PIPELINES if pipeline.name != FREE_MOTION) if scene.nu else PIPELINES
+    if not scene.nu:
+        return PIPELINES
+    legs = {BEST_EXACT: (Leg(method="mpcc"),)} if load_method("mpcc").accepts(scene) is None else {}
+    return tuple(replace(pipeline, legs=legs.get(pipeline.name, pipeline.legs)) for pipeline in PIPELINES if pipeline.name != FREE_MOTION)
 
 
 def find_pipeline(name: str) -> Pipeline:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from formulations.pipelines import load_method
+from formulations.pipelines import find_pipeline, load_method, pipelines_for
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Scene
@@ -23,6 +23,13 @@ def test_open_and_closed_contacts_are_left_to_mpcc():
     assert mpcc.trajectory is not None
     assert ours.trajectory.u.tobytes() == mpcc.trajectory.u.tobytes()
     assert (ours.method, ours.outcome, ours.message, ours.starts) == ("best_exact", Outcome.SOLVED, mpcc.message, ())
+
+
+@pytest.mark.parametrize(("scene", "like"), [("three_cart", "mpcc"), ("transport", "best_exact"), ("damped_collision", "best_exact")])
+def test_a_campaign_solves_once_what_mpcc_and_best_exact_share(scene: str, like: str):
+    """Legs that are equal have one key; where mpcc refuses, by friction or for want of inputs, best_exact has legs of its own."""
+    legs = {pipeline.name: pipeline.legs for pipeline in pipelines_for(load_scene(scene))}
+    assert legs["best_exact"] == find_pipeline(like).legs
 
 
 def test_all_ways_are_told_and_the_cheapest_is_kept():
