@@ -78,14 +78,15 @@ def _run(order: dict[str, Any], channel: socket.socket) -> bytes:
             os.close(descriptor)
         _be_child(order, supervisor)
     space, ended = 0, 0
-    while not ended:
+    while ended != child:
         ready, _, _ = select.select([channel, woken], [], [], _LOOK)
         space = max(space, _address_space(child))
         if channel in ready:  # it is to end, or nobody is there any more
             os.kill(child, signal.SIGKILL)
         elif ready:
             os.read(woken, 4096)
-        ended, status, usage = os.wait4(child, 0 if channel in ready else os.WNOHANG)
+        # Of what the child has left behind, and what has ended since, nothing stays in the table of processes.
+        ended, status, usage = os.wait4(child, 0) if channel in ready else os.wait4(-1, os.WNOHANG)
     strays = _end_family(child)
     resident = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     return ENDED.pack(os.waitstatus_to_exitcode(status), strays, usage.ru_utime + usage.ru_stime, resident, space)

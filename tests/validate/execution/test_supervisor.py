@@ -70,6 +70,10 @@ def main(folder):
         os.setsid()
         print(os.getpid(), flush=True)
         time.sleep(1000)
+    if act.startswith("orphan"):  # it ends while its maker goes on
+        middle = subprocess.run([sys.executable, "-S", "-c", "import os; print(os.fork())"], capture_output=True, text=True)
+        print(max(map(int, middle.stdout.split())), "is left", flush=True)
+        time.sleep(1000)
     return 7 if act.startswith("seven") else 0
 """
 
@@ -191,6 +195,18 @@ def test_what_it_leaves_behind_is_found_wherever_it_went(start, way, act):
     assert (ended.code, ended.strays) == (0, 1)
     assert _sleepers() <= before
     assert not any(psutil.pid_exists(int(line)) for line in (folder / "log.txt").read_text().splitlines() if line.isdigit())
+    child.close()
+
+
+def test_what_was_left_and_has_ended_is_not_kept_as_a_zombie(start, way):
+    """A child may leave thousands, and go on: the system counts them all."""
+    child, folder = start(way, "orphan")
+    come(lambda: "is left" in (folder / "log.txt").read_text() if (folder / "log.txt").exists() else False)
+    left = next(int(line.split()[0]) for line in (folder / "log.txt").read_text().splitlines() if "is left" in line)
+    come(lambda: not psutil.pid_exists(left))
+    assert not child.wait(0.0)
+    ended = child.end()
+    assert (ended.code, ended.strays) == (-signal.SIGKILL, 0)
     child.close()
 
 
