@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 import touchstone as ts
 from formulations.method import OptionError
@@ -116,7 +117,7 @@ def test_a_mistake_is_one_sentence(call, kind: type[Exception], parts: tuple[str
     with pytest.raises(kind) as caught:
         call()
     for part in parts:
-        assert part in str(caught.value)
+        assert not unsaid(str(caught.value), part)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -158,7 +159,7 @@ def test_arrays_by_name_are_judged_on_somebodys_fmu(tmp_path: Path):
         assert again.replay is not None
         assert arrays.replay is not None
         assert np.array_equal(again.replay.q, arrays.replay.q)
-    with pytest.raises(TouchstoneError, match=r"Trajectory has no names for the variables of an FMU.*arrays by column name"):
+    with pytest.raises(TouchstoneError, match=r"no names.*FMU.*arrays by column name"):
         ts.judge(fmu, ts.Trajectory(t=t, q=np.zeros((51, 3)), v=np.zeros((51, 3)), u=np.zeros((50, 2)), lam=np.zeros((50, 2))))
 
 

@@ -11,6 +11,7 @@ import sys
 
 import click
 import pytest
+from wording import unsaid
 
 from benchmarks import ROOT
 from benchmarks.command_times import Checkout
@@ -76,17 +77,17 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("replay", "three_cart", "nobody"), "there is no scene"),
         (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
         (("kills", "--count", "0"), "x>=1"),
-        (("golden", "compare", "."), "there is no campaign in this folder"),
-        (("rejudge", "."), "there is no campaign in this folder"),
-        (("report", "no_such_folder"), "there is no campaign in this folder"),
+        (("golden", "compare", "."), "no campaign in this folder"),
+        (("rejudge", "."), "no campaign in this folder"),
+        (("report", "no_such_folder"), "no campaign in this folder"),
         (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
-        (("plans", "--only", "nobody"), "no scene or task has 'nobody' in its name"),
+        (("plans", "--only", "nobody"), "no scene … 'nobody'"),
     ],
 )
 def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, tmp_path):
     done = cli(*words, cwd=tmp_path)
     assert done.returncode == 2, done
-    assert sentence in done.stderr
+    assert not unsaid(done.stderr, sentence)
     assert len(done.stderr.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy as sp
+from wording import unsaid
 
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
@@ -80,7 +81,7 @@ def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
         check_expressions(small_scene(**changes))
     text = str(caught.value)
     assert "\n" not in text
-    assert all(word in text for word in words), text
+    assert not unsaid(text, *words)
 
 
 def test_contact_bodies_are_shapes_or_fixed():
@@ -209,7 +210,7 @@ def test_catalog_lists_all_scenes():
 def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as error:
         small_scene(**changes)
-    assert all(word in str(error.value) for word in ["scene small", *words]), str(error.value)
+    assert not unsaid(error.value, "scene small", *words)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +226,7 @@ def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
         (lambda: part(Limit, metric="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
         (lambda: part(Limit, metric="defect", value="1", reason=""), ["limit on defect", "'1'"]),
         (lambda: part(Contact, name="wall", penetration=x - 1, stiffness=k), [mend_of("bodies, depth, depth_reason")]),
-        (lambda: wall(bodies="mass"), ["contact wall: bodies must be the names of two different bodies, not 'mass'"]),
+        (lambda: wall(bodies="mass"), ["contact wall: bodies … two different bodies, not 'mass'"]),
         (lambda: wall(bodies=("mass", 3)), ["contact wall: bodies", "3"]),
         (lambda: wall(depth=float("nan")), ["contact wall: depth", "nan"]),
         (lambda: part(Shape, name="a", kind="disc", x=x, y=x, size=(1, 2)), ["shape a", "disc", "1 lengths"]),
@@ -235,7 +236,7 @@ def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
 def test_a_part_that_makes_no_sense_is_refused(make, words: list[str]):
     with pytest.raises(SceneError) as error:
         make()
-    assert all(word in str(error.value) for word in words), str(error.value)
+    assert not unsaid(error.value, *words)
 
 
 @pytest.mark.parametrize("assumption", ["positive", "integer", "nonnegative"])
@@ -276,7 +277,7 @@ def test_expressions_stay_exact():
     ],
 )
 def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
-    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}, which has no form in C"):
+    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}.*no form in C"):
         check_expressions(small_scene(forces=(force,)))
     with pytest.raises(SceneError, match=f"task.final_cost contains {words}"):
         check_expressions(small_scene(task=replace(small_scene().task, final_cost=force)))
@@ -313,8 +314,8 @@ def test_a_corner_is_said_once(name: str):
             check_expressions(small_scene(**changes))
         text = str(caught.value)
         assert text.startswith(f"scene small: {field} contains {name}("), text
-        assert "which is not differentiable everywhere, as plans need it; round it off: " in text
-        assert advice in text
+        assert not unsaid(text, "not differentiable … round it off: ")
+        assert not unsaid(text, advice)
 
 
 @pytest.mark.parametrize("field", ["stiffness", "damping"])
@@ -325,7 +326,7 @@ def test_a_corner_of_parameters_is_a_parameter(field: str):
 
 
 def test_expressions_without_c_form_are_refused_when_emitted():
-    with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
+    with pytest.raises(SceneError, match=r"scene small: .* contain Integral.*no form in C"):
         emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 
 

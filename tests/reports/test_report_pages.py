@@ -6,6 +6,7 @@ import math
 import shlex
 
 import pytest
+from wording import unsaid
 
 from reports.again import again
 from reports.pages import pareto, table1, tightening
@@ -96,9 +97,9 @@ def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, comman
 def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
     told = next(text for text in table1.conclude(report.rows) if "best known cost" in text)
-    assert (
-        "with terminal error on their own grid: relu_gd after relaxed_lcp (490.10 at 0.0030 m), relu_gd after softplus_dc (360.31 at 0.047 m) and relu_gd after softplus_gd (309.42 at 0.047 m)."
-        in told
+    assert not unsaid(
+        told,
+        "relu_gd after relaxed_lcp (490.10 at 0.0030 m), relu_gd after softplus_dc (360.31 at 0.047 m) and relu_gd after softplus_gd (309.42 at 0.047 m).",
     )
 
 

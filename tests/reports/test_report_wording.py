@@ -8,6 +8,7 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from wording import unsaid
 
 from reports.render import write_single
 from reports.wording import cost, error, number, prose
@@ -82,6 +83,6 @@ def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
     )
     assert article is not None
     assert article[0].count("time was used up before this stage, past 0.000218 m.") == 1
-    assert "There is no plan, so nothing is drawn, replayed or scored." in article[0]
+    assert not unsaid(article[0], "There is no plan")
     for absent in ("e-04", "No replay is stored", "No figure was measured", "<caption>Seconds", "cost –"):
         assert absent not in article[0]

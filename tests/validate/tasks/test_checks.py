@@ -69,7 +69,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert done.returncode == 1
     failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failing) == 6
-    assert "fails: question: no of three_cart: failed - it says no." in failing
+    assert not unsaid(failing, "no of three_cart: failed - it says no.")
     assert [line for line in failing if not unsaid(line, "question: refuse of three_cart", "says why it cannot")]
     assert re.search(r"\[\d/8\] question: yes of three_cart: passed, .*it says yes", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()

@@ -76,12 +76,12 @@ def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pyte
         (
             "endless",
             "solved",
-            "The certificate is missing because time ran out: the run ended at its time limit of 100000 s, during the certificate of stage 3 (endless).",
+            "certificate is missing … limit of 100000 s, during … stage 3 (endless).",
         ),
         (
             "crashing",
             "crashed",
-            "The certificate is missing: the process ended with signal 11 (SIGSEGV) during the certificate of stage 3 (crashing).",
+            "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing).",
         ),
     ],
 )

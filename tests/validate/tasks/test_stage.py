@@ -47,9 +47,7 @@ def test_a_plan_on_another_grid_of_the_same_duration_is_taken():
 def test_a_plan_that_takes_its_time_is_refused():
     """Any damped scene comes to rest if one waits: the goal belongs to the task's end."""
     task = load_scene("wall_pendulum").task
-    with pytest.raises(
-        TrajectoryError, match=f"it lasts {100 * task.horizon:.6g} s, but the task of scene wall_pendulum {task.horizon:.6g} s"
-    ):
+    with pytest.raises(TrajectoryError, match=f"lasts {100 * task.horizon:.6g} s, .*wall_pendulum {task.horizon:.6g} s"):
         run(Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(100 * task.step, task.steps)))
 
 

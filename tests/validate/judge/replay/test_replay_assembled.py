@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.trajectory import Hold, Trajectory
@@ -118,9 +119,9 @@ def test_a_replay_is_the_tighter_reference_and_is_compared_with_all_others():
 def test_without_a_reference_the_finest_everyday_run_is_judged():
     found = assembled(simulated([], [3.0, 2.0, 1.5], note="and a note"))
     assert (found.method, found.q[-1].tolist(), found.error.tolerance, found.error.estimate) == ("everyday", [1.5], None, at(0.5))
-    assert found.message == "No reference replay: the FMU offers no Model Exchange. a note of the map. and a note"
+    assert not unsaid(found.message, "No reference replay: … no Model Exchange. a note of the map. and a note")
     same = assembled(simulated([], [1.5, 1.5, 1.5]))
-    assert (same.error.estimate, "how wrong that is cannot be told" in same.message) == (None, True)
+    assert (same.error.estimate, not unsaid(same.message, "cannot be told")) == (None, True)
     assert assembled(simulated([], [1.5, 1.5, 1.5]), internal_step=9).error.step == at(0.0), "an FMU with a step to set heeds it"
 
 
@@ -135,7 +136,7 @@ def test_runs_that_were_cut_off_are_compared_with_nothing():
     ended_early = assembled(simulated([1.25, nan], []))
     assert (ended_early.outcome, ended_early.message.split(". ")[0]) == (ReplayOutcome.DIVERGED, "cut off")
     refused = assembled(simulated([1.25, 1.0], [], refusal="it wants equal steps."))
-    assert refused.message.startswith("No everyday replay: it wants equal steps. a note")
+    assert not unsaid(refused.message, "No everyday replay: … equal steps. a note")
 
 
 def test_a_stated_accuracy_that_counts_for_nothing_is_said():
@@ -147,7 +148,7 @@ def test_a_stated_accuracy_that_counts_for_nothing_is_said():
     assert not any(note in text for text in run_module._notes(MODEL, runs, error, True))
     assert not any(note in text for text in run_module._notes(stated, runs, ReplayError(estimate=None), True))
     own = run_module._notes(stated, simulated([], [1.5, 1.5]), ReplayError(estimate=None, stated=stated.accuracy), False)
-    assert any("how wrong that is its author states" in text for text in own)
+    assert any(not unsaid(text, "its author states") for text in own)
 
 
 def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
@@ -247,7 +248,7 @@ def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it
     assert asked == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
     assert applied.tolist() == [[runs]], "of the last"
     lost = looks >= 6 or (looks > 0 and too_many)
-    assert (found.error.estimate is None, "steps over a contact that is shorter than any of its steps" in found.message) == (lost, lost)
+    assert (found.error.estimate is None, not unsaid(found.message, "shorter than any of its steps")) == (lost, lost)
 
 
 def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypatch: pytest.MonkeyPatch):

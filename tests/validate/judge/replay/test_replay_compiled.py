@@ -179,7 +179,7 @@ def test_a_binary_that_lacks_a_function_is_refused(tmp_path: Path, function: str
     """Before any loop is begun: FMPy wants all functions of the interface."""
     with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", defines=(f"{function}=another",)))) as package:
         run = reference if function == "fmi2GetDerivatives" else lambda *given: simulate(*given, 20)
-        with pytest.raises(FmuError, match=f"cannot be loaded on this machine .a function of FMI is missing in the binary .*{function}"):
+        with pytest.raises(FmuError, match=f"missing in the binary .*{function}"):
             run(package, FOREIGN, np.zeros(2), foreign_inputs())
 
 
@@ -332,7 +332,7 @@ def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(mo
 
 
 def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(Misbehaviour, match=r"it returned early at 0\.3 s, which was not allowed"):
+    with pytest.raises(Misbehaviour, match=r"returned early at 0\.3 s.*not allowed"):
         stepped(everyday.Reason.EARLY_RETURN, 1, monkeypatch)
     with pytest.raises(everyday.RollbackError):
         stepped(everyday.Reason.NOT_RESTORED, 1, monkeypatch, rolls_back=True)

@@ -196,7 +196,7 @@ def test_parameters_are_those_of_the_scene_not_of_the_file(carts: Scene):
 def test_an_fmu_without_the_variables_of_the_scene_is_refused():
     scene = mass_on_a_line()
     plan = driven(scene, np.ones((6, 1)))
-    with pytest.raises(FmuError, match=r"no variable 'q' of scene mass_on_a_line; give its name"):
+    with pytest.raises(FmuError, match=r"no variable 'q' of scene mass_on_a_line; give"):
         replay(scene, build_fmu(load_scene("three_cart")), plan)
     (position,), (push,) = scene.coordinates, scene.inputs
     q, u = position.symbol, push.symbol
@@ -207,7 +207,7 @@ def test_an_fmu_without_the_variables_of_the_scene_is_refused():
         forces=(scene.forces[0].subs({q: u, u: q}, simultaneous=True),),
         task=replace(scene.task, running_cost=q**2),
     )
-    with pytest.raises(FmuError, match=r"u .* is no input, but the plan drives it"):
+    with pytest.raises(FmuError, match=r"u .* is no input"):
         replay(scene, build_fmu(swapped), plan)
 
 

@@ -122,7 +122,7 @@ def test_steps_of_different_length_are_not_given_to_an_fmu_that_wants_equal_ones
     assert (result.method, result.error.everyday) == ("reference", None)
     assert "differ in length" in result.message
     assert replay(scene, fmu, uneven).error.everyday is not None
-    with pytest.raises(FmuError, match="no Model Exchange, and the plan's steps differ in length"):
+    with pytest.raises(FmuError, match=r"no Model Exchange, .*steps differ"):
         replay(scene, edited(equal, tmp_path / "only.fmu", without("ModelExchange")), uneven)
 
 
@@ -138,7 +138,7 @@ def test_a_binary_that_does_not_load_is_named(tmp_path: Path, scene: Scene, fmu:
         for item in old.infolist():
             new.writestr(item, b"no library" if item.filename.startswith("binaries/") else old.read(item))
     before = Path.cwd()
-    with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded on this machine"):
+    with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded"):
         replay(scene, broken, make_plan(scene))
     assert Path.cwd() == before  # FMPy leaves the process in a folder that no longer exists
 
@@ -210,11 +210,11 @@ def test_what_an_fmu_lacks_of_a_group_leaves_the_group_out_or_is_refused(scene: 
     assert (found.lam, found.gap, found.internal_step) == ((), (), None)
     assert (list(found.energies), list(found.powers)) == (["kinetic_energy", "potential_energy"], ["dissipated_power"])
     for name in ("q2", "v1", "u3"):
-        with pytest.raises(FmuError, match=f"FMU a.fmu: it has no variable '{name}' of scene three_cart; give its name"):
+        with pytest.raises(FmuError, match=f"FMU a.fmu: .*no variable '{name}' of scene three_cart; give"):
             find_variables(described({other: item for other, item in whole.items() if other != name}), scene)
     with pytest.raises(FmuError, match=r"u1 \(value reference 200\) is no input"):
         find_variables(described(whole | {"u1": (200, "output")}), scene)
-    with pytest.raises(FmuError, match="q1 is of type Integer, but must be Real or Float64"):
+    with pytest.raises(FmuError, match=r"q1 is of type Integer.*Real or Float64"):
         find_variables(described(whole, "Integer"), scene)
     first = scene.parameters[0].name
     assert len(find_variables(described(whole | {first: (1, "local")}), scene).parameters) == len(scene.parameters) - 1

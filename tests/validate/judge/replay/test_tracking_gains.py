@@ -309,7 +309,7 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
     with pytest.raises(TrackingError, match="a directional derivative is not a finite number"):
         module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
     monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: "it has no inputs")
-    with pytest.raises(TrackingError, match=r"FMU a\.fmu: the plan cannot be tracked, because it has no inputs\."):
+    with pytest.raises(TrackingError, match=r"FMU a\.fmu: .*cannot be tracked.*no inputs\."):
         module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
 
 
