@@ -7,8 +7,6 @@ again. First come the quick tests that import the file, then the quick ones of t
 changed: each worker has a copy of it, which is removed at the end, however that comes.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os

@@ -1,7 +1,5 @@
 """The planter of defects: what it writes is one mistake on one line, the same for a seed, and it leaves every file as it was."""
 
-from __future__ import annotations
-
 import ast
 from itertools import islice, takewhile
 from pathlib import Path

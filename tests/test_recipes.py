@@ -1,7 +1,5 @@
 """What docs/extending.md adds - a scene, a method, a metric, a page, a judge - is what the package asks of its own, followed as it is printed."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

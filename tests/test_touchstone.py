@@ -1,7 +1,5 @@
 """`import touchstone`: what it costs, what it gives, and what it says when something is wrong."""
 
-from __future__ import annotations
-
 import doctest
 import os
 import subprocess

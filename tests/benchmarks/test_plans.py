@@ -1,7 +1,5 @@
 """`plans`: its random tasks are the same everywhere, and rows are compared with the cheapest plan that was solved."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The suite: ways through one stage end at the same answer, rounds take turns, what cannot be measured is said."""
 
-from __future__ import annotations
-
 import importlib
 import platform
 from dataclasses import replace

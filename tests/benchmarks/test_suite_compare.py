@@ -1,7 +1,5 @@
 """Two runs of the suite: a regression is told from noise, from a busier machine, and from a peer that got slower."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

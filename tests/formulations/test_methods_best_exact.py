@@ -1,7 +1,5 @@
 """`best_exact`: mpcc where contacts are open or closed, else several ways, of which the cheapest plan is kept."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations.pipelines import load_method

@@ -64,18 +64,14 @@ def test_a_sound_scene_is_accepted():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (
-            {"task": Task(start=(0.0,), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10)},
-            ["task.start", "1 numbers", "2 are needed"],
-        ),
+        ({"task": Task(start=(0.0,), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10)}, ["task.start", "1 numbers", "2 are needed"]),
         ({"forces": (u, u)}, ["forces", "2 entries", "1 coordinates"]),
         ({"parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=-1.0, unit="N/m"))}, ["wall", "stiffness"]),
         ({"contacts": (wall(penetration=sp.Max(x, 0) - 1),)}, ["wall", "Max", "a contact of its own"]),
-        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]),
-        ({"coordinates": ()}, ["no coordinates"]),
+        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]), ({"coordinates": ()}, ["no coordinates"]),
         ({"name": "two words"}, ["two words", "identifier"]),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as caught:
         check_expressions(small_scene(**changes))
@@ -196,17 +192,13 @@ def test_catalog_lists_all_scenes():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]),
-        ({"forces": (None,)}, ["forces[0]", "NoneType"]),
-        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]),
-        ({"forces": u}, ["forces must be a tuple"]),
-        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]),
-        ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
-        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]),
-        ({"contacts": wall()}, ["contacts must be a tuple"]),
+        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]), ({"forces": (None,)}, ["forces[0]", "NoneType"]),
+        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]), ({"forces": u}, ["forces must be a tuple"]),
+        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]), ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
+        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]), ({"contacts": wall()}, ["contacts must be a tuple"]),
         ({"task": {}}, ["task must be a Task", "dict"]),
     ],
-)
+)  # fmt: skip
 def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as error:
         small_scene(**changes)
@@ -284,16 +276,11 @@ def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, 
 
 
 NOT_SMOOTH = {
-    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"),
-    "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
-    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"),
-    "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
-    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"),
-    "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"),
-    "floor": (sp.floor(x), "x for floor(x)"),
-    "ceiling": (sp.ceiling(x), "x for ceiling(x)"),
-    "Mod": (sp.Mod(x, 2), "a sine of the same period"),
-}
+    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"), "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
+    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"), "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
+    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"), "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"), "floor": (sp.floor(x), "x for floor(x)"),
+    "ceiling": (sp.ceiling(x), "x for ceiling(x)"), "Mod": (sp.Mod(x, 2), "a sine of the same period"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)

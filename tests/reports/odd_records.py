@@ -1,7 +1,5 @@
 """Records of runs that went wrong, and of one whose every string is markup; `factory` is the record factory beside this file."""
 
-from __future__ import annotations
-
 from reports.records.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
 
 

@@ -1,7 +1,5 @@
 """Causes of runs that do not hold: those that are metrics, and runs grouped by them."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

@@ -1,7 +1,5 @@
 """The three findings, against records made by hand."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

@@ -1,7 +1,5 @@
 """How large pages are, on a campaign of 16 scenes by 19 pipelines made by hand."""
 
-from __future__ import annotations
-
 import re
 from hashlib import sha256
 

@@ -1,7 +1,5 @@
 """The page of FMUs, from records: sound ones, failing ones, and checks that ended without an answer."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Of which of two replays a verdict is, and how metrics stand by question and end by end."""
 
-from __future__ import annotations
-
 import html
 import re
 

@@ -1,7 +1,5 @@
 """Reading the records of a folder: what is broken is named, what is whole is kept."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -11,17 +9,13 @@ from reports.records.load import ReportError, load
 from reports.render import write_report
 
 _BROKEN = {
-    "cut short": lambda text: text[: len(text) // 2],
-    "empty": lambda _: "",
-    "not JSON": lambda _: "\x00\x01<html>",
-    "a number": lambda _: "1",
+    "cut short": lambda text: text[: len(text) // 2], "empty": lambda _: "", "not JSON": lambda _: "\x00\x01<html>", "a number": lambda _: "1",
     "another schema": lambda text: json.dumps(json.loads(text) | {"surprise": 1}),
     "a string for a number": lambda text: json.dumps(json.loads(text) | {"wall_seconds": "soon"}),
     "NaN": lambda text: json.dumps(json.loads(text) | {"wall_seconds": float("nan")}),
-    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}),
-    "deep": lambda _: "[" * 100_000,
+    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}), "deep": lambda _: "[" * 100_000,
     "another key": lambda text: json.dumps(json.loads(text) | {"key": "../../etc"}),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", _BROKEN)

@@ -1,7 +1,5 @@
 """What the sections compute: rows, fronts, sweeps, the command that runs a cell again, and the paper's numbers."""
 
-from __future__ import annotations
-
 import math
 import shlex
 

@@ -1,7 +1,5 @@
 """The film of a run: on which bodies a contact's arrows are drawn, and which way they point."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """The page as text: complete, self-contained, escaped, honest about what is missing."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -196,26 +194,13 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"has_plan": False},
-        {"replay": None},
-        {
-            "has_plan": False,
-            "replay": None,
-            "metrics": (),
-            "cost": None,
-            "verdict": "no plan",
-            "history": {},
-            "residuals": {},
-            "options": {},
-        },
-        {"history": {"objective": ()}},
-        {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
-        {"cost": 0.0, "paper": {"cost": 0.0}},
-        {"cost": -1e300, "paper": {"time": 0.0}},
-        {"eps": 0.0},
+        {"has_plan": False}, {"replay": None},
+        {"has_plan": False, "replay": None, "metrics": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
+        {"history": {"objective": ()}}, {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
+        {"cost": 0.0, "paper": {"cost": 0.0}}, {"cost": -1e300, "paper": {"time": 0.0}}, {"eps": 0.0},
     ],
     ids=lambda changes: "-".join(changes),
-)
+)  # fmt: skip
 def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path, changes):
     odd = StageRecord.model_validate(factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump() | changes)
     run = factory.run("softplus_dc", None, "strict_lcp", stages=(odd,), must_hold=False)
@@ -230,18 +215,14 @@ def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_pat
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (None, "cannot be read (there is no such file)"),
-        (b"", "cannot be read ("),
-        (b"CDF\x01 an old one", "cannot be read ("),
-        ({}, "stored"),
-        ({"t": ()}, "stored"),
-        ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
+        (None, "cannot be read (there is no such file)"), (b"", "cannot be read ("), (b"CDF\x01 an old one", "cannot be read ("), ({}, "stored"),
+        ({"t": ()}, "stored"), ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
         ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)}, ""),
         ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,), "pose_angle_1": (0.0,)}, ""),
         ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)), "gap_left": (0.0, 1.0, 2.0)}, ""),
     ],
     ids=range(9),
-)
+)  # fmt: skip
 def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_path, what, columns, said):
     run, whole = factory.run("softplus_dc", None, "strict_lcp"), factory.runs()[2]
     folder = factory.store(tmp_path / "odd", [run, whole])

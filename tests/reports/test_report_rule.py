@@ -1,7 +1,5 @@
 """The rule of a campaign, case by case, on records."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Certificates, starts and fronts in the report: runs in parts told as one, the spread of optima, rows beside the front."""
 
-from __future__ import annotations
-
 from reports.pages.run import spread
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
 from reports.render import write_single

@@ -1,7 +1,5 @@
 """Motions come from the files beside a record; columns of a record are the same after writing and reading, and finite numbers."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

@@ -1,7 +1,5 @@
 """Sentences of records as a person would write them: no number in a program's notation, and no reason told twice."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,8 +1,6 @@
 """Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record; and whether
 anything of them would change."""
 
-from __future__ import annotations
-
 import os
 import re
 import threading

@@ -1,7 +1,5 @@
 """Numbers in words at each limit and just beside it, causes and rules by each of their conditions, rows by every part of a chain."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

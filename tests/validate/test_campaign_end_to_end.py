@@ -1,7 +1,5 @@
 """Real cells: solved, replayed through the FMU, scored, told; and the same again, bit for bit."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The paper's motivating example: a cup that a relaxed plan lifts with forces that are not there, and an exact plan that really lifts it."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

@@ -1,7 +1,5 @@
 """Every way a solve can end, and the check that does not take Ipopt's word."""
 
-from __future__ import annotations
-
 import math
 import sys
 

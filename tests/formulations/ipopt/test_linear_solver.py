@@ -1,7 +1,5 @@
 """Who factorises: by default ours where it can be had, else MUMPS; both come to the same optimum; what is insisted on is told where it is missing."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

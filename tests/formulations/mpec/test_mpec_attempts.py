@@ -1,7 +1,5 @@
 """The best of several strategies and starts, within a work; and costs in any unit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest

@@ -1,7 +1,5 @@
 """Certificates of scene plans, and of points whose multipliers are known: right plans are confirmed, wrong ones found out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 

@@ -1,7 +1,5 @@
 """Multipliers by projection against closed forms, linear programs, and all pieces one by one; and what proves each answer, checked by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sparse

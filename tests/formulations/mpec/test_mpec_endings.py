@@ -1,7 +1,5 @@
 """How a solve ends: the model as it was, statuses that are true, multipliers where they are asked for."""
 
-from __future__ import annotations
-
 import io
 import logging
 import math

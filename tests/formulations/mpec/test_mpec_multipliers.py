@@ -1,7 +1,5 @@
 """Multipliers, what proves that there are none, classes and descents, in programs small enough to be worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

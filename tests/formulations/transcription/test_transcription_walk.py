@@ -1,7 +1,5 @@
 """A walk: from a loose eps to the one asked for, in steps that adapt to what they cost; it ends at the eps asked for, or says where."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

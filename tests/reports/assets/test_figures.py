@@ -1,7 +1,5 @@
 """Figures, tables and the player as their buttons and keys work them in headless Chromium."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io

@@ -1,7 +1,5 @@
 """What failed, by cause: each cause once with its runs by scene, the campaign's own failures marked, and what cannot be read."""
 
-from __future__ import annotations
-
 import html
 import re
 

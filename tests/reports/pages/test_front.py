@@ -1,7 +1,5 @@
 """Cost against terminal error, and CPU time against error and cost: every mark at its values, and fronts as staircases."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

@@ -1,7 +1,5 @@
 """The index of the other pages: a sentence each with its main figure, links both ways."""
 
-from __future__ import annotations
-
 import html
 import re
 

@@ -1,7 +1,5 @@
 """The first screen: cells of the matrix, families of marks, and what is there of a folder with little in it."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """All runs in a table, and what is told of one: why it has its verdict, its metrics stage by stage, and both of its ends."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

@@ -1,7 +1,5 @@
 """All runs as one table, and the head of a run's page: the verdict with what decided it."""
 
-from __future__ import annotations
-
 import html
 import re
 

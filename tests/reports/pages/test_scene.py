@@ -1,7 +1,5 @@
 """The page of a scene: the motion that stands for it, its contact forces, all methods as one scatter and one table, its equations."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -1,7 +1,5 @@
 """Pages of one table or one sentence: errata, FMUs, provenance, starts, sizes, seconds, the index, a scene's time step."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

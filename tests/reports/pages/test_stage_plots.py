@@ -1,7 +1,5 @@
 """The plots of a stage against motions made by hand: which values each line has, in which unit, and what is said of them."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

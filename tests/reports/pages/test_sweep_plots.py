@@ -1,7 +1,5 @@
 """Sweeps and stress cases drawn: each mark at its number, medians joined, zeros below everything else."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Sweeps: which runs are one, along which number, and what is drawn of them; seeds as a spread."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

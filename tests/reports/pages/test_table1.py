@@ -1,7 +1,5 @@
 """The table of stages and what is concluded from it, from rows whose numbers all differ."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Least cost within each terminal tolerance: where the front runs, and what is said of each row beside it."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

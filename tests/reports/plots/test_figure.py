@@ -1,7 +1,5 @@
 """A plot's pixels by hand: 440 by 240, of which x has those from 54 to 426 and y those from 202 up to 26."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -157,15 +155,9 @@ BESIDE = [(165, 106), (165, 112), (145, 100), (145, 130), (130, 112), (165, 125)
 @pytest.mark.parametrize(
     ("taken", "place"),
     [
-        (0, (154.0, 108.0)),
-        (1, (156.0, 118.0)),
-        (2, (139.2, 104.0)),
-        (3, (139.2, 133.0)),
-        (4, (122.4, 118.0)),
-        (5, (154.0, 130.0)),
-        (6, (156.0, 90.0)),
+        (0, (154.0, 108.0)), (1, (156.0, 118.0)), (2, (139.2, 104.0)), (3, (139.2, 133.0)), (4, (122.4, 118.0)), (5, (154.0, 130.0)), (6, (156.0, 90.0)),
     ],
-)
+)  # fmt: skip
 def test_a_name_goes_round_its_point_until_there_is_room(taken: int, place: tuple[float, float]):
     """Two bold characters of 7.8 pixels beside (147, 114): to the right and up, to the right, above, below, to the left; or moved as labels are."""
     one = plot()

@@ -1,7 +1,5 @@
 """Runs in parts shown as one: which plan, which words, and sums of all that was spent."""
 
-from __future__ import annotations
-
 import pytest
 from wording import unsaid
 

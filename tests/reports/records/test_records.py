@@ -1,7 +1,5 @@
 """Records as they are written and read: columns of numbers, names of files, order, and a folder of them with what is broken in it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

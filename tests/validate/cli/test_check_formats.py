@@ -1,7 +1,5 @@
 """What `check` writes for other tools, from a report whose every figure is different, read back by readers of the formats."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path
@@ -15,33 +13,13 @@ from validate.cli.check_formats import data, junit, markdown, sarif
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 
 _ROWS = (
-    FmuCheckRow(
-        name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"
-    ),
-    FmuCheckRow(
-        name="start values are the XML's",
-        type="ME",
-        claim="same",
-        status=Status.FAILED,
-        sentence="a|b is 2 <3>.",
-        seconds=0.2,
-        clause="FMI 3.0.2, 2.4.7.5",
-    ),
+    FmuCheckRow(name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"),
+    FmuCheckRow(name="start values are the XML's", type="ME", claim="same", status=Status.FAILED, sentence="a|b is 2 <3>.", seconds=0.2, clause="FMI 3.0.2, 2.4.7.5"),
     FmuCheckRow(name="runs repeat", type="CS", claim="bits", status=Status.FAILED, sentence="x\ndiffers.\x07", seconds=0.3),
-    FmuCheckRow(
-        name="set state restores",
-        type="CS",
-        claim="all",
-        status=Status.WAIVED,
-        sentence="off. Waived: ours.",
-        seconds=0.4,
-        clause="FMI 3.0.2, 2.2.7.4",
-    ),
-    FmuCheckRow(
-        name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"
-    ),
+    FmuCheckRow(name="set state restores", type="CS", claim="all", status=Status.WAIVED, sentence="off. Waived: ours.", seconds=0.4, clause="FMI 3.0.2, 2.2.7.4"),
+    FmuCheckRow(name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"),
     FmuCheckRow(name="adjoint derivatives", type="ME", claim="adjoint", status=Status.NOT_OFFERED, sentence="none.", seconds=0.6),
-)
+)  # fmt: skip
 
 
 @pytest.fixture

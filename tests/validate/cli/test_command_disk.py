@@ -1,8 +1,6 @@
 """A disk that refuses a command: at each request that the command makes, one after the other. It does what it was asked, or ends with one sentence;
 what was there before is whole."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

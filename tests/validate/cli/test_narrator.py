@@ -1,7 +1,5 @@
 """What a terminal is shown while a campaign runs: how much is done, how long it may take, what runs; and where there are no colours."""
 
-from __future__ import annotations
-
 import functools
 import io
 import re

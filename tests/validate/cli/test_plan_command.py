@@ -1,7 +1,5 @@
 """`plan` tells what `all` would do, and `all` does it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`replay` on the command line: somebody's FMU by a map, equal names, and every mistake one sentence with its exit code."""
 
-from __future__ import annotations
-
 import json
 import re
 import zipfile

@@ -1,7 +1,5 @@
 """Whose turn it is in an engine, and whose fault what ends it: each engine beside workers and a cluster that only answer."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import tempfile

@@ -1,7 +1,5 @@
 """What holds of every engine: the same rows, the same endings, nothing left behind. `dask` is a LocalCluster, `standing` a cluster by its scheduler file."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

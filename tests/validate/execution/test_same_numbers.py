@@ -3,8 +3,6 @@
 test_engines.py and test_campaign_reliability.py show the same of cells that only pretend, and of how they end.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import random
 import signal

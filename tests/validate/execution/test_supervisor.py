@@ -1,7 +1,5 @@
 """Children under supervisors, forked or started alone: their session, limits, output and end, and that nothing is left of them, whoever is killed."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

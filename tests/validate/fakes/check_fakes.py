@@ -3,8 +3,6 @@
 python -m validate all --plugin check_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import time

@@ -1,7 +1,5 @@
 """A campaign's folder with spoilt files, and what goes on from one: resume, `plan`, --lf, `compare`, shared stages; and other small JSON files."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import random

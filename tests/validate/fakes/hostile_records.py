@@ -1,7 +1,5 @@
 """A campaign's folder with spoilt records, and all that reads one: load, results, `report` and `show`."""
 
-from __future__ import annotations
-
 import json
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Spoilt results - of a planner, a compiler, a cell, an isolated call - and what reads them."""
 
-from __future__ import annotations
-
 import json
 import random
 import struct

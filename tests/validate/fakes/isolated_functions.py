@@ -1,7 +1,5 @@
 """What isolated children are asked to do in test_isolation.py: to behave, and to misbehave."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -4,8 +4,6 @@ integrate(PythonModel(package, variables), ...)    # CVODE through scikit-sundae
 simulate(package, variables, ...)                  # validate.judge.replay.everyday.simulate with this loop in place of that of loops.c
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """CVODE by the addresses of its functions: the bits of scikit-sundae's own CVODE, its failures in words, and where it is looked for."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from pathlib import Path

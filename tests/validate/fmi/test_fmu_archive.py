@@ -1,7 +1,5 @@
 """What is let in as an FMU: every other file is refused by its own sentence, before anything is unpacked."""
 
-from __future__ import annotations
-
 import hashlib
 import stat
 import zipfile

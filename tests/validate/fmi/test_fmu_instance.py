@@ -1,7 +1,5 @@
 """An instance of an FMU, call by call: with a binary that answers what the test says, of either version of FMI."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections import deque
@@ -94,16 +92,12 @@ def test_the_last_successful_time_is_asked_of_fmi_2_alone():
 @pytest.mark.parametrize(
     ("kind", "type_of", "values", "expected"),
     [
-        (TWO, "Real", [1.5], ("setReal", [7], [1.5])),
-        (TWO, "Integer", [2.0], ("setInteger", [7], [2])),
-        (TWO, "Enumeration", [3.0], ("setInteger", [7], [3])),
-        (THREE, "Float64", [1.5], ("setFloat64", [7], [1.5])),
-        (THREE, "Float32", [1.5], ("setFloat32", [7], [1.5])),
-        (THREE, "Int32", [2.0], ("setInt32", [7], [2])),
-        (THREE, "Boolean", [2.0], ("setBoolean", [7], [True])),
+        (TWO, "Real", [1.5], ("setReal", [7], [1.5])), (TWO, "Integer", [2.0], ("setInteger", [7], [2])), (TWO, "Enumeration", [3.0], ("setInteger", [7], [3])),
+        (THREE, "Float64", [1.5], ("setFloat64", [7], [1.5])), (THREE, "Float32", [1.5], ("setFloat32", [7], [1.5])),
+        (THREE, "Int32", [2.0], ("setInt32", [7], [2])), (THREE, "Boolean", [2.0], ("setBoolean", [7], [True])),
         (THREE, "Enumeration", [3.0], ("setInt64", [7], [3])),
     ],
-)
+)  # fmt: skip
 def test_a_value_is_written_and_read_by_the_call_of_its_type(kind: Any, type_of: str, values: list[float], expected: tuple[Any, ...]):
     get = expected[0].replace("set", "get")
     fmu, log = bare(kind, **{expected[0]: None, get: [9]})

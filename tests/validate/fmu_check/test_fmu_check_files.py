@@ -1,7 +1,5 @@
 """What is found in the file itself, what is refused before it is opened, and the command's exit codes and forms."""
 
-from __future__ import annotations
-
 import json
 import stat
 import zipfile

@@ -1,7 +1,5 @@
 """No false alarms: on our own FMUs, and on models of other kinds - events that change states, time events, no states, a fixed solver step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`judge(scene, plan)`: every form of a plan gives the same verdict; what it declares counts; mistakes are one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -17,18 +17,9 @@ from validate.judge.simulator import Came, CannotExpressError, Drive, describe_e
 
 # Scenes that MuJoCo is told whole, and how near it comes to our replay at a fiftieth of the task's step [m, rad]: the tip of a cart-pole meets a constraint.
 EXPRESSED = {
-    "three_cart": 1e-7,
-    "cart_chain": 1e-7,
-    "two_discs": 1e-5,
-    "two_discs_wall": 1e-5,
-    "bouncing_mass": 1e-7,
-    "two_body_collision": 1e-7,
-    "transport": 1e-6,
-    "hopper": 1e-5,
-    "wall_pendulum": 1e-7,
-    "acrobot_limits": 1e-7,
-    "cart_pole_walls": 1e-3,
-}
+    "three_cart": 1e-7, "cart_chain": 1e-7, "two_discs": 1e-5, "two_discs_wall": 1e-5, "bouncing_mass": 1e-7, "two_body_collision": 1e-7, "transport": 1e-6,
+    "hopper": 1e-5, "wall_pendulum": 1e-7, "acrobot_limits": 1e-7, "cart_pole_walls": 1e-3,
+}  # fmt: skip
 
 
 def drive(name: str, parts: int = 50) -> Drive:

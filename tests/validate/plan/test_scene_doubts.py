@@ -1,7 +1,5 @@
 """What is possible in a scene but hardly meant is told before anything runs; the bank gives no cause."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is run again: --lf, -x, --retry, and the command that `show` prints."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """results.csv: a row in which every value is another, read back column by column; rows without a replay, without a run, without a value."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

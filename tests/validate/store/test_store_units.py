@@ -1,7 +1,5 @@
 """The store piece by piece: who is at work on what is unfinished, files that are not as they were stored, marks, requests, names."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

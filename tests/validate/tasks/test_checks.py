@@ -1,7 +1,5 @@
 """Cells that are no scene x pipeline: selected, run in children, stored, resumed and judged as other cells are."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A cell that ends during a certificate keeps what it had: plans, replays, scores, and the certificates that were finished."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time
@@ -73,18 +71,10 @@ def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pyte
 @pytest.mark.parametrize(
     ("last", "outcome", "why"),
     [
-        (
-            "endless",
-            "solved",
-            "certificate is missing … limit of 100000 s, during … stage 3 (endless).",
-        ),
-        (
-            "crashing",
-            "crashed",
-            "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing).",
-        ),
+        ("endless", "solved", "certificate is missing … limit of 100000 s, during … stage 3 (endless)."),
+        ("crashing", "crashed", "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing)."),
     ],
-)
+)  # fmt: skip
 def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
     with contextlib.closing(Preloaded(MODULES)) if last == "endless" else contextlib.nullcontext() as preloaded:
         record, folder = _run(last, tmp_path, preloaded, monkeypatch)

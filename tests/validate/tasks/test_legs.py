@@ -1,7 +1,5 @@
 """A leg that several pipelines of a scene have runs once, and gives the same numbers as if it had run in each."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What a notebook shows of a plan that was solved or judged: one line, a page in a frame, a plot, a table."""
 
-from __future__ import annotations
-
 import html
 import re
 import sys

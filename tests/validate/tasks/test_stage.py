@@ -1,7 +1,5 @@
 """What a method hands back is looked at before anybody believes it: its type, its outcome, its shapes, and how long its plan lasts."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

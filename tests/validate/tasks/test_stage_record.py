@@ -1,7 +1,5 @@
 """A record says what its source says, field by field, with values that all differ; what is not known is not 0."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

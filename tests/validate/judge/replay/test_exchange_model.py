@@ -1,7 +1,5 @@
 """An FMU by Model Exchange under CVODE: the order of its calls, events, bounds, and how each loop ends."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """A replay is put together from its runs: numbers in the plan's units, errors, feedback, and what ended a run."""
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 from dataclasses import replace

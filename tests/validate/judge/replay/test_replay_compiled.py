@@ -1,7 +1,5 @@
 """The loops in C against the loops in Python: the same calls, and therefore the same numbers, bit for bit; and what is said where they cannot run."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from dataclasses import fields

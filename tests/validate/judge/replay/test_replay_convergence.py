@@ -1,7 +1,5 @@
 """The replay under inputs that jump at every step, and on grids that divide nothing: it converges as its own order says, or says that it did not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

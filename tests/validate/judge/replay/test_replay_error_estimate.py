@@ -1,7 +1,5 @@
 """The replay's own error, from runs made by hand whose differences are known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Replay through generated FMUs: closed forms, self-error, order of convergence, hold conventions, failures as outcomes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

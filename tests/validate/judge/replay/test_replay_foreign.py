@@ -1,7 +1,5 @@
 """FMUs that offer less than ours: one kind only, no contact outputs, no energies, no interpolation of inputs. Made by editing the XML of ours."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace

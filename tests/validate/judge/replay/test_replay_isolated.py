@@ -1,7 +1,5 @@
 """Somebody's FMU that misbehaves, replayed in its child: every ending right, good runs beside it unchanged, nothing left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The simulations of a replay as one job: what is asked of a child, what its end means, and how the runs are put together; with a child that answers what the test says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a map says of somebody's FMU: duration, bounds, depths, accuracy, hold; and names that nobody expects. One sentence, or it works."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

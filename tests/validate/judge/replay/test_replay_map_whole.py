@@ -1,7 +1,5 @@
 """A whole map at once, every number different: each stands in its place, and each mistake names its own."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Plans and replays in NetCDF files: bit for bit, and one sentence for a file that is stale, foreign or garbled."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

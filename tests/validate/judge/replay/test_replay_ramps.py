@@ -1,7 +1,5 @@
 """A linear hold heads for the plan's last row in the last step: a double integrator under a ramp, against its closed form."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Step halving by rollback: the run stays as it is, its sum of local errors against the true error, and FMUs that cannot after all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

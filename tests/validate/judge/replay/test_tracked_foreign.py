@@ -1,7 +1,5 @@
 """Tracking on an FMU of which nothing is known but its description: our own unstable pendulum as a stranger, and one that cannot be tracked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

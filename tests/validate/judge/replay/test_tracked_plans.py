@@ -1,7 +1,5 @@
 """Plans of the cart-pole between walls under tracking: an exact one is followed, one that cheats is not saved, and the command shows both replays."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tracked replay against closed forms: a linear unstable pendulum whose closed loop is a product of matrices, reference and everyday alike."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

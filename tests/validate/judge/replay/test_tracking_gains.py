@@ -1,7 +1,5 @@
 """Tracking gains against other people's Riccati solver and by hand, growth against closed forms, the law in other units."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

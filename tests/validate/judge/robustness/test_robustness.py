@@ -1,7 +1,5 @@
 """Shares, curves and first failures: by hand, on known functions, and on three carts as a whole."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """A plan in one world: against the judge, the reference and an integrator of the tests' own."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What may be otherwise and by how much; what a plan's inputs become in a world, by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

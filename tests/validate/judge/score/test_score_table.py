@@ -327,14 +327,9 @@ def asking(**ok: bool | None) -> tuple[Metric, ...]:
 @pytest.mark.parametrize(
     "name",
     [
-        "terminal_position_error",
-        "terminal_velocity_error",
-        "cost",
-        "replay_terminal_position_error",
-        "replay_terminal_velocity_error",
-        "replay_cost",
+        "terminal_position_error", "terminal_velocity_error", "cost", "replay_terminal_position_error", "replay_terminal_velocity_error", "replay_cost",
     ],
-)
+)  # fmt: skip
 def test_who_asks_for_an_end_or_a_cost_asks_for_something(name: str):
     scene, plan = SimpleNamespace(nc=1, nf=1), SimpleNamespace(has_states=True, missing=frozenset())
     assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(**{name: True})) is Verdict.HOLDS
