@@ -89,7 +89,6 @@ def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # which a shell's background ignores
     )  # fmt: skip
-    assert running.stderr is not None
     first = running.stderr.readline()  # the smallest size is solved, the next one is a child that runs
     os.killpg(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=60)

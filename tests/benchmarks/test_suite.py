@@ -124,15 +124,8 @@ def test_memory_that_preparing_freed_does_not_hide_what_the_work_needs(monkeypat
 
 def row(stage: str, by: str = OURS, n: int = 3, steps: int = 500, cpu=(1.0,) * 5, **more) -> SuiteRow:
     values = {
-        "stage": stage,
-        "title": stage,
-        "by": by,
-        "n": n,
-        "steps": steps,
-        "cpu_s": cpu,
-        "memory_mib": (8.0,) * len(cpu),
-        "outcome": "ok",
-    }
+        "stage": stage, "title": stage, "by": by, "n": n, "steps": steps, "cpu_s": cpu, "memory_mib": (8.0,) * len(cpu), "outcome": "ok",
+    }  # fmt: skip
     return SuiteRow.model_validate(values | more)
 
 

@@ -25,31 +25,23 @@ HALF = sp.Rational(1, 2)
 
 def contact(**changes: Any) -> Contact:
     fields: dict = {
-        "name": "wall",
-        "bodies": ("wall", "joint"),
-        "penetration": q - 2,
-        "stiffness": k,
-        "depth": 1.0,
+        "name": "wall", "bodies": ("wall", "joint"), "penetration": q - 2, "stiffness": k, "depth": 1.0,
         "depth_reason": "the length of the spring",
-    }
+    }  # fmt: skip
     return Contact(**(fields | changes))
 
 
 def scene(units: dict[sp.Symbol, str] | None = None, push: str = "N", **changes: Any) -> Scene:
     """A cart with a pole, in which parts are changed; units: of parameters, push: of the input."""
     fields: dict = {
-        "name": "own",
-        "title": "a cart with a pole",
-        "source": "this test",
+        "name": "own", "title": "a cart with a pole", "source": "this test",
         "coordinates": (Coordinate(symbol=q, velocity=v, unit="m"), Coordinate(symbol=theta, velocity=omega, unit="rad")),
         "inputs": (Input(symbol=u, unit=push),),
         "parameters": tuple(Parameter(symbol=symbol, value=1.0, unit=unit) for symbol, unit in (UNITS | (units or {})).items()),
-        "kinetic_energy": m * v**2 / 2 + inertia * omega**2 / 2,
-        "potential_energy": m * g * l * sp.cos(theta),
-        "forces": (u - c * v, sp.Integer(0)),
-        "contacts": (contact(),),
+        "kinetic_energy": m * v**2 / 2 + inertia * omega**2 / 2, "potential_energy": m * g * l * sp.cos(theta),
+        "forces": (u - c * v, sp.Integer(0)), "contacts": (contact(),),
         "task": Task(start=(0.0,) * 4, goal=(None,) * 4, running_cost=u**2 + q + theta * v, step=0.01, steps=10),
-    }
+    }  # fmt: skip
     return Scene(**(fields | changes))
 
 

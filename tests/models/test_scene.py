@@ -28,31 +28,20 @@ def part(kind: Any, /, **fields: Any) -> Any:
 
 def wall(**changes: Any) -> Contact:
     fields: dict = {
-        "name": "wall",
-        "bodies": ("mass", "wall"),
-        "penetration": x - 1,
-        "stiffness": k,
-        "depth": 0.2,
-        "depth_reason": "a spring",
-    }
+        "name": "wall", "bodies": ("mass", "wall"), "penetration": x - 1, "stiffness": k, "depth": 0.2, "depth_reason": "a spring",
+    }  # fmt: skip
     return Contact(**(fields | changes))
 
 
 def small_scene(**changes: object) -> Scene:
     fields: dict = {
-        "name": "small",
-        "title": "a mass before a wall",
-        "source": "this test",
-        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),),
-        "inputs": (Input(symbol=u, unit="N"),),
+        "name": "small", "title": "a mass before a wall", "source": "this test",
+        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),), "inputs": (Input(symbol=u, unit="N"),),
         "parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=10.0, unit="N/m")),
-        "kinetic_energy": m * vx**2 / 2,
-        "potential_energy": sp.Integer(0),
-        "forces": (u,),
-        "contacts": (wall(),),
+        "kinetic_energy": m * vx**2 / 2, "potential_energy": sp.Integer(0), "forces": (u,), "contacts": (wall(),),
         "task": Task(start=(0.0, 0.0), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10),
         "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    }
+    }  # fmt: skip
     return Scene(**(fields | changes))
 
 

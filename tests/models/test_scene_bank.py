@@ -210,9 +210,7 @@ def test_the_rigid_optimum_of_the_discs(start: tuple[float, ...], goal: tuple[fl
         ((0.25, -0.3, -0.5, 0.6), (0.0, 1.6), RIGID_OPTIMUM_WALL, RIGID_HIT_WALL),
     ],
 )
-def test_the_discs_limit_is_the_cheapest_throw_onto_the_goal(
-    start: tuple[float, ...], goal: tuple[float, float], optimum: float, hit: float
-):
+def test_the_discs_limit_is_the_cheapest_throw_onto_the_goal(start, goal, optimum, hit):
     found = minimize_scalar(lambda time: rigid_hit_cost(time, start, goal), bounds=(0.05, 0.95), method="bounded", options={"xatol": 1e-9})
     assert found.fun == pytest.approx(hit, abs=1e-7)
     idle = start[2] ** 2 + start[3] ** 2

@@ -159,16 +159,9 @@ def _metric(
     name: str, value: float | None, unit: str, limit: float | None = None, question: int | None = None, error: float = 0.0
 ) -> MetricRecord:
     return MetricRecord(
-        question=question,
-        error=error,
-        name=name,
-        value=value,
-        unit=unit,
-        meaning=f"what {name} means, in words",
-        limit=limit,
-        reason="the reason of the limit" if limit is not None else "",
-        ok=None if limit is None or value is None else value <= limit,
-    )
+        question=question, error=error, name=name, value=value, unit=unit, meaning=f"what {name} means, in words", limit=limit,
+        reason="the reason of the limit" if limit is not None else "", ok=None if limit is None or value is None else value <= limit,
+    )  # fmt: skip
 
 
 PAPER = {(row.methods[-1], row.eps, row.methods[0] if len(row.methods) > 1 else None): row.numbers for row in TABLE_1}
@@ -259,19 +252,10 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
 
 def provenance(**changes: object) -> ProvenanceRecord:
     values = {
-        "touchstone": "0.1.0",
-        "commit": "a" * 40,
-        "python": "3.11.7",
-        "platform": "Linux-6.1-x86_64",
-        "cpu": "Some Processor 2.6 GHz",
-        "cores": 2,
-        "threads": 1,
-        "packages": {"numpy": "2.4.6", "pyomo": "6.10.1"},
-        "compiler": "gcc 12.2.0",
-        "seed": 1,
-        "started": "2025-01-02T03:04:05Z",
-        "command": "python -m validate all",
-    }
+        "touchstone": "0.1.0", "commit": "a" * 40, "python": "3.11.7", "platform": "Linux-6.1-x86_64", "cpu": "Some Processor 2.6 GHz",
+        "cores": 2, "threads": 1, "packages": {"numpy": "2.4.6", "pyomo": "6.10.1"}, "compiler": "gcc 12.2.0", "seed": 1,
+        "started": "2025-01-02T03:04:05Z", "command": "python -m validate all",
+    }  # fmt: skip
     return ProvenanceRecord.model_validate(values | changes)
 
 
@@ -282,19 +266,11 @@ def run(pipeline: str, before: str | None, last: str, **changes: object) -> RunR
         total += 0.73
     stages.append(stage(len(stages), last, None, before, total))
     values = {
-        "key": f"{pipeline.replace('+', '-')}-0123456789abcdef",
-        "scene": scene(),
-        "pipeline": pipeline,
-        "pipeline_title": f"{before or 'cold start'}, then {last}",
-        "stages": tuple(stages),
-        "outcome": "solved",
-        "verdict": stages[-1].verdict,
-        "must_hold": True,
-        "wall_seconds": 4.2,
-        "cpu_seconds": 4.0,
-        "provenance": provenance(),
+        "key": f"{pipeline.replace('+', '-')}-0123456789abcdef", "scene": scene(), "pipeline": pipeline,
+        "pipeline_title": f"{before or 'cold start'}, then {last}", "stages": tuple(stages), "outcome": "solved",
+        "verdict": stages[-1].verdict, "must_hold": True, "wall_seconds": 4.2, "cpu_seconds": 4.0, "provenance": provenance(),
         "log_tail": "iteration 1 objective 600\niteration 2 objective 500\nEXIT: Optimal Solution Found.",
-    }
+    }  # fmt: skip
     return RunRecord.model_validate(values | changes)
 
 
@@ -333,13 +309,9 @@ def violation() -> tuple[ViolationPoint, ...]:
 
 def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
     values = {
-        "title": "touchstone: all of Table I",
-        "command": "python -m validate all --out runs/all",
-        "started": "2025-01-02T03:04:05Z",
-        "keys": tuple(record.key for record in records),
-        "violation": violation(),
-        "provenance": provenance(),
-    }
+        "title": "touchstone: all of Table I", "command": "python -m validate all --out runs/all", "started": "2025-01-02T03:04:05Z",
+        "keys": tuple(record.key for record in records), "violation": violation(), "provenance": provenance(),
+    }  # fmt: skip
     return CampaignRecord.model_validate(values | changes)
 
 

@@ -27,19 +27,10 @@ def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes
     )
     fmu = FmuRecord(version=version, types=("ME", "CS"), bytes=79867, sha256="ab" * 32, export_seconds=2.5, check_seconds=4.25, rows=rows)
     values = {
-        "key": f"{scene}-{version}-0123456789",
-        "kind": "FMU",
-        "name": f"{scene}, FMI {version}",
-        "expected": "it passes every check of what it offers.",
-        "scene": scene,
-        "outcome": "answered",
-        "passed": "failed" not in statuses,
-        "found": "counts.",
-        "fmu": fmu,
-        "wall_seconds": 7.0,
-        "cpu_seconds": 6.0,
-        "provenance": factory.provenance(),
-    }
+        "key": f"{scene}-{version}-0123456789", "kind": "FMU", "name": f"{scene}, FMI {version}",
+        "expected": "it passes every check of what it offers.", "scene": scene, "outcome": "answered", "passed": "failed" not in statuses,
+        "found": "counts.", "fmu": fmu, "wall_seconds": 7.0, "cpu_seconds": 6.0, "provenance": factory.provenance(),
+    }  # fmt: skip
     return CheckRecord.model_validate(values | changes)
 
 
@@ -73,17 +64,9 @@ def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
 @pytest.mark.slow
 def test_an_end_without_an_answer_fails_too(factory, tmp_path):
     lost = _fmu(
-        factory,
-        "hopper",
-        "3.0",
-        (),
-        outcome="time_limit",
-        passed=False,
-        found="",
-        fmu=None,
-        message="ended at its time limit of 120 s, during the check.",
-        log_tail="last <line>",
-    )
+        factory, "hopper", "3.0", (), outcome="time_limit", passed=False, found="", fmu=None,
+        message="ended at its time limit of 120 s, during the check.", log_tail="last <line>",
+    )  # fmt: skip
     words = _words(_campaign(factory, tmp_path, [lost]))
     assert not unsaid(words, "hopper 3.0 ✗ failed time limit: … 120 s, during the check.")
     assert "last <line>" in words

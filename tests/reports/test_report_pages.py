@@ -41,7 +41,6 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
     assert len(report.rows) == len(TABLE_1) + 4
     assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
     section = tightening.build(report, report.scenes[0])
-    assert section is not None
     sweeps = section.values["sweeps"]
     assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
     assert sweeps[3].title.endswith("(gd_converged)")
@@ -111,7 +110,6 @@ def test_costs_far_apart_are_drawn_on_a_logarithmic_axis_and_others_are_not(fact
         runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages, "scene": scene}))
     report = report_of(factory, tmp_path / "all", runs)
     section = pareto.ends(report, report.scenes[0])
-    assert section is not None
     assert len(section.values["plots"]) == 2, "positions and velocities apart"
     for plot in section.values["plots"]:
         assert (plot.x.log, plot.y.log) == (True, wide)

@@ -43,7 +43,6 @@ def _drawn(factory, folder, name: str, **changes) -> dict:
     stage = run.stages[-1].model_copy(update={"replay": None})
     run = run.model_copy(update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)})
     shown = film(run, [read_motion(folder, run, stage)])
-    assert shown is not None
     return json.loads(shown.data)
 
 

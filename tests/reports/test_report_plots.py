@@ -46,7 +46,6 @@ def test_a_path_reads_back_as_the_values_drawn():
     plot = Plot("sine", Axis.fitted("time", "s", times, margin=0.0), Axis.fitted("q", "m", [-1.0, 1.0]))
     plot.line("q", "c0", times, [math.sin(t) for t in times])
     path = re.search(r'data-n="q" d="M([^"]+)"', plot.markup())
-    assert path is not None
     points = _points(path[1])
     for t in (0.0, 1.3, 4.99):
         height = np.interp(plot.px(t), *zip(*points, strict=True))
@@ -84,7 +83,6 @@ def test_words_stand_where_they_are_anchored(anchor: str, before: float):
     plot = Plot("one", Axis("x", "m", 0.0, 2.0), Axis("y", "m", 0.0, 4.0))
     assert plot.label(240.0, 100.0, "abcd", "s", anchor=anchor, pixels=True)
     found = re.search(r'<text[^>]*\bx="([\d.]+)"[^>]*>abcd<', plot.markup())
-    assert found is not None
     assert float(found[1]) == pytest.approx(240.0 - before, abs=0.1)
 
 
@@ -98,7 +96,6 @@ def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equa
     markup = plot.markup()
     by_hand = [(54.0, 202.0), (178.0, 26.0), (240.0, 114.0), (364.0, 70.0), (426.0, 158.0)]
     path = re.search(r'data-n="e" d="M([^"]+)"', markup)
-    assert path is not None
     assert _points(path[1]) == [pytest.approx(place, abs=0.11) for place in by_hand]
     circles = re.findall(r'<circle cx="([^"]+)" cy="([^"]+)"', markup)
     assert [tuple(map(float, place)) for place in circles] == [pytest.approx(place, abs=0.06) for place in by_hand]

@@ -28,18 +28,11 @@ def chart(**changes) -> ChartRecord:
 
 def case(factory, place: int, title: str, **changes) -> CheckRecord:
     said = {
-        "key": f"{place:064d}",
-        "kind": "stress case",
-        "name": f"{place:02d} {title}",
-        "expected": f"What is expected of {title}.",
-        "outcome": "answered",
-        "passed": True,
-        "found": f"What happened to {title}.",
+        "key": f"{place:064d}", "kind": "stress case", "name": f"{place:02d} {title}", "expected": f"What is expected of {title}.",
+        "outcome": "answered", "passed": True, "found": f"What happened to {title}.",
         "figures": (figure("only told", 3.0, None), figure("first", 0.9, 1.0), figure("second", 1e-9, 1.0), figure("third", 0.5, 1.0)),
-        "wall_seconds": 2.0,
-        "cpu_seconds": 1.5,
-        "provenance": factory.provenance(),
-    }
+        "wall_seconds": 2.0, "cpu_seconds": 1.5, "provenance": factory.provenance(),
+    }  # fmt: skip
     return CheckRecord(**{**said, **changes})
 
 
@@ -89,16 +82,9 @@ def test_a_failing_row_is_shown_and_fails_the_campaign(page, factory):
 
 def test_a_case_without_an_answer_says_how_it_ended(page, factory):
     lost = case(
-        factory,
-        4,
-        "hung",
-        outcome="time_limit",
-        passed=False,
-        found="",
-        figures=(),
-        message="ended at its time limit of 120 s.",
+        factory, 4, "hung", outcome="time_limit", passed=False, found="", figures=(), message="ended at its time limit of 120 s.",
         log_tail="last words",
-    )
+    )  # fmt: skip
     text = page(lost)
     (row,) = rows(text)
     assert "○</span> no answer" in row
@@ -135,14 +121,9 @@ def test_words_of_a_record_are_escaped(factory, tmp_path):
 @pytest.mark.slow
 def test_what_was_known_of_the_time_step_stands_with_the_scene_and_a_warning_in_the_summary(page):
     known = {
-        "scene": "three_cart",
-        "digest": "0",
-        "step": 0.01,
-        "radius": 1.0,
-        "contacts": ("left", "right"),
-        "growth": 0.0,
+        "scene": "three_cart", "digest": "0", "step": 0.01, "radius": 1.0, "contacts": ("left", "right"), "growth": 0.0,
         "largest_step": 0.19,
-    }
+    }  # fmt: skip
     stable = page(time_steps=(TimeStepRecord(**known),))
     assert "stable in contact" in stable
     assert not unsaid(stable, "left and right closed; … below 0.19 s.")

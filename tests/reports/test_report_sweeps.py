@@ -44,8 +44,6 @@ def test_starts_of_nearly_one_cost_stand_on_one_another(factory) -> None:
     stacked, apart = (spread(part(factory, 1, [100.0, near, 102.6, 200.0]).stages[-1]) for near in (101.0, 106.0))
     assert stacked is not None
     assert apart is not None
-    assert stacked.plot is not None
-    assert apart.plot is not None
     assert stacked.plot.height - apart.plot.height == 9
 
 

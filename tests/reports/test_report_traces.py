@@ -190,24 +190,12 @@ def test_what_is_no_column_of_finite_numbers_is_missing(factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     t = [0.0, 1.0, 2.0]
     one = {
-        "pose_x_1": [5.0],
-        "pose_y_1": [1.0, 2.0, 3.0],
-        "pose_angle_1": [0.5],
-        "pose_x_2": [1.0, 2.0],
-        "pose_y_2": t,
-        "pose_angle_2": t,
-        "pose_x_3": t,
-        "pose_y_3": t,
-    }
+        "pose_x_1": [5.0], "pose_y_1": [1.0, 2.0, 3.0], "pose_angle_1": [0.5], "pose_x_2": [1.0, 2.0], "pose_y_2": t, "pose_angle_2": t,
+        "pose_x_3": t, "pose_y_3": t,
+    }  # fmt: skip
     columns = {
-        "t": t,
-        "q1": [1.0, float("nan"), 2.0],
-        "q2": [[1.0], [2.0], [3.0]],
-        "q3": [1.0, 2.0, 3.0, 4.0],
-        "u1": [1, 2],
-        "other": t,
-        **one,
-    }
+        "t": t, "q1": [1.0, float("nan"), 2.0], "q2": [[1.0], [2.0], [3.0]], "q3": [1.0, 2.0, 3.0, 4.0], "u1": [1, 2], "other": t, **one,
+    }  # fmt: skip
     found = written(factory, tmp_path, run, trajectory=columns).plan
     assert sorted(found.columns) == ["u1"]
     assert {name: poses.tolist() for name, poses in found.poses.items()} == {"left": [[5.0, 1.0, 0.5], [5.0, 2.0, 0.5], [5.0, 3.0, 0.5]]}

@@ -79,7 +79,6 @@ def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
     article = re.search(
         r'<article class="run".*?</article>', write_single(factory.store(tmp_path / "late", [run])).read_text(encoding="utf-8"), re.S
     )
-    assert article is not None
     assert article[0].count("time was used up before this stage, past 0.000218 m.") == 1
     assert not unsaid(article[0], "There is no plan")
     for absent in ("e-04", "No replay is stored", "No figure was measured", "<caption>Seconds", "cost –"):

@@ -226,9 +226,7 @@ def test_what_multipliers_leave_by_hand(rows: dict, bounds: dict, pairs: dict, l
 
 @pytest.mark.parametrize("given", [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)])
 @pytest.mark.parametrize(("distance", "left"), [(10.0, 3.0), (1e-5, 3.0), (5e-7, 1.5e-6)])
-def test_a_multiplier_of_a_side_counts_whole_where_it_is_open_else_by_its_distance(
-    given: tuple[float, float], distance: float, left: float
-):
+def test_a_multiplier_of_a_side_counts_whole_where_it_is_open_else_by_its_distance(given, distance, left):
     """It leaves nothing of the gradient, but its side is not 0."""
     one = pair(distance, distance)
     model = local([row(1.0)], pairs=[(one, (1.0,), (1.0,))], gradient=(sum(given),))
@@ -331,9 +329,7 @@ def certificate(**changes: Any) -> Certificate:
         ({"given_dual": 1.01e-4}, True, False, True, False),
     ],
 )  # fmt: skip
-def test_what_a_certificate_concludes_at_each_limit(
-    changes: dict[str, Any], feasible: bool, lives: bool, stationary: bool | None, holds: bool
-):
+def test_what_a_certificate_concludes_at_each_limit(changes, feasible, lives, stationary, holds):
     found = certificate(**changes)
     assert (found.feasible, found.lives_on_tolerance, found.b_stationary, found.holds) == (feasible, lives, stationary, holds)
 

@@ -29,7 +29,6 @@ def report(*runs: RunRecord) -> Report:
 def section(*runs: RunRecord) -> dict:
     told = report(*runs)
     found = pareto.ends(told, told.scenes[0])
-    assert found is not None
     assert (found.anchor, found.title) == ("front-1", "Cost against terminal error")
     return found.values
 
@@ -50,16 +49,8 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
     ]
     top, right = float(f"{positions.y.high:.4g}"), float(f"{positions.x.high:.4g}")
     path = [
-        (1e-12, top),
-        (1e-12, 600.0),
-        (0.1, 600.0),
-        (0.1, 300.0),
-        (0.2, 300.0),
-        (0.2, 200.0),
-        (0.4, 200.0),
-        (0.4, 100.0),
-        (right, 100.0),
-    ]
+        (1e-12, top), (1e-12, 600.0), (0.1, 600.0), (0.1, 300.0), (0.2, 300.0), (0.2, 200.0), (0.4, 200.0), (0.4, 100.0), (right, 100.0),
+    ]  # fmt: skip
     style, corners = drawn(positions).lines["front"]
     assert (style, corners) == ("front", [pytest.approx(place, rel=2e-4) for place in path])
     assert not unsaid(
@@ -136,7 +127,6 @@ def replayed(
 def speed(*runs: RunRecord) -> list:
     told = report(*runs)
     found = pareto.build(told, told.scenes[0])
-    assert found is not None
     return found.values["views"]
 
 
@@ -246,7 +236,6 @@ def test_why_a_method_has_no_point():
     assert (found.anchor, found.title) == ("pareto-1", "All methods: speed against error")
     nothing = report(ran("lost", outcome="crashed", verdict="no plan"))
     empty = pareto.build(nothing, nothing.scenes[0])
-    assert empty is not None
     assert empty.values["views"] == []
     assert not unsaid(empty.values["nothing"], "No stage … could be replayed")
 
@@ -256,7 +245,6 @@ def test_where_nothing_holds_or_nothing_is_planned_it_says_so():
     assert not unsaid(speed(bad)[0].sentence, "None of 1 plan holds")
     told = report(bad.model_copy(update={"scene": bad.scene.model_copy(update={"inputs": ()})}))
     free = pareto.build(told, told.scenes[0])
-    assert free is not None
     assert (free.values["views"], free.values["failed"], free.values["nothing"][:28]) == ([], [], "This scene has no inputs: no")
 
 

@@ -24,7 +24,6 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
         ran("b", cost=None, verdict="not applicable").model_copy(update={"stages": (), "message": "x: too many."}),
     )
     found = runs.build(told)
-    assert found is not None
     first, second = found.values["listed"]
     assert (first.cost, first.integral, first.position.value, first.velocity.value, first.error.value, first.cpu, first.why, first.link, first.anchor) == (
         490.0, pytest.approx(4.9), 0.1, 0.2, 0.3, 3.0, "", "pages/a-key.html", "run-1",
@@ -102,7 +101,6 @@ def test_both_ends_are_told_where_there_is_feedback():
     run = ran("a", *metrics)
     assert [stage.ends for stage in view_of(report(run), run).stages] == [[("replay", "position 0.50 m")]]
     (one,) = run.stages
-    assert one.replay is not None
     replay = one.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9), "judged": "feedback"})
     followed = run.model_copy(update={"stages": (one.model_copy(update={"replay": replay}),)})
     (view,) = view_of(report(followed), followed).stages

@@ -37,7 +37,6 @@ def test_the_spread_of_several_starts():
         start(5, "random", 100.0, ("left", 1, 2)), start(2, "chain", 300.0, ("right", 3, 4)), start(1, "random", 100.0, ("left", 1, 2)), start(3, "chain", None),
         start(4, "chain", 200.0),
     ))  # fmt: skip
-    assert found is not None
     assert not unsaid(
         found.words,
         "4 of 5 starts … (80\u202f%); cost 100.00 at least, 150.00 … median, 300.00 at most; 3 distinct optima … reached 2 times.",
@@ -67,25 +66,19 @@ def test_starts_of_one_bin_of_forty_are_stacked():
 def test_no_start_or_none_that_was_solved():
     assert one_run.spread(stage_of()) is None
     found = one_run.spread(stage_of(start(1, "a", None), start(2, "b", None)))
-    assert found is not None
     assert (found.words, found.plot, found.optima, len(found.failed)) == ("None of 2 starts was solved.", None, [], 2)
 
 
 def points() -> tuple[ViolationPoint, ...]:
     told = [
-        ("softplus", 1.0, 9.0, 0.0),
-        ("softplus", 0.1, 4.0, 2.0),
-        ("softplus", 0.01, 1.0, 1.25),
-        ("relaxed_lcp", 0.01, 0.011, 0.01),
-        ("other", 0.5, 0.25, 0.5),
-        ("softplus", 0.0, 1.0, 1.0),
-    ]
+        ("softplus", 1.0, 9.0, 0.0), ("softplus", 0.1, 4.0, 2.0), ("softplus", 0.01, 1.0, 1.25), ("relaxed_lcp", 0.01, 0.011, 0.01),
+        ("other", 0.5, 0.25, 0.5), ("softplus", 0.0, 1.0, 1.0),
+    ]  # fmt: skip
     return tuple(ViolationPoint(law=law, eps=eps, measured=measured, closed_form=form) for law, eps, measured, form in told)
 
 
 def test_the_worst_violation_is_drawn_against_eps():
     found = errata.violation(report(violation=points()))
-    assert found is not None
     plot = found.values["plot"]
     assert drawn(plot).lines == {
         "softplus, closed form": ("c0 soft", [(0.01, 1.25), (0.1, 2.0), (1.0, 1e-200)]), "relaxed LCP, closed form": ("c1 soft", [(0.01, 0.01)]),
@@ -106,14 +99,8 @@ def test_the_worst_violation_is_drawn_against_eps():
     assert found.values["force"] == pytest.approx(2.0**0.5 * 2.302585093 / 0.6931471806), "at eps = 0.1, the first that is not 1"
     assert [(key.style, key.marker) for key in plot.keys][:2] == [("c0 soft", ""), ("c0", "circle")]
     assert (plot.x.log, plot.y.log, plot.width, plot.height, plot.x.quantity, plot.y.quantity, plot.y.unit) == (
-        True,
-        True,
-        720,
-        360,
-        "ε",
-        "worst violation D",
-        "N²",
-    )
+        True, True, 720, 360, "ε", "worst violation D", "N²",
+    )  # fmt: skip
     assert ("c0", "softplus: D = (k L ln 2 / ln ε)²") in drawn(plot).tags
     assert errata.violation(report()) is None
     assert errata.violation(report(violation=points()[-1:])) is None
@@ -132,7 +119,6 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
             ran("none"),
         )
     )
-    assert found is not None
     slow, quick = found.values["slowest"]
     assert (slow.run.pipeline, slow.link) == ("slow", "pages/slow-key.html")
     assert dict(zip(found.values["groups"], slow.groups, strict=True)) == {
@@ -152,7 +138,6 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
         "starting": "c0", "compiling": "c1", "modelling": "c2", "evaluating": "c3", "linear algebra": "c4", "judging": "c5", "other": "rest",
     }  # fmt: skip
     nothing = time_spent.build(report(profiled("zero", 0.0, replay=0.0)))
-    assert nothing is not None
     assert (nothing.values["sentence"], nothing.said) == ("", "The slowest runs, each by what its seconds were spent on.")
     assert time_spent.build(report(ran("none"))) is None
     many = time_spent.build(report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12))))
@@ -163,22 +148,14 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
 @pytest.mark.parametrize("share", [0.0999, 0.1001])
 def test_a_tenth_of_the_seconds_is_told(share: float):
     found = time_spent.build(report(profiled("one", 1.0, replay=1.0 - share, imports=share)))
-    assert found is not None
     assert ("imports" in found.values["sentence"]) == (share > 0.1)
 
 
 def examined(name: str, passed: bool = True, outcome: str = "answered", **changes: object) -> CheckRecord:
     said = {
-        "key": name,
-        "kind": "FMU",
-        "name": name,
-        "expected": "",
-        "outcome": outcome,
-        "passed": passed,
-        "found": "",
-        "wall_seconds": 2.0,
+        "key": name, "kind": "FMU", "name": name, "expected": "", "outcome": outcome, "passed": passed, "found": "", "wall_seconds": 2.0,
         "cpu_seconds": 1.5,
-    }
+    }  # fmt: skip
     return CheckRecord.model_validate({**said, "provenance": factory.provenance(), **changes})
 
 
@@ -194,10 +171,8 @@ def test_fmus_by_scene_and_version():
     assert not unsaid(found.said, "3 FMUs of 2 scenes … 2.0 and 3.0: 2 of them do not pass … 0 passed, 0 failed, 0 not offered; 4 CPU")
     assert found.values["ours"] is True
     one = fmus.build(report(checks=(examined("bank, FMI 2.0", False, scene="bank"),)))
-    assert one is not None
     assert not unsaid(one.said, "1 FMU of 1 scene in FMI 2.0: 1 … does not pass.")
     good = fmus.build(report(checks=(examined("bank, FMI 2.0"),)))
-    assert good is not None
     assert good.said.startswith("1 FMU in FMI 2.0: every one passes."), "somebody's, of no scene"
     assert good.values["ours"] is False
     assert fmus.build(report(checks=(examined("other", kind="stress case"),))) is None
@@ -214,7 +189,6 @@ def test_what_a_runs_origin_has_other_than_the_campaigns():
     ]  # fmt: skip
     same, far = ran("same"), ran("far").model_copy(update={"provenance": other})
     found = provenance.build(report(same, far, title="x"))
-    assert found is not None
     assert not unsaid(found.said, "1 of 2 runs come from elsewhere")
     assert [(run.pipeline, link, len(differs)) for run, link, differs in found.values["runs"]] == [
         ("same", "pages/same-key.html", 0),
@@ -230,13 +204,9 @@ def test_sizes_once_a_method_and_those_that_differ():
     size = SizeRecord(unknowns=5, equations=4, paper_unknowns=5, paper_equations=4)
     other = size.model_copy(update={"unknowns": 9})
     told = report(
-        ran("a", size=size),
-        ran("b"),
-        ran("a", size=size),
-        ran("c", size=size),
-        ran("a", size=other),
+        ran("a", size=size), ran("b"), ran("a", size=size), ran("c", size=size), ran("a", size=other),
         ran("d", size=size, of=factory.scene("hill")),
-    )
+    )  # fmt: skip
     found = scene.model(told, told.scenes[0])
     assert [(method, item.unknowns) for method, item in found.values["sizes"]] == [("a", 5), ("c", 5), ("a", 9)]
 
@@ -285,14 +255,8 @@ def test_the_index_names_scenes_with_their_best_plan_and_other_pages():
 )  # fmt: skip
 def test_what_was_known_of_a_time_step(changes: dict, said: str):
     known = {
-        "scene": "bank",
-        "digest": "",
-        "step": 0.01,
-        "radius": 0.75,
-        "contacts": ("left", "right"),
-        "growth": 0.0,
-        "largest_step": 0.19,
-    }
+        "scene": "bank", "digest": "", "step": 0.01, "radius": 0.75, "contacts": ("left", "right"), "growth": 0.0, "largest_step": 0.19,
+    }  # fmt: skip
     found = scene.time_step(report(time_steps=(TimeStepRecord.model_validate(known | changes),)), "bank")
     assert not unsaid(found, said)
     assert bool(said) == bool(found)
@@ -313,7 +277,6 @@ def warm(name: str, own: float, before: float | None, total: float) -> RunRecord
 
 def test_the_most_flattered_row_is_the_one_whose_clock_leaves_most_out():
     found = errata.build(report(warm("a", 10.0, 5.0, 4.0), warm("b", 1.0, 2.0, 5.0), warm("c", 2.0, None, 6.0), warm("d", 3.0, 2.0, 7.0)))
-    assert found is not None
     assert not unsaid(found.values["clock"], "strict_lcp after softplus_dc: 1.00 s as printed, 7.00 s … here 0.25 s and 5.00 s.")
     assert errata.build(report(warm("c", 2.0, None, 6.0))).values["clock"] == ""
     assert errata.build(report(ran("one", of=factory.scene("hill")))) is None

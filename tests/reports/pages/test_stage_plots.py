@@ -61,12 +61,8 @@ def test_every_quantity_is_drawn_in_its_own_plot():
     assert not unsaid(angles.words, "plan ends at a −3 rad. … replay ends at a −3.5 rad.")
     assert drawn(force).lines == {"replay": ("replay", at(0, 3, 6, 0)), "plan": ("plan", at(0, 2, 5))}
     assert (force.title, force.y.quantity, force.y.unit, force.y.low, force.y.high) == (
-        "Contact force, left",
-        "force",
-        "N",
-        0.0,
-        pytest.approx(6.3),
-    )
+        "Contact force, left", "force", "N", 0.0, pytest.approx(6.3),
+    )  # fmt: skip
     assert not unsaid(force.words, "in the replay: 6 N. … plan: 5 N. … contact in the replay: 1 to 2 s.")
     svg = str(force.markup())
     assert '<rect class="touch" x="178.0" y="26" width="124.0"' in svg, "from 1 to 2 s of 3"
@@ -184,7 +180,6 @@ def test_what_is_absent_has_its_reason(changes: dict, motion: Motion | None, abs
 
 def test_the_replays_own_words_are_the_reason():
     one = stage()
-    assert one.replay is not None
     one = one.model_copy(update={"replay": one.replay.model_copy(update={"message": "the FMU crashed."})})
     assert plotted(Motion(plan=factory.trace(range(4), **PLAN)), one).absent == ["No replay is stored: the FMU crashed."]
 

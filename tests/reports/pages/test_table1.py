@@ -161,7 +161,6 @@ def test_cells_tell_both_parts_of_each_end():
         judged("replay_terminal_velocity_error", 0.8, "m/s"), judged("replay_terminal_error", 0.9),
     )  # fmt: skip
     section = table1.build(report(ran("a", *metrics, why="a reason")))
-    assert section is not None
     assert (section.anchor, section.title, section.values["beside"], section.values["paper_scene"]) == (
         "table1",
         "Table I: ours beside the paper",
@@ -176,18 +175,15 @@ def test_cells_tell_both_parts_of_each_end():
     assert section.values["units"] == ("m", "m/s")
     assert len(section.values["lacks"]) == 17
     none = table1.build(report(ran("a", why="")))
-    assert none is not None
     assert none.values["rows"][0][1]["plan"] == table1.TerminalError(None, None, None, None, "no plan")
     assert none.values["units"] == ("", "")
     both = table1.build(report(ran("a", judged(POSITION, 1.0)), ran("b", judged(POSITION, 1.0, "rad"))))
-    assert both is not None
     assert both.values["units"] == ("", "")
 
 
 def test_where_feedback_is_judged_the_inputs_alone_stand_beside_it():
     run = ran("a", judged(POSITION, 0.7), judged(f"tracked_{POSITION}", 0.01), verdict="holds with feedback")
     (stage,) = run.stages
-    assert stage.replay is not None
     stage = stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback"})})
     ends = table1.build(report(run.model_copy(update={"stages": (stage,)}))).values["rows"][0][1]
     assert (ends["replay"].position, ends["replay"].alone, ends["plan"].alone, ends["grid"].alone) == (0.01, 0.7, None, None)
@@ -199,10 +195,8 @@ def test_other_scenes_have_a_table_of_their_own():
     told = report(ran("a"), ran("b", of=hill))
     assert table1.of_scene(replace(told, single=True), told.scenes[0]) is None, "Table I stands in the same file"
     first = table1.of_scene(told, told.scenes[0])
-    assert first is not None
     assert (first.anchor, first.title, first.values["beside"]) == ("stages-1", "All methods on three_cart", True)
     section = table1.of_scene(told, told.scenes[1])
-    assert section is not None
     assert (section.anchor, section.title, section.values["beside"], section.values["lacks"]) == (
         "stages-2",
         "All methods on hill",
@@ -252,7 +246,6 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     run = relaxed(tmp_path, "one", {1e-3: 0.2, 1e-1: 0.4, 1e-5: 0.1}, paper=True)
     told = Report(Stored("x", None, (run,), (), (), 0), tmp_path)
     section = tightening.build(told, told.scenes[0])
-    assert section is not None
     assert (section.anchor, section.title, section.entries) == (
         "tightening-1",
         "Figs. 4–6: plans while ε is tightened",
@@ -280,12 +273,8 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     assert not unsaid(force.words, "ε = 10⁻¹: … 8 N at 0.5 s. ε = 10⁻³: … 4 N at 0.5 s. ε = 10⁻⁵: … 12 N at 0.5 s.")
     assert drawn(force).tags == [("s0", "ε = 10⁻¹"), ("s2", "ε = 10⁻³"), ("s5", "ε = 10⁻⁵")]
     assert (force.y.quantity, force.y.unit, force.y.low, force.y.high, force.x.high) == (
-        "force",
-        "N",
-        pytest.approx(-12.65),
-        pytest.approx(1.65),
-        1.0,
-    )
+        "force", "N", pytest.approx(-12.65), pytest.approx(1.65), 1.0,
+    )  # fmt: skip
     assert drawn(plots["Gap, left"]).lines["ε = 10⁻⁵"] == ("s5", [(0.0, 0.5), (0.5, 0.25), (1.0, -3.0)])
     assert (plots["Gap, left"].y.quantity, plots["Gap, left"].y.unit, drawn(plots["Gap, left"]).tags) == ("gap", "m", [])
     assert (plots["Input u1"].y.quantity, plots["Input u1"].y.unit) == ("u1", "N")
@@ -311,7 +300,6 @@ def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
         path.unlink()
     told = Report(Stored("x", None, runs, (), (), 0), tmp_path)
     section = tightening.build(told, told.scenes[0])
-    assert section is not None
     assert section.title == "Plans while ε is tightened"
     assert [entry[1] for entry in section.entries] == ["Softplus (one)", "Softplus (two)"]
     one, two = section.values["sweeps"]

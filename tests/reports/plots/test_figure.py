@@ -47,7 +47,6 @@ def test_labels_are_as_many_as_have_room_inside_the_frame():
 def test_the_script_is_told_the_axes_and_their_pixels():
     mixed = Plot("a plot", Axis("it's <q>", "m^2", 0.5, 1234567.89), Axis("error", "", 1e-3, 10.0, log=True))
     found = re.search(r"data-axes='([^']*)'", str(mixed.markup()))
-    assert found is not None
     assert json.loads(html.unescape(found[1])) == {
         "x": [0.5, 1234568.0, 54, 426, 0], "y": [1e-3, 10.0, 202, 26, 1], "q": ["it's <q>", "m²", "error", ""],
     }  # fmt: skip

@@ -20,14 +20,9 @@ def part(place: int, *costs: float | None, parts: int = 2, scene: str = "hill", 
     seconds = SecondsRecord(**{name: float(place * (number + 1)) for number, name in enumerate(SecondsRecord.model_fields)})
     stages = tuple(stage.model_copy(update={"seconds": seconds, "message": "own"}) for stage in run.stages)
     said = {
-        "key": f"{scene}-{place}",
-        "part": place,
-        "parts": parts,
-        "wall_seconds": 3.0 * place,
-        "cpu_seconds": 2.0 * place,
-        "profile": {"replay": 1.0 * place},
-        "message": f"part {place}.",
-    }
+        "key": f"{scene}-{place}", "part": place, "parts": parts, "wall_seconds": 3.0 * place, "cpu_seconds": 2.0 * place,
+        "profile": {"replay": 1.0 * place}, "message": f"part {place}.",
+    }  # fmt: skip
     return run.model_copy(update={"stages": stages} | said | changes)
 
 

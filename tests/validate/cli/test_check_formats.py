@@ -43,35 +43,21 @@ def test_json_has_every_figure_of_a_row(report: CheckReport):
     rows = data(report)["rows"]
     assert [row["seconds"] for row in rows] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     assert rows[3] == {
-        "check": "set state restores",
-        "type": "CS",
-        "claim": "all",
-        "status": "waived",
-        "severity": "error",
-        "clause": "FMI 3.0.2, 2.2.7.4",
-        "sentence": "off. Waived: ours.",
-        "seconds": 0.4,
-    }
+        "check": "set state restores", "type": "CS", "claim": "all", "status": "waived", "severity": "error",
+        "clause": "FMI 3.0.2, 2.2.7.4", "sentence": "off. Waived: ours.", "seconds": 0.4,
+    }  # fmt: skip
 
 
 def test_junit_skips_what_is_waived_and_fails_what_failed(report: CheckReport):
     suite = ElementTree.fromstring(junit([(report, 2.5)]))[0]
     assert {name: suite.get(name) for name in ("tests", "failures", "skipped", "errors", "time")} == {
-        "tests": "6",
-        "failures": "2",
-        "skipped": "2",
-        "errors": "0",
-        "time": "2.500",
-    }
+        "tests": "6", "failures": "2", "skipped": "2", "errors": "0", "time": "2.500",
+    }  # fmt: skip
     ends = {case.get("name"): [part.tag for part in case] for case in suite}
     assert ends == {
-        "archive": [],
-        "start values are the XML's (ME)": ["failure"],
-        "runs repeat (CS)": ["failure"],
-        "set state restores (CS)": ["skipped"],
-        "time after a step (CS)": ["system-out"],
-        "adjoint derivatives (ME)": ["skipped"],
-    }
+        "archive": [], "start values are the XML's (ME)": ["failure"], "runs repeat (CS)": ["failure"],
+        "set state restores (CS)": ["skipped"], "time after a step (CS)": ["system-out"], "adjoint derivatives (ME)": ["skipped"],
+    }  # fmt: skip
     failures = [case.find("failure") for case in suite if case.find("failure") is not None]
     assert [(item.get("type"), item.get("message")) for item in failures] == [("error", "a|b is 2 <3>."), ("behaviour", "x differs.")]
     assert "FMI 3.0.2, 2.4.7.5" in (failures[0].text or "")

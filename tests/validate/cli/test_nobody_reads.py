@@ -31,13 +31,9 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "validate", *COMMANDS[command], *out],
-            stdout=writes,
-            stderr=subprocess.STDOUT if together else subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            env=cli_environment,
-            check=False,
-        )
+            [sys.executable, "-m", "validate", *COMMANDS[command], *out], stdout=writes,
+            stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL, env=cli_environment, check=False,
+        )  # fmt: skip
     finally:
         os.close(writes)
     assert done.returncode == READER_GONE == 141

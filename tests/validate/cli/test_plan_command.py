@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from wording import unsaid
 
+pytestmark = pytest.mark.slow
+
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 
 
@@ -23,7 +25,6 @@ def ran(cli, tmp_path_factory):
     return out
 
 
-@pytest.mark.slow
 def test_nothing_is_written(cli, tmp_path):
     out = tmp_path / "never"
     plan = told(cli, out, "-k", "only_good")
@@ -33,7 +34,6 @@ def test_nothing_is_written(cli, tmp_path):
     assert not out.exists()
 
 
-@pytest.mark.slow
 def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault")
     why = {run["name"]: run["why"] for run in plan["runs"]}
@@ -45,7 +45,6 @@ def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     assert told(cli, ran, "-k", "only_good or only_segfault", "--fresh")["stored"] == 0
 
 
-@pytest.mark.slow
 def test_another_version_is_recognised(cli, ran):
     """The same cells under another content, as after a change of the sources."""
     for request in ran.glob("runs/*/task.json"):
@@ -63,7 +62,6 @@ def test_another_version_is_recognised(cli, ran):
         moved.rename(request.parent)
 
 
-@pytest.mark.slow
 def test_damaged_requests_are_passed_over(cli, ran):
     bad = ran / "runs" / ("0" * 64)
     bad.mkdir()
@@ -73,7 +71,6 @@ def test_damaged_requests_are_passed_over(cli, ran):
     assert told(cli, ran, "-k", "only_good")["stored"] >= 1
 
 
-@pytest.mark.slow
 def test_bad_words_are_one_sentence(cli, tmp_path):
     for words in (("--time-limit", "nan"), ("--scene", "nosuchscene")):
         done = cli("plan", "--out", str(tmp_path), *words)
@@ -81,7 +78,6 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
         assert len(done.stderr.strip().splitlines()) == 1
 
 
-@pytest.mark.slow
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     why, counts = done.stdout.splitlines()[-2:]
@@ -89,7 +85,6 @@ def test_the_table_ends_with_the_counts(cli, tmp_path):
     assert not unsaid(counts, "0 stored, 2 to run", "not known", "this folder")
 
 
-@pytest.mark.slow
 def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     path = tmp_path / "waiving.py"
     path.write_text(
@@ -108,7 +103,6 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     assert [line for line in lines if not unsaid(line, "waiving is unstable", "feedback is enough", ": It falls over.")]
 
 
-@pytest.mark.slow
 def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     out = tmp_path / "old"
     out.mkdir()
@@ -123,7 +117,6 @@ def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     assert sentence not in cli("plan", *FAKES, "--out", str(out), "-k", "only_good").stderr
 
 
-@pytest.mark.slow
 def test_what_ran_before_says_how_long_it_takes(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault", "--fresh")
     assert all(run["past_cpu_seconds"] > 0 for run in plan["runs"])

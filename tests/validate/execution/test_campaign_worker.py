@@ -188,7 +188,6 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
         text=True,
         env=cli_environment,
     ) as process:
-        assert process.stderr is not None
         assert process.stderr.readline() == "0 stored, 1 to run\n"
         process.send_signal(signal.SIGHUP)
         process.communicate()

@@ -139,16 +139,9 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
 @NEEDS_DASK
 def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
     done = cli(
-        "all",
-        *FAKES,
-        "-k",
-        "only_good",
-        "--engine",
-        "dask:tcp://127.0.0.1:9",
-        "--out",
-        str(tmp_path / "out"),
+        "all", *FAKES, "-k", "only_good", "--engine", "dask:tcp://127.0.0.1:9", "--out", str(tmp_path / "out"),
         DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1 s",
-    )
+    )  # fmt: skip
     assert done.returncode == 3, done.stderr
     (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
     assert "no Dask scheduler answers there" in sentence

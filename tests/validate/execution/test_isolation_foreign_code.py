@@ -43,17 +43,9 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     library = tmp_path_factory.mktemp("calls") / "calls.so"
     command = [
-        *find_compiler().command,
-        "-O0",
-        "-w",
-        f"-DSLEEP={_SLEEP}",
-        "-shared",
-        "-fPIC",
-        "-pthread",
-        "-o",
-        str(library),
+        *find_compiler().command, "-O0", "-w", f"-DSLEEP={_SLEEP}", "-shared", "-fPIC", "-pthread", "-o", str(library),
         str(FAKES_FOLDER / "foreign_calls.c"),
-    ]
+    ]  # fmt: skip
     subprocess.run(command, check=True, capture_output=True)
     return library
 

@@ -184,16 +184,11 @@ def _write_report(folder: Path) -> Path:
 
 def _fake_plugin(score=_score) -> Plugin:
     return Plugin(
-        load_method=METHODS.__getitem__,
-        pipelines_for=lambda scene: PIPELINES,
-        quick=("soft+good",),
-        checks=lambda scenes: (),
-        compile=lambda scene: None,
-        build_fmu=lambda scene: Path(os.devnull),
-        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
-        write_replay=lambda path, replay, scene: None,
+        load_method=METHODS.__getitem__, pipelines_for=lambda scene: PIPELINES, quick=("soft+good",), checks=lambda scenes: (),
+        compile=lambda scene: None, build_fmu=lambda scene: Path(os.devnull),
+        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory), write_replay=lambda path, replay, scene: None,
         write_report=_write_report,
-    )
+    )  # fmt: skip
 
 
 PLUGIN = _fake_plugin()

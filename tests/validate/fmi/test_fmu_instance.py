@@ -388,9 +388,7 @@ def test_an_fmu_that_gives_no_instance_lacks_its_tool_or_misbehaves(needs_tool: 
         (Exception("No platform binary"), False, Misbehaviour, r"cannot be loaded \(No platform binary\)"),
     ],
 )
-def test_a_binary_that_does_not_load_says_why(
-    error: Exception, there: bool, kind: Any, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_binary_that_does_not_load_says_why(error, there, kind, words, tmp_path, monkeypatch):
     if there:
         (tmp_path / "binaries").mkdir()
         (tmp_path / "binaries/libtool.so.2").write_bytes(b"")

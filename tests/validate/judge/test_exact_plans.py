@@ -113,17 +113,9 @@ PLANS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", PLANS)
 def test_an_exact_plan_holds(name: str):
     plan = {
-        "mass": 1.0,
-        "drag": 2.0,
-        "damping": 0.0,
-        "push": 4.0,
-        "h": 0.02,
-        "steps": 100,
-        "says": "qv",
-        "since": 0.0,
-        "inputs": True,
-        **PLANS[name],
-    }
+        "mass": 1.0, "drag": 2.0, "damping": 0.0, "push": 4.0, "h": 0.02, "steps": 100, "says": "qv", "since": 0.0,
+        "inputs": True, **PLANS[name],
+    }  # fmt: skip
     t = plan["h"] * np.arange(plan["steps"] + 1)
     body = {"mass": plan["mass"], "drag": plan["drag"], "k_wall": plan["k"], "damping": plan["damping"]}
     pushes = bang(t, plan["push"], 1.2) if plan["inputs"] else np.zeros(len(t) - 1)

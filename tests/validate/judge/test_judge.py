@@ -97,10 +97,8 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     assert told.verdict is Verdict.HOLDS, told
     assert told.holds
     assert not unsaid(repr(told), "holds: every question … closest to its limit:")
-    assert told.plan is not None
     assert (told.plan.scheme, told.plan.missing) == (None, {"lam"})
     assert told.score.value("replay_error") == pytest.approx(judge(scene, plan).score.value("replay_error"), rel=1e-9)
-    assert told.replay is not None
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
@@ -155,7 +153,6 @@ def test_where_the_other_hold_passes_the_sentence_names_it(held, lines, hold: Ho
 def test_a_last_input_beyond_the_bounds_counts_only_where_it_is_applied(held, lines):
     for (scene, plan), ok in ((held, True), (lines, False)):
         metric = judge(scene, replace(plan, u_end=np.array([10.5, 0.0]))).score.metric("bound_violation")
-        assert metric is not None
         assert metric.ok is ok
 
 
@@ -307,7 +304,6 @@ def test_our_methods_declare_their_scheme():
     scene = load_scene("three_cart")
     with load_method("strict_lcp").open(scene, {}) as session:
         plan = session.solve(eps=None, warm_start=None, time_limit=60.0).trajectory
-    assert plan is not None
     assert plan.scheme is Scheme.SEMI_IMPLICIT_EULER
     told = judge(scene, plan)
     assert told.verdict is Verdict.HOLDS, told
@@ -346,9 +342,7 @@ def answered(motion: str, verdict: Verdict) -> Any:
         (Hold.ZERO_ORDER, None, 1, "no", Verdict.HOLDS_WITH_FEEDBACK, False),
     ],
 )
-def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
-    hold: Hold, scheme: Scheme | None, inputs: int, motion: str, verdict: Verdict, again: bool, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hold, scheme, inputs, motion, verdict, again, monkeypatch):
     nodes = np.zeros((3, 1))
     plan = Trajectory(t=uniform_grid(0.5, 2), q=nodes, v=nodes, u=np.zeros((2, inputs)), lam=np.zeros((2, 0)), hold=hold, scheme=scheme)
     replays: list[Any] = []
@@ -404,7 +398,6 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
     monkeypatch.setattr(module, "score", lambda *given, **named: SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics=given[2]))
     monkeypatch.setattr(module, "wants_feedback", lambda metrics: f"wanted of {metrics}")
     found = module.judge_trajectory(scene, Path("a.fmu"), plan, feedback=feedback, limits=None)
-    assert found.plan is not None
     assert (found.plan.t.tolist(), found.replay) == ([0.0, 0.5, 1.0], "replay")
     track = tracks[0][1]["track"]
     assert (track is True) is feedback
@@ -440,8 +433,6 @@ def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):
     write_csv(tmp_path / "plan.csv", plan, scene)
     for path in (tmp_path / "plan.nc", tmp_path / "plan.csv", str(tmp_path / "plan.nc"), str(tmp_path / "plan.csv")):
         found = as_trajectory(path, scene)
-        assert found is not None
         assert (found.q.tolist(), found.v.tolist(), found.u.tolist()) == (plan.q.tolist(), plan.v.tolist(), plan.u.tolist())
     linear = as_trajectory(tmp_path / "plan.csv", scene, hold="zero", scheme="semi_implicit_euler")
-    assert linear is not None
     assert (linear.hold, linear.scheme) == (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER)

@@ -43,19 +43,10 @@ CHEAP: dict[str, dict[str, object]] = {
 def record_of(name: str, found: Found) -> CheckRecord:
     """The record that a campaign would store, through JSON and back."""
     record = CheckRecord(
-        key="0" * 64,
-        kind="stress case",
-        name=heading(name),
-        expected=describe_case(name).expected,
-        outcome="answered",
-        passed=found.passed,
-        found=found.sentence,
-        figures=found.figures,
-        wall_seconds=1.0,
-        cpu_seconds=1.0,
-        provenance=gather("a test"),
-        **found.details,
-    )
+        key="0" * 64, kind="stress case", name=heading(name), expected=describe_case(name).expected, outcome="answered",
+        passed=found.passed, found=found.sentence, figures=found.figures, wall_seconds=1.0, cpu_seconds=1.0,
+        provenance=gather("a test"), **found.details,
+    )  # fmt: skip
     return CheckRecord.model_validate_json(record.model_dump_json())
 
 

@@ -113,13 +113,9 @@ def test_equal_content_has_equal_keys_and_other_content_another():
     key = check_key(_check())
     assert key == check_key(_check(time_limit=3.0, words=("w",), quick=False, scene="s"))
     others = [
-        _check(name="m"),
-        _check(arguments={"a": 2}),
-        _check(content=scene_text(load_scene("three_cart"))),
-        _check(sources=("validate/judge/replay/",)),
-        _check(sources=()),
-        _check(function="f:h"),
-    ]
+        _check(name="m"), _check(arguments={"a": 2}), _check(content=scene_text(load_scene("three_cart"))),
+        _check(sources=("validate/judge/replay/",)), _check(sources=()), _check(function="f:h"),
+    ]  # fmt: skip
     keys = {key, *(check_key(other) for other in others)}
     assert len(keys) == len(others) + 1
 

@@ -39,14 +39,9 @@ def _task(last: str) -> RunTask:
     chosen = pipeline(last)
     plan = planned_stages(chosen, PLUGIN.methods_of(chosen))
     return RunTask(
-        key=f"key_of_{last}",
-        scene="three_cart",
-        scene_name="three_cart",
-        pipeline=chosen,
-        plugin="certificate_fakes:PLUGIN",
-        time_limit=1e5,
-        legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
-    )
+        key=f"key_of_{last}", scene="three_cart", scene_name="three_cart", pipeline=chosen, plugin="certificate_fakes:PLUGIN",
+        time_limit=1e5, legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
+    )  # fmt: skip
 
 
 def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:

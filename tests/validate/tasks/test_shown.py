@@ -42,7 +42,6 @@ def verdict(plan: ts.Solution) -> ts.Judgement:
 def inside(frame: str) -> str:
     """The page in the frame, as a browser reads the attribute."""
     found = re.fullmatch(r"<iframe srcdoc='([^']*)' [^>]*></iframe>", frame)
-    assert found is not None
     return html.unescape(found[1])
 
 
@@ -91,7 +90,6 @@ def test_a_plan_from_elsewhere_is_called_by_its_file(plan: ts.Solution, tmp_path
 @pytest.mark.slow
 def test_its_tables(plan: ts.Solution, verdict: ts.Judgement):
     table, metrics = plan.to_dataframe(), verdict.to_dataframe()
-    assert plan.trajectory is not None
     assert np.array_equal(table[["q1", "q2", "q3"]], plan.trajectory.q)
     assert list(metrics) == ["question", "metric", "value", "error", "unit", "limit", "ok", "meaning", "reason"]
     assert list(metrics.metric) == [metric.name for metric in verdict.score.metrics]
@@ -123,9 +121,7 @@ def test_plots_draw_the_plan_and_its_replay(plan: ts.Solution, verdict: ts.Judge
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("package", "call"), [("matplotlib", "plot"), ("pandas", "to_dataframe")])
-def test_without_the_extra_one_sentence_says_what_to_install(
-    package: str, call: str, plan: ts.Solution, verdict: ts.Judgement, monkeypatch: pytest.MonkeyPatch
-):
+def test_without_the_extra_one_sentence_says_what_to_install(package, call, plan, verdict, monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
@@ -358,12 +354,8 @@ def test_a_solution_is_shown_with_its_method_and_that_nobody_judged_it(drawn: li
         "touchstone.solve('three_cart', 'softplus_dc')",
     )
     assert (run.pipeline, run.must_hold, run.stages[0].kind, run.stages[0].method, run.stages[0].eps) == (
-        "softplus_dc, eps 0.001",
-        False,
-        "indirect",
-        "softplus_dc",
-        1e-3,
-    )
+        "softplus_dc, eps 0.001", False, "indirect", "softplus_dc", 1e-3,
+    )  # fmt: skip
     assert run.pipeline_title == run.stages[0].method_title != ""
     assert (len(files), run.stages[0].seconds.stage, run.stages[0].seconds.stage_cpu) == (1, 3.0, 2.0)
     assert "nobody judged it yet" in str(run.stages[0])

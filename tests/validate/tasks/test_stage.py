@@ -135,9 +135,7 @@ def test_exact_plans_can_be_certified():
     assert not stage(Kind.INDIRECT, True, True).can_be_certified
 
 
-def test_each_method_is_opened_once_before_anything_is_timed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-):
+def test_each_method_is_opened_once_before_anything_is_timed(monkeypatch, capsys, tmp_path):
     log: list[Any] = []
     monkeypatch.setattr(module, "progress", lambda folder, text: log.append((folder, text)))
 

@@ -181,7 +181,6 @@ def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():
     assert (found.fineness, found.parts) == ((250, 500), 5 * job.parts)
     assert (own.fineness, own.parts) == (job.fineness, job.parts)
     finer = with_max_step(job, 1e-4)
-    assert finer is not None
     assert (finer.max_step, finer.fineness) == (1e-4, (500, 1000))
     assert with_max_step(job, 1e-8) is None, "more than a million steps"
 
@@ -258,12 +257,8 @@ def test_the_lowest_of_a_piece_is_where_its_cubic_is(side: int):
 def job_of(t: Any, **more: Any) -> Job:
     """A job whose plan has such nodes."""
     given: dict[str, Any] = {
-        "package": "package",
-        "variables": "variables",
-        "plan": SimpleNamespace(t=np.array(t)),
-        "start": "start",
-        "limits": "limits",
-    }
+        "package": "package", "variables": "variables", "plan": SimpleNamespace(t=np.array(t)), "start": "start", "limits": "limits",
+    }  # fmt: skip
     return Job(**(given | {"tolerances": (1e-11, 1e-13), "fineness": (50, 100, 200), "event_budget": 7} | more))
 
 
@@ -287,7 +282,6 @@ def test_nothing_is_seen_less_often_than_on_the_tasks_own_grid():
 def test_a_longest_step_holds_in_every_simulation():
     job = job_of([0.0, 0.5, 1.0])
     found = with_max_step(job, 0.004)
-    assert found is not None
     assert (found.max_step, found.fineness) == (0.004, (150, 300, 600)), "half a second in 50 parts is 2.5 times too much"
     assert with_max_step(job, 0.02).fineness == job.fineness  # type: ignore[union-attr]
     assert with_max_step(replace(job, fineness=()), 0.2).fineness == ()  # type: ignore[union-attr]
@@ -328,18 +322,9 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
         )  # fmt: skip
 
     twice = Variables(
-        q=(1,),
-        v=(2,),
-        u=(),
-        lam=(),
-        gap=(3,),
-        energies={},
-        powers={},
-        zero=frozenset(ENERGIES),
-        parameters=(),
-        start=(),
-        internal_step=None,
-    )
+        q=(1,), v=(2,), u=(), lam=(), gap=(3,), energies={}, powers={}, zero=frozenset(ENERGIES), parameters=(),
+        start=(), internal_step=None,
+    )  # fmt: skip
     replayed = Replay(
         scene="s", outcome=ReplayOutcome.OK, message="so far.", method=method, t=np.array([0.0, 0.5, 1.0]), q=np.array([[1.0], [9.0], [2.0]]),
         v=np.zeros((3, 1)), lam=np.zeros((3, 1)), gap=np.full((3, 1), 5.0), friction=np.zeros((3, 0)), knots=np.array([0, 2]),

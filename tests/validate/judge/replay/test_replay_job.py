@@ -137,9 +137,7 @@ def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulati
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("exchange", [True, False])
-def test_what_ended_a_child_is_the_outcome_of_its_one_run(
-    ending: Ending, outcome: ReplayOutcome, exchange: bool, monkeypatch: pytest.MonkeyPatch
-):
+def test_what_ended_a_child_is_the_outcome_of_its_one_run(ending, outcome, exchange, monkeypatch):
     found, requests = asked(monkeypatch, [ended(ending)], package(exchange=exchange, saves=False))
     runs, others = (found.reference, found.everyday) if exchange else (found.everyday, found.reference)
     assert ([(run.outcome, run.message) for run in runs], others) == ([(outcome, f"it was {ending.name}.")], ())
@@ -212,9 +210,7 @@ def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolle
         (True, True, 7, "fixed", False), (False, True, 7, "tunable", False),
     ],
 )  # fmt: skip
-def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(
-    saves: bool, variable: bool, internal: int | None, variability: str, offered: bool
-):
+def test_rollback_is_offered_where_a_state_is_saved_and_half_a_step_is_taken(saves, variable, internal, variability, offered):
     interface = SimpleNamespace(canGetAndSetFMUstate=saves, canHandleVariableCommunicationStepSize=variable)
     items = [SimpleNamespace(valueReference=3, variability="tunable"), SimpleNamespace(valueReference=7, variability=variability)]
     fmu: Any = SimpleNamespace(cosimulation=interface, description=SimpleNamespace(modelVariables=items))

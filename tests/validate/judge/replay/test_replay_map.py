@@ -86,13 +86,11 @@ def test_map_gives_duration_bounds_depth_and_accuracy(wired: Wire):
     assert model.task.step == pytest.approx(8e-4), "half of which a plan's duration may be off"
     assert (model.inputs[0].lower, model.inputs[0].upper) == (-5.0, 10.0)
     assert (model.depths, model.contacts[0].depth_reason) == ((0.05,), "the length of the spring")
-    assert model.accuracy is not None
     assert (model.accuracy.position, model.accuracy.gap) == (1e-4, 2e-4)
     assert model.accuracy.state == pytest.approx(math.hypot(1e-4, 1e-3))
     assert model.task.start == (pytest.approx(0.3), None)
     assert [sentence.split(":")[0] for sentence in model.not_asked] == ["contact_law_error, unexplained_force, defect"]
     limit = model.limit("terminal_position_error")
-    assert limit is not None
     assert limit.value == 1.0, "as near as the replay must come"
 
 
@@ -126,7 +124,6 @@ def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
 def test_limit_is_waived_with_a_reason_alone(wired: Wire):
     given = FULL_MAP + 'max_penetration = { waived = true, reason = "a spring without an end" }\n'
     limit = wired(given)[0].model.limit("max_penetration")
-    assert limit is not None
     assert (limit.value, limit.reason) == (None, "a spring without an end")
     for wrong, words in (
         ("{ waived = true }", "limits.max_penetration: a limit is waived for a reason; add reason = '..'"),
@@ -250,7 +247,6 @@ def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired
     assert stated.error.estimate == stated.error.stated
     assert "its author states" in stated.message
     part = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-4\n", fmu="only_cs.fmu"), "only_cs.fmu")
-    assert part.error.estimate is not None
     assert (part.error.estimate.position, part.error.estimate.gap) == (1e-4, math.inf)
     assert not unsaid(part.error.would_decide, "state [accuracy] velocity and gap")
     told = json.dumps(part.error.as_json(), allow_nan=False)
@@ -265,13 +261,11 @@ def test_larger_of_stated_and_measured_error_counts(folder: Path, wired: Wire):
     small = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-12\n", fmu=fmu), fmu).error
     assert (small.estimate, small.step_source) == (measured.estimate, "second run, stated")
     large = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 0.5\n", fmu=fmu), fmu).error
-    assert large.estimate is not None
     assert (large.estimate.position, large.estimate.gap) == (0.5, measured.estimate.gap)
 
 
 def test_stated_accuracy_counts_for_nothing_beside_a_reference(folder: Path, wired: Wire):
     result = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 0.5\n"))
-    assert result.error.estimate is not None
     assert result.error.estimate.position < 1e-6
     assert "The stated accuracy counts for nothing" in result.message
     assert result.error.would_decide == ""

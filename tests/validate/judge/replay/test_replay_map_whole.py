@@ -237,7 +237,6 @@ def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
         )
     )
     limit = foreign.model.limit("replay_terminal_velocity_error")
-    assert limit is not None
     assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
 
 

@@ -160,9 +160,7 @@ def _other_hold(file: h5netcdf.File) -> None:
         (_other_hold, "hold is 'cubic'"),
     ],
 )
-def test_a_stale_plan_is_refused_by_name(
-    tmp_path: Path, scene: Scene, plan: Trajectory, change: Callable[[h5netcdf.File], None], sentence: str
-):
+def test_a_stale_plan_is_refused_by_name(tmp_path, scene, plan, change, sentence):
     path = tmp_path / "stale.nc"
     write_netcdf(path, plan, scene)
     with pytest.raises(TrajectoryError, match=sentence):
@@ -185,12 +183,8 @@ def test_names_that_netcdf_does_not_allow_are_changed_and_said():
     given = [("a_b", ""), ("a/b", "gap"), ("a\x00b", "force"), ("time", "of another"), (" ", "")]
     found = storable([Column(name=name, dimension="time", values=np.zeros(1), unit="m", description=text) for name, text in given])
     assert [(item.name, item.description) for item in found] == [
-        ("a_b", ""),
-        ("a_b_2", "a/b: gap"),
-        ("a_b_3", "a\x00b: force"),
-        ("time_2", "time: of another"),
-        ("_", ""),
-    ]
+        ("a_b", ""), ("a_b_2", "a/b: gap"), ("a_b_3", "a\x00b: force"), ("time_2", "time: of another"), ("_", ""),
+    ]  # fmt: skip
     assert {(item.dimension, item.unit) for item in found} == {("time", "m")}
 
 
@@ -243,13 +237,9 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
         "effort": {"rms": [1.0], "peak": [2.0], "rms_share": 3.0, "peak_share": 4.0, "plan_share": 5.0, "saturated": 6.0},
     }  # fmt: skip
     bare = replace(
-        given,
-        contact_impulse=None,
-        growth=None,
-        effort=None,
-        applied=given.applied[:0] if given.applied is not None else None,
-        input_work=None,
-    )
+        given, contact_impulse=None, growth=None, effort=None,
+        applied=given.applied[:0] if given.applied is not None else None, input_work=None,
+    )  # fmt: skip
     write_replay(tmp_path / "bare.nc", bare, model)
     columns, attributes = read_columns(tmp_path / "bare.nc")
     assert expected.keys() - columns.keys() == {"impulse_stop", "impulse_wall", "applied_F", "applied_M", "input_work"}

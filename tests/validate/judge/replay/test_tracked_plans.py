@@ -68,7 +68,6 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     assert (told.verdict, told.judged) == (Verdict.HOLDS_WITH_FEEDBACK, "feedback"), told.why
     assert not unsaid(told.why, "not for the inputs alone: … the motion ends")
     assert "unstable in the open loop (amplification 5" in told.why
-    assert exact.growth is not None
     assert 3.67 < exact.growth.rate < 5.0
     assert (told.value("replay_terminal_velocity_error") or 0.0) > 0.2 > (told.value("tracked_replay_terminal_velocity_error") or 1.0)
     assert (told.value("feedback_effort") or 1.0) < 0.25
@@ -87,8 +86,6 @@ def test_feedback_is_tried_by_the_judge_itself(scene: Scene, plans: dict[str, Tr
     told = judge(scene, plans["exact"])
     assert told.verdict is Verdict.HOLDS_WITH_FEEDBACK
     assert told.replay is not None
-    assert told.replay.tracked is not None
-    assert exact.tracked is not None
     assert told.replay.tracked.q.tobytes() == exact.tracked.q.tobytes()
 
 
@@ -107,16 +104,13 @@ def test_only_a_consistent_motion_is_followed(scene: Scene, plans: dict[str, Tra
 @pytest.mark.slow
 @pytest.mark.parametrize("tells", [True, False])
 @pytest.mark.parametrize("declares", [True, False])
-def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
-    scene: Scene, plans: dict[str, Trajectory], tells: bool, declares: bool
-):
+def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, plans, tells, declares):
     """With its forces in the plan, and with a plan that keeps them to itself, its scheme too: feedback is not even tried, and would not help."""
     plan = plans["cheat"]
     plan = plan if tells else replace(plan, lam=0.0 * plan.lam, missing=frozenset({"lam"}))
     plan = plan if declares else replace(plan, scheme=None)
     told = judge(scene, plan)
     assert told.verdict is Verdict.VIOLATES
-    assert told.replay is not None
     assert told.replay.tracked is None
     named = {(True, True): "physics_scaled", (True, False): "contact_law_error"}.get((tells, declares), "unexplained_force")
     assert named in above(told.score)
@@ -125,11 +119,8 @@ def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
 
 
 @pytest.mark.parametrize(("field", "name"), [("rms_share", "feedback_effort"), ("plan_share", "feedback_share")])
-def test_feedback_that_arrives_by_planning_anew_does_not_hold(
-    scene: Scene, plans: dict[str, Trajectory], exact: Replay, field: str, name: str
-):
+def test_feedback_that_arrives_by_planning_anew_does_not_hold(scene, plans, exact, field, name):
     """The exact plan's replay with feedback, with the effort that a plan of force from a distance needs."""
-    assert exact.tracked is not None
     assert exact.tracked.effort is not None
     strained = replace(exact.tracked, effort=replace(exact.tracked.effort, **{field: 0.9}))
     told = score(scene, plans["exact"], replace(exact, tracked=strained))
@@ -138,9 +129,7 @@ def test_feedback_that_arrives_by_planning_anew_does_not_hold(
 
 
 @pytest.mark.slow
-def test_the_command_shows_both_and_keeps_the_gains(
-    scene: Scene, plans: dict[str, Trajectory], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_the_command_shows_both_and_keeps_the_gains(scene, plans, tmp_path, capsys):
     write_csv(tmp_path / "plan.csv", plans["exact"], scene)
     arguments = ["replay", str(tmp_path / "plan.csv"), "--scene", scene.name, "--track"]
     assert run([*arguments, "--out", str(tmp_path / "told")]) == 0
@@ -186,7 +175,6 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
         step = min(int(np.searchsorted(plan.t, time, side="right")) - 1, plan.steps - 1)
         assert applied == exact.tracked.applied[step, 0]
     assert motion.tracked.columns["position_error"].max() == pytest.approx(told.value("tracked_replay_error"))
-    assert motion.replay is not None
     assert name not in motion.replay.columns
     row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type] - of a type that was checked or made so above
     last = ["judged", "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share", "growth_rate"]

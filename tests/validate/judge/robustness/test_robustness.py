@@ -73,7 +73,6 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
     assert found.alone.share.arrived == int((found.alone.ratios <= 1.0).sum()) == 32 - sum(found.alone.fails_by.values())
     assert found.feedback.share.share > found.alone.share.share
     for way in found.ways:
-        assert way.checked is not None
         assert (way.checked.count, way.checked.differ) == (10, ())
         assert way.checked.largest_difference < 1e-3
         assert way.curve is not None
@@ -82,7 +81,6 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         assert way.curve.half is not None
         assert shares[way.curve.scales.index(1.0)] == way.share.share
     weakest = found.weakest
-    assert weakest is not None
     assert (weakest.cause.name, weakest.direction, weakest.by) == ("c", -1, "replay_terminal_position_error")
     with Arena.of(SCENE, judged.plan, judged.score) as arena:
         for item in found.failures:
@@ -141,7 +139,6 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
     found = robustness(SCENE, RESTING, samples=10, anyway=True, kinds=["gain"])
     assert (found.alone.share.arrived, found.feedback) == (0, None)
     assert [item.sizes for item in found.failures] == [0.0] * 4
-    assert found.alone.curve is not None
     assert (found.alone.curve.half, found.alone.curve.beyond) == (None, "below")
 
 

@@ -144,13 +144,9 @@ def test_a_plan_whose_own_time_step_blows_up_gets_a_reason_not_a_nan(scene: Scen
     """h*c = 5: every step multiplies the velocity by -4. That is an answer: with exact contact the plan's own scheme leads nowhere near it."""
     damped = scene.with_parameters(c=500.0)
     plan = Trajectory(
-        t=uniform_grid(0.01, 600),
-        q=np.tile([2.0, 3.0, 4.0], (601, 1)),
-        v=np.ones((601, 3)),
-        u=np.zeros((600, 2)),
-        lam=np.zeros((600, 2)),
+        t=uniform_grid(0.01, 600), q=np.tile([2.0, 3.0, 4.0], (601, 1)), v=np.ones((601, 3)), u=np.zeros((600, 2)), lam=np.zeros((600, 2)),
         scheme=OWN,
-    )
+    )  # fmt: skip
     result = score(damped, plan, None)
     metric = result.metric("law_error")
     assert (metric.value, metric.ok) == (None, False)
