@@ -1,6 +1,5 @@
 """Certificates, starts and fronts in the report: runs in parts told as one, the spread of optima, rows beside the front."""
 
-from reports.pages.run import spread
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
 from reports.render import write_single
 
@@ -37,14 +36,6 @@ def front_run(factory) -> RunRecord:
     whole = factory.run("strict", None, "strict_lcp", key="front-0")
     last = whole.stages[-1].model_copy(update={"front": points, "method": "mpcc_front", "paper": {}})
     return whole.model_copy(update={"pipeline": "mpcc_front", "stages": (last,)})
-
-
-def test_starts_of_nearly_one_cost_stand_on_one_another(factory) -> None:
-    """From 100 to 200 a place is 2.5 wide."""
-    stacked, apart = (spread(part(factory, 1, [100.0, near, 102.6, 200.0]).stages[-1]) for near in (101.0, 106.0))
-    assert stacked is not None
-    assert apart is not None
-    assert stacked.plot.height - apart.plot.height == 9
 
 
 def test_the_page_shows_certificate_starts_and_front(factory, tmp_path) -> None:
