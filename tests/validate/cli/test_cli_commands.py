@@ -44,8 +44,7 @@ def in_here(tmp_path, monkeypatch, capfd):
 def test_help_shows_examples_and_exit_codes(cli):
     overview = cli("--help")
     assert overview.returncode == 0
-    for word in ("Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"):
-        assert word in overview.stdout
+    assert not unsaid(overview.stdout, "Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu")
     for name in _COMMANDS:
         with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
             text = context.get_help()
