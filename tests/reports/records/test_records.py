@@ -198,8 +198,9 @@ def test_what_is_larger_than_any_record_is_not_read(tmp_path: Path):
 
 def test_a_file_that_refuses_is_told_by_the_systems_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     found: list = []
+    (tmp_path / "file").write_text("{}")
     for error, words in ((PermissionError(13, "Permission denied"), "Permission denied"), (TimeoutError(), "TimeoutError")):
-        monkeypatch.setattr(module, "_text", Mock(side_effect=error))
+        monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=error))
         assert module.read_record(tmp_path / "file", tmp_path, record_of, found) is None
         assert (found[-1].path, words in found[-1].sentence) == ("file", True)
 

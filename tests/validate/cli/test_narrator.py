@@ -9,6 +9,7 @@ import rich.console
 from wording import unsaid
 
 from models.errors import MachineError
+from tests.reports import record_factory as factory
 from validate.cli import narrator
 from validate.cli.table import use_colour
 from validate.store.disk import write_durably
@@ -24,25 +25,25 @@ class _Busy:
 
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(monkeypatch, width):
+    """The bar is drawn when something is told; the last time when it ends."""
     shown, clock = io.StringIO(), iter(range(1000, 100000, 10))
     terminal = functools.partial(rich.console.Console, file=shown, force_terminal=True, width=width, no_color=True)
     monkeypatch.setenv("TERM", "xterm")  # on a dumb one no bar moves
     monkeypatch.setattr(rich.console, "Console", lambda **_: terminal())
-    monkeypatch.setattr(narrator, "_summary", lambda record: "a cell: solved")
     monkeypatch.setattr(narrator.time, "monotonic", lambda: float(next(clock)))
     bar = narrator.BarNarrator()
     bar.begins(30, 4, 2)
     bar.runs([_Busy(), _Busy()])  # type: ignore[list-item]
-    assert bar._left() == "", "nobody knows before a cell has finished"
-    bar.finished(None)  # type: ignore[arg-type]
+    bar.finished(factory.run("strict", None, "strict_lcp"))
     bar.runs([_Busy()])  # type: ignore[list-item]
-    bar._progress.refresh()
     bar.ends()
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()))
     assert max(map(len, lines)) <= width
     assert "4 stored, 26 to run, 2 of them again" in lines
-    assert "[5/30] a cell: solved" in lines
-    assert any(re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in lines), lines
+    assert not unsaid(" ".join(" ".join(lines).split()), "[5/30] three_cart x strict: solved")
+    before, after = lines[: (done := next(place for place, line in enumerate(lines) if "[5/30]" in line))], lines[done:]
+    assert not any("about" in line for line in before), "nobody knows before a cell has finished"
+    assert any(re.search(r" 5/30 \d+:\d\d:\d\d about \d+ min left three_cart", line) for line in after), lines
     assert any("strict_lcp" in line for line in lines) == (width == 200)
 
 
