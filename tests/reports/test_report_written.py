@@ -166,7 +166,8 @@ def test_a_folder_in_the_place_of_a_page_is_one_sentence(folder: Path):
 
 
 @pytest.mark.slow
-def test_a_folder_that_is_renamed_has_the_same_pages(folder: Path, tmp_path: Path):
+def test_a_folder_that_is_renamed_has_the_same_pages(factory, tmp_path: Path):
+    folder = factory.store(tmp_path / "all", factory.runs()[:1])
     write_report(folder)
     before = {path.name: path.read_bytes() for path in (folder / PAGES).iterdir()} | {"report": (folder / "report.html").read_bytes()}
     other = folder.rename(tmp_path / "another")
