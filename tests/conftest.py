@@ -1,7 +1,5 @@
 """Hypothesis tries the same examples in every run and keeps none: what passes here passes again. New ones: `pytest --hypothesis-profile=default`."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

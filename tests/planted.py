@@ -7,8 +7,6 @@ again. First come the quick tests that import the file, then the quick ones of t
 changed: each worker has a copy of it, which is removed at the end, however that comes.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os
@@ -259,12 +257,8 @@ def _last_line(text: str) -> str:
 
 def _run(copy: Path, words: list[str]) -> tuple[int, str]:
     environment = {
-        **os.environ,
-        "PYTHONPATH": str(copy),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
+        **os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+    }  # fmt: skip
     try:
         done = subprocess.run(
             [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=_LONGEST, check=False

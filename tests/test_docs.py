@@ -1,7 +1,5 @@
 """What the docs print runs as printed: files are written, commands run in order with the exit code that is promised, Python is executed."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -4,8 +4,6 @@ Their cells are executed here, in one namespace, and the last expression of each
 takes longer than most of them, and an error is a plain traceback.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """The worked examples of plans from other packages run, and their verdicts are those on the page (docs/examples/README.md). NumPy always, others by hand: -m peer."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The planter of defects: what it writes is one mistake on one line, the same for a seed, and it leaves every file as it was."""
 
-from __future__ import annotations
-
 import ast
 from itertools import islice, takewhile
 from pathlib import Path
@@ -86,9 +84,7 @@ def test_every_room_has_files_and_tests():
         ("X = 1\n", ""),
     ],
 )
-def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(
-    source: str, says: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(source, says, tmp_path, monkeypatch):
     (tmp_path / "tests").mkdir()
     (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")
     (tmp_path / "tests" / "test_x.py").write_text(

@@ -1,7 +1,5 @@
 """The docs as a site: built strictly, whole, and without a request to any network."""
 
-from __future__ import annotations
-
 import html
 import os
 import re

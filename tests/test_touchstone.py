@@ -1,7 +1,5 @@
 """`import touchstone`: what it costs, what it gives, and what it says when something is wrong."""
 
-from __future__ import annotations
-
 import doctest
 import os
 import subprocess
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 import touchstone as ts
 from formulations.method import OptionError
@@ -75,8 +74,6 @@ def test_a_method_and_a_pipeline_give_the_plans_of_a_campaign(plan: ts.Solution)
     whole = ts.solve(scene)
     assert whole.method == "strict_lcp"
     again = ts.solve(scene, "softplus_dc", eps=1e-3)
-    assert plan.trajectory is not None
-    assert again.trajectory is not None
     assert np.array_equal(plan.trajectory.q, again.trajectory.q)
     verdict = ts.judge(scene, whole)
     assert verdict.holds
@@ -116,7 +113,7 @@ def test_a_mistake_is_one_sentence(call, kind: type[Exception], parts: tuple[str
     with pytest.raises(kind) as caught:
         call()
     for part in parts:
-        assert part in str(caught.value)
+        assert not unsaid(str(caught.value), part)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -155,10 +152,8 @@ def test_arrays_by_name_are_judged_on_somebodys_fmu(tmp_path: Path):
     assert str(arrays).startswith("not applicable: inputs alone claim nothing")
     for again in (ts.judge(fmu, frame), ts.judge(str(fmu), tmp_path / "plan.csv")):
         assert str(again) == str(arrays)
-        assert again.replay is not None
-        assert arrays.replay is not None
         assert np.array_equal(again.replay.q, arrays.replay.q)
-    with pytest.raises(TouchstoneError, match=r"Trajectory has no names for the variables of an FMU.*arrays by column name"):
+    with pytest.raises(TouchstoneError, match=r"no names.*FMU.*arrays by column name"):
         ts.judge(fmu, ts.Trajectory(t=t, q=np.zeros((51, 3)), v=np.zeros((51, 3)), u=np.zeros((50, 2)), lam=np.zeros((50, 2))))
 
 

@@ -1,7 +1,5 @@
 """What pip installs: the wheel holds every file that is needed, and its command works outside a checkout, beside whatever the folder holds."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

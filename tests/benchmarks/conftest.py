@@ -1,7 +1,5 @@
 """Fixtures for the tests of the benchmarks: the command line, records as benchmarks leave them, and the factory of the report's tests."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -70,13 +70,8 @@ def order() -> dict:
     def row(scheme: str, steps: int, power: int) -> dict:
         h, solved = 1.0 / steps, (scheme, steps) != ("radau_iia_2", 1000)
         found = {
-            "scheme": scheme,
-            "steps": steps,
-            "h": h,
-            "outcome": "solved" if solved else "stalled",
-            "cpu_s": 1e-3 * steps,
-            "iterations": 9,
-        }
+            "scheme": scheme, "steps": steps, "h": h, "outcome": "solved" if solved else "stalled", "cpu_s": 1e-3 * steps, "iterations": 9,
+        }  # fmt: skip
         error = h**power if solved else None
         switch = h**2 if solved and power == 3 else None
         return found | {"cost": 1.0 if solved else None, "replay_error": error, "plan_error": error, "switch_error": switch}
@@ -98,15 +93,9 @@ def rigid_limit(**changes) -> dict:
 
     def row(k, cost):
         return {
-            "k": k,
-            "steps": 480,
-            "omega_h": 0.1,
-            "outcomes": {"cold": "stalled" if cost is None else "solved"},
-            "costs": {"cold": cost},
-            "cost": cost,
-            "replayed_cost": cost,
-            "cpu_s": 1.0,
-        }
+            "k": k, "steps": 480, "omega_h": 0.1, "outcomes": {"cold": "stalled" if cost is None else "solved"}, "costs": {"cold": cost},
+            "cost": cost, "replayed_cost": cost, "cpu_s": 1.0,
+        }  # fmt: skip
 
     rows = [row(1.0, None), *(row(k, 0.5 * (1 - 1 / k**0.5)) for k in (1e2, 1.21e4, 1e6))]
     return {"kind": "rigid_limit", "cases": [{"name": "pair", "title": "A pair", "rigid": 0.5, "rows": rows} | changes]}

@@ -1,7 +1,5 @@
 """Works for the tests of the suite: in the child, by their names."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Mapping

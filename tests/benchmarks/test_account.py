@@ -1,7 +1,5 @@
 """Where the seconds of a campaign went: nothing is left out, and what runs share counts once."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`python -m benchmarks`: every command that is told exists, what was measured is told on the page, and mistakes are one sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -11,6 +9,7 @@ import sys
 
 import click
 import pytest
+from wording import unsaid
 
 from benchmarks import ROOT
 from benchmarks.command_times import Checkout
@@ -62,31 +61,21 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("siute",), "did you mean suite?"),
-        (("run", "golden"), "is not one of"),
-        (("page", "no_such_folder"), "there is no such folder"),
-        (("page", "."), "no benchmark has left figures there"),
-        (("commands", "--beside", "docs"), "docs is no checkout of touchstone"),
-        (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"),
-        (("rigid-limit", "--stiffness", "5000:0"), "write k [N/m], a colon, steps"),
-        (("scaling", "--largest", "10"), "x>=1500"),
-        (("scaling", "--limit", "nan"), "not a finite number"),
-        (("order", "--most", "30", "--scene", "hopper"), "whose coarsest has 50 steps"),
-        (("cosim", "--step", "0.003"), "does not divide 0.01 s"),
-        (("replay", "three_cart", "nobody"), "there is no scene"),
-        (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
-        (("kills", "--count", "0"), "x>=1"),
-        (("golden", "compare", "."), "there is no campaign in this folder"),
-        (("rejudge", "."), "there is no campaign in this folder"),
-        (("report", "no_such_folder"), "there is no campaign in this folder"),
-        (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
-        (("plans", "--only", "nobody"), "no scene or task has 'nobody' in its name"),
+        (("siute",), "did you mean suite?"), (("run", "golden"), "is not one of"), (("page", "no_such_folder"), "there is no such folder"),
+        (("page", "."), "no benchmark has left figures there"), (("commands", "--beside", "docs"), "docs is no checkout of touchstone"),
+        (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"), (("rigid-limit", "--stiffness", "5000:0"), "write k [N/m], a colon, steps"),
+        (("scaling", "--largest", "10"), "x>=1500"), (("scaling", "--limit", "nan"), "not a finite number"),
+        (("order", "--most", "30", "--scene", "hopper"), "whose coarsest has 50 steps"), (("cosim", "--step", "0.003"), "does not divide 0.01 s"),
+        (("replay", "three_cart", "nobody"), "there is no scene"), (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
+        (("kills", "--count", "0"), "x>=1"), (("golden", "compare", "."), "no campaign in this folder"), (("rejudge", "."), "no campaign in this folder"),
+        (("report", "no_such_folder"), "no campaign in this folder"), (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
+        (("plans", "--only", "nobody"), "no scene … 'nobody'"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, tmp_path):
     done = cli(*words, cwd=tmp_path)
     assert done.returncode == 2, done
-    assert sentence in done.stderr
+    assert not unsaid(done.stderr, sentence)
     assert len(done.stderr.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -100,7 +89,6 @@ def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
         command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # which a shell's background ignores
     )  # fmt: skip
-    assert running.stderr is not None
     first = running.stderr.readline()  # the smallest size is solved, the next one is a child that runs
     os.killpg(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=60)

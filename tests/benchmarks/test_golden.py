@@ -1,7 +1,5 @@
 """The golden campaign: what is frozen is whole, and what is compared is told as what it is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -39,17 +37,11 @@ def test_the_committed_campaign_is_whole():
 @pytest.mark.parametrize(
     ("after", "is_worse", "names"),
     [
-        ({}, False, set()),
-        ({"cost": "490.5500001"}, False, set()),
-        ({"cost": "490.552"}, True, {"cost"}),
-        ({"cost": "490.548"}, False, {"cost"}),
-        ({"verdict": "holds with feedback"}, True, {"verdict"}),
-        ({"verdict": "consistent"}, False, {"verdict"}),
-        ({"verdict": "failed"}, True, {"verdict"}),
-        ({"fmu": "0123"}, False, {"fmu"}),
-        ({"cost": ""}, False, {"cost"}),
+        ({}, False, set()), ({"cost": "490.5500001"}, False, set()), ({"cost": "490.552"}, True, {"cost"}), ({"cost": "490.548"}, False, {"cost"}),
+        ({"verdict": "holds with feedback"}, True, {"verdict"}), ({"verdict": "consistent"}, False, {"verdict"}), ({"verdict": "failed"}, True, {"verdict"}),
+        ({"fmu": "0123"}, False, {"fmu"}), ({"cost": ""}, False, {"cost"}),
     ],
-)
+)  # fmt: skip
 def test_what_moved_is_told_and_what_is_worse_is_told_as_that(after: dict[str, str], is_worse: bool, names: set[str]):
     before, now = row(), row(**after)
     assert set(golden.differences(before, now)) == names

@@ -1,7 +1,5 @@
 """`python -m benchmarks house` counts what it says."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -17,15 +17,8 @@ def suite_record(factory, rows, figures=(), **changes) -> dict:
 def row(stage: str, seconds: float, by: str = "touchstone", steps: int = 500, **changes) -> dict:
     samples = [seconds, 1.1 * seconds, 0.9 * seconds]
     values = {
-        "stage": stage,
-        "title": stage,
-        "by": by,
-        "n": 3,
-        "steps": steps,
-        "cpu_s": samples,
-        "memory_mib": [4.0] * 3,
-        "outcome": "solved",
-    }
+        "stage": stage, "title": stage, "by": by, "n": 3, "steps": steps, "cpu_s": samples, "memory_mib": [4.0] * 3, "outcome": "solved",
+    }  # fmt: skip
     return values | changes
 
 
@@ -41,7 +34,6 @@ def page(benches, tmp_path):
         benches.leave(folder, record)
         assert stored(folder)[1] == []
         found = re.search(r'<section id="suite".*?</section>', render(folder), re.DOTALL)
-        assert found is not None
         return html.unescape(found[0])
 
     return made

@@ -1,7 +1,5 @@
 """The page of unstable starts: its sentences are counted from the starts, a start without a plan is shown as one, names are escaped."""
 
-from __future__ import annotations
-
 import html
 import re
 

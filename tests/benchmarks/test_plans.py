@@ -1,7 +1,5 @@
 """`plans`: its random tasks are the same everywhere, and rows are compared with the cheapest plan that was solved."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -16,7 +14,6 @@ def test_tasks_are_seeded_and_cannot_be_done_without_contact():
         n = scene.nq
         assert n == 3 + seed % 4
         assert task(seed).task == scene.task
-        assert scene.task.goal is not None
         moved = np.array(scene.task.goal[:n], dtype=float) - np.array(scene.task.start[:n])
         assert np.abs(moved[1:-1]).min() > 0.0, "nobody but its neighbours moves a cart in between"
     assert [name for name, _ in rows(2, "carts")] == ["3 carts, 0", "4 carts, 1"]

@@ -1,7 +1,5 @@
 """A part of `python -m benchmarks verdicts` that takes seconds: exact plans hold, wrong ones do not and are told why, and a search finds no way round."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

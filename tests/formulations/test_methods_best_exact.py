@@ -1,7 +1,5 @@
 """`best_exact`: mpcc where contacts are open or closed, else several ways, of which the cheapest plan is kept."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations.pipelines import find_pipeline, load_method, pipelines_for
@@ -19,8 +17,6 @@ def solved(scene: Scene, name: str = "best_exact", **options: object) -> Solutio
 
 def test_open_and_closed_contacts_are_left_to_mpcc():
     ours, mpcc = solved(SMALL), solved(SMALL, "mpcc")
-    assert ours.trajectory is not None
-    assert mpcc.trajectory is not None
     assert ours.trajectory.u.tobytes() == mpcc.trajectory.u.tobytes()
     assert (ours.method, ours.outcome, ours.message, ours.starts) == ("best_exact", Outcome.SOLVED, mpcc.message, ())
 
@@ -57,9 +53,7 @@ def test_a_walk_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "most"), [("transport", 0.7063), ("hopper_planar", 783.7), ("push_box", 4808.4), ("two_finger_lift", 59.40)]
-)
+@pytest.mark.parametrize(("name", "most"), [("transport", 0.7063), ("push_box", 4808.4)])
 def test_scenes_with_friction_end_where_the_best_known_way_does(name: str, most: float):
     found = solved(load_scene(name))
     assert found.outcome is Outcome.SOLVED

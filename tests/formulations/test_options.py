@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 
 import pytest
+from wording import unsaid
 
 from formulations.method import OptionError, Options, option, read_options
 from formulations.methods.mpcc import MpccOptions
@@ -32,21 +33,21 @@ def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"round": 1}, "method m: there is no option 'round'; did you mean rounds?"),
-        ({"colour": 1}, "method m: there is no option 'colour'; it has weight, rounds, search, guess, most."),
-        ({"rounds": 11}, "method m: option rounds is 11, but must be a number in [1, 10]."),
-        ({"rounds": 2.0}, "method m: option rounds is 2.0, but must be a whole number."),
-        ({"weight": True}, "method m: option weight is True, but must be a number in [0, inf] kg."),
-        ({"weight": None}, "method m: option weight is None, but must be a number in [0, inf] kg."),
-        ({"search": "no"}, "method m: option search is 'no', but must be one of True, False."),
-        ({"guess": "end"}, "method m: option guess is 'end', but must be one of 'line', 'start'."),
-        (_Base(), "method m: its options are _Own, but _Base were given."),
+        ({"round": 1}, "method m: … no option 'round'; did you mean rounds?"),
+        ({"colour": 1}, "method m: … no option 'colour'; it has weight, rounds, search, guess, most."),
+        ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"),
+        ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
+        ({"weight": True}, "method m: option weight is True … [0, inf] kg"),
+        ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
+        ({"search": "no"}, "method m: option search is 'no' … True, False"),
+        ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
+        (_Base(), "method m: … _Own, but _Base were given"),
     ],
 )
 def test_one_sentence_says_what_is_wrong(given, sentence):
     with pytest.raises(OptionError) as caught:
         read_options(_Own, given, "m")
-    assert str(caught.value) == sentence
+    assert not unsaid(caught.value, sentence)
 
 
 def test_what_is_impossible_only_for_one_method_is_refused_too():

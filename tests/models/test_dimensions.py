@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import sympy as sp
+from wording import unsaid
 
 from models.catalog import load_scene, scene_names
 from models.errors import SceneError
@@ -24,31 +25,23 @@ HALF = sp.Rational(1, 2)
 
 def contact(**changes: Any) -> Contact:
     fields: dict = {
-        "name": "wall",
-        "bodies": ("wall", "joint"),
-        "penetration": q - 2,
-        "stiffness": k,
-        "depth": 1.0,
+        "name": "wall", "bodies": ("wall", "joint"), "penetration": q - 2, "stiffness": k, "depth": 1.0,
         "depth_reason": "the length of the spring",
-    }
+    }  # fmt: skip
     return Contact(**(fields | changes))
 
 
 def scene(units: dict[sp.Symbol, str] | None = None, push: str = "N", **changes: Any) -> Scene:
     """A cart with a pole, in which parts are changed; units: of parameters, push: of the input."""
     fields: dict = {
-        "name": "own",
-        "title": "a cart with a pole",
-        "source": "this test",
+        "name": "own", "title": "a cart with a pole", "source": "this test",
         "coordinates": (Coordinate(symbol=q, velocity=v, unit="m"), Coordinate(symbol=theta, velocity=omega, unit="rad")),
         "inputs": (Input(symbol=u, unit=push),),
         "parameters": tuple(Parameter(symbol=symbol, value=1.0, unit=unit) for symbol, unit in (UNITS | (units or {})).items()),
-        "kinetic_energy": m * v**2 / 2 + inertia * omega**2 / 2,
-        "potential_energy": m * g * l * sp.cos(theta),
-        "forces": (u - c * v, sp.Integer(0)),
-        "contacts": (contact(),),
+        "kinetic_energy": m * v**2 / 2 + inertia * omega**2 / 2, "potential_energy": m * g * l * sp.cos(theta),
+        "forces": (u - c * v, sp.Integer(0)), "contacts": (contact(),),
         "task": Task(start=(0.0,) * 4, goal=(None,) * 4, running_cost=u**2 + q + theta * v, step=0.01, steps=10),
-    }
+    }  # fmt: skip
     return Scene(**(fields | changes))
 
 
@@ -66,8 +59,9 @@ def test_a_sound_scene_is_accepted():
 
 
 def test_a_unit_that_is_no_mass_is_named_with_the_one_that_is():
-    assert wrong(units={m: "N"}, potential_energy=sp.Integer(0)) == (
-        "scene own: kinetic_energy: m*v**2/2 is in kg m^3/s^4, but an energy must be in J; is the unit of parameter m ('N') right? 'kg' would be."
+    assert not unsaid(
+        wrong(units={m: "N"}, potential_energy=sp.Integer(0)),
+        "scene own: kinetic_energy: m*v**2/2 is in kg m^3/s^4 … J; … parameter m ('N') right? 'kg' would be.",
     )
 
 
@@ -76,45 +70,30 @@ def test_a_unit_that_is_no_mass_is_named_with_the_one_that_is():
     [
         ({"units": {m: "N"}}, ["kinetic_energy: m*v**2/2", "parameter m ('N')", "'kg' would be"]),
         ({"units": {inertia: "kg"}}, ["kinetic_energy", "parameter inertia ('kg')", "'kg m^2' would be"]),
-        (
-            {"units": {g: "m/s"}},
-            ["potential_energy", "in N m s", "g ('m/s') right? 'm/s^2' would be, or is that of parameter l ('m') right? 'm/s' would be"],
-        ),
+        ({"units": {g: "m/s"}}, ["potential_energy", "in N m s", "g ('m/s') right? 'm/s^2' would be … l ('m') right? 'm/s' would be"]),
         ({"units": {c: "N/m"}}, ["forces[q]: -c*v is in", "N s/m", "parameter c ('N/m')"]),
-        ({"units": {k: "N"}}, ["contact wall: stiffness: k is in N, but a stiffness must be in N/m", "parameter k"]),
-        ({"push": "N m"}, ["forces[q]: u is in N m, but the force of a coordinate in m must be in N", "input u ('N m')", "'N' would be"]),
-        ({"forces": (-c * v, u)}, ["forces[theta]: u is in N, but the force of a coordinate in rad must be in N m"]),
-        (
-            {"kinetic_energy": m * (v**2 + omega**2) / 2},
-            ["kinetic_energy: omega**2 is in 1/s^2 and v**2 in m^2/s^2, but they are added", "an arm of 1 m"],
-        ),
+        ({"units": {k: "N"}}, ["contact wall: stiffness: k is in N … must be in N/m", "parameter k"]),
+        ({"push": "N m"}, ["forces[q]: u is in N m … must be in N", "input u ('N m')", "'N' would be"]),
+        ({"forces": (-c * v, u)}, ["forces[theta]: u is in N, … must be in N m"]),
+        ({"kinetic_energy": m * (v**2 + omega**2) / 2}, ["kinetic_energy: omega**2 is in 1/s^2 and v**2 in m^2/s^2", "an arm of 1 m"]),
         ({"potential_energy": m * g * sp.cos(theta)}, ["potential_energy", "is in N, but an energy", "must be a parameter"]),
-        ({"potential_energy": m * 9.81 * q + k * sp.sin(k * q) * l**2}, ["potential_energy: sin takes a pure number, but k*q is in N"]),
+        ({"potential_energy": m * 9.81 * q + k * sp.sin(k * q) * l**2}, ["potential_energy: sin … k*q is in N"]),
         ({"potential_energy": k * l**2 * sp.exp(-g * q)}, ["exp takes a pure number", "m^2/s^2"]),
-        ({"potential_energy": k * l**2 * 2 ** (q * l)}, ["an exponent is a pure number, but l*q is in m^2"]),
+        ({"potential_energy": k * l**2 * 2 ** (q * l)}, ["an exponent … l*q is in m^2"]),
         ({"potential_energy": k * (q - l - g) ** 2 / 2}, ["-g is in m/s^2 and -l in m", "added"]),
-        ({"contacts": (contact(penetration=l * q - 2),)}, ["contact wall: penetration: l*q is in m^2, but a penetration must be in m"]),
+        ({"contacts": (contact(penetration=l * q - 2),)}, ["contact wall: penetration: l*q is in m^2 … in m"]),
         ({"contacts": (contact(penetration=q - l**2),)}, ["contact wall: penetration: -l**2 is in m^2"]),
-        ({"contacts": (contact(damping=k),)}, ["contact wall: damping: k is in N/m, but a damping must be in N s/m"]),
-        (
-            {"contacts": (contact(damping=c, damping_law=DampingLaw.HUNT_CROSSLEY),)},
-            ["contact wall: damping: c is in N s/m, but a damping must be in s/m"],
-        ),
-        ({"contacts": (contact(depth=l**2),)}, ["contact wall: depth: l**2 is in m^2, but a depth must be in m"]),
+        ({"contacts": (contact(damping=k),)}, ["contact wall: damping: k is in N/m … in N s/m"]),
+        ({"contacts": (contact(damping=c, damping_law=DampingLaw.HUNT_CROSSLEY),)}, ["contact wall: damping: c is in N s/m … in s/m"]),
+        ({"contacts": (contact(depth=l**2),)}, ["contact wall: depth: l**2 is in m^2 … in m"]),
         ({"frictions": (Friction(name="f", slip=l * v, coefficient=mu, contact="wall"),)}, ["friction f: slip: l*v is in m^2/s"]),
-        (
-            {"frictions": (Friction(name="f", slip=v, coefficient=k, contact="wall"),)},
-            ["friction f: coefficient: k is in N/m", "must be in 1"],
-        ),
-        (
-            {"frictions": (Friction(name="f", slip=v, coefficient=mu, normal_force=m),)},
-            ["friction f: normal_force: m is in kg, but a normal force must be in N"],
-        ),
+        ({"frictions": (Friction(name="f", slip=v, coefficient=k, contact="wall"),)}, ["friction f: coefficient: k is in N/m", "must be in 1"]),
+        ({"frictions": (Friction(name="f", slip=v, coefficient=mu, normal_force=m),)}, ["friction f: normal_force: m is in kg … in N"]),
     ],
-)
+)  # fmt: skip
 def test_unit_mismatch_names_the_term(given: dict, words: list[str]):
     text = wrong(**given)
-    assert all(word in text for word in words), text
+    assert not unsaid(text, *words)
 
 
 class Hill(sp.Function):
@@ -133,19 +112,12 @@ class Hill(sp.Function):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"kinetic_energy": v**2 / 2 + omega**2 / 2},
-        {"kinetic_energy": 0.5 * m * v**2 + inertia * omega**2 / 24},
-        {"potential_energy": m * 9.81 * q},
-        {"potential_energy": -2 * q**2 + sp.cos(theta)},
-        {"potential_energy": 7.5},
-        {"potential_energy": k * (q - 2) ** 2 / 2 + k * (q - 1.5) ** 2 / 2},
-        {"potential_energy": k * sp.sqrt(q**2 + 1e-6) * l + m * g * (q + sp.sqrt(2) / 3)},
-        {"potential_energy": m * g * Hill(k * q)},
+        {"kinetic_energy": v**2 / 2 + omega**2 / 2}, {"kinetic_energy": 0.5 * m * v**2 + inertia * omega**2 / 24}, {"potential_energy": m * 9.81 * q},
+        {"potential_energy": -2 * q**2 + sp.cos(theta)}, {"potential_energy": 7.5}, {"potential_energy": k * (q - 2) ** 2 / 2 + k * (q - 1.5) ** 2 / 2},
+        {"potential_energy": k * sp.sqrt(q**2 + 1e-6) * l + m * g * (q + sp.sqrt(2) / 3)}, {"potential_energy": m * g * Hill(k * q)},
         {"potential_energy": k * l**2 * sp.log(sp.cosh(q / l)) + k * l ** sp.Rational(3, 2) * sp.sqrt(l + sp.exp(q / l) * l)},
-        {"forces": (u * (1 - q) - 3 * v, sp.Integer(0))},
-        {"forces": (u - m * g * sp.tanh(v / 0.01) - m * g * sp.tanh(100 * v), sp.Integer(0))},
-        {"forces": (-c * v - sp.tanh(v) * q**2, u * l * sp.atan2(l, q))},
-        {"forces": (u - m * g * sp.erf((v * c / k) / 0.1), -0.03 * omega)},
+        {"forces": (u * (1 - q) - 3 * v, sp.Integer(0))}, {"forces": (u - m * g * sp.tanh(v / 0.01) - m * g * sp.tanh(100 * v), sp.Integer(0))},
+        {"forces": (-c * v - sp.tanh(v) * q**2, u * l * sp.atan2(l, q))}, {"forces": (u - m * g * sp.erf((v * c / k) / 0.1), -0.03 * omega)},
         {"contacts": (contact(penetration=l * (theta - HALF), stiffness=k / 2, damping=3),)},
         {"contacts": (contact(penetration=sp.sin(theta) + q - 1, stiffness=40, depth=sp.Max(l, 2 * l)),)},
         {"contacts": (contact(damping=HALF / 3, damping_law=DampingLaw.HUNT_CROSSLEY),)},
@@ -153,7 +125,7 @@ class Hill(sp.Function):
         {"frictions": (Friction(name="f", slip=v * sp.cos(theta) - l * omega, coefficient=0.4, normal_force=12),)},
         {"task": Task(start=(0.0,) * 4, goal=(None,) * 4, running_cost=u**2 + m * k * q + omega, step=0.01, steps=10, final_cost=m + q)},
     ],
-)
+)  # fmt: skip
 def test_numbers_and_variables_may_hide_units(changes: dict):
     assert dimension_problem(scene(**changes)) is None
 

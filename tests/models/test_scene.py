@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy as sp
+from wording import unsaid
 
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
@@ -27,31 +28,20 @@ def part(kind: Any, /, **fields: Any) -> Any:
 
 def wall(**changes: Any) -> Contact:
     fields: dict = {
-        "name": "wall",
-        "bodies": ("mass", "wall"),
-        "penetration": x - 1,
-        "stiffness": k,
-        "depth": 0.2,
-        "depth_reason": "a spring",
-    }
+        "name": "wall", "bodies": ("mass", "wall"), "penetration": x - 1, "stiffness": k, "depth": 0.2, "depth_reason": "a spring",
+    }  # fmt: skip
     return Contact(**(fields | changes))
 
 
 def small_scene(**changes: object) -> Scene:
     fields: dict = {
-        "name": "small",
-        "title": "a mass before a wall",
-        "source": "this test",
-        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),),
-        "inputs": (Input(symbol=u, unit="N"),),
+        "name": "small", "title": "a mass before a wall", "source": "this test",
+        "coordinates": (Coordinate(symbol=x, velocity=vx, unit="m"),), "inputs": (Input(symbol=u, unit="N"),),
         "parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=10.0, unit="N/m")),
-        "kinetic_energy": m * vx**2 / 2,
-        "potential_energy": sp.Integer(0),
-        "forces": (u,),
-        "contacts": (wall(),),
+        "kinetic_energy": m * vx**2 / 2, "potential_energy": sp.Integer(0), "forces": (u,), "contacts": (wall(),),
         "task": Task(start=(0.0, 0.0), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10),
         "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    }
+    }  # fmt: skip
     return Scene(**(fields | changes))
 
 
@@ -63,24 +53,20 @@ def test_a_sound_scene_is_accepted():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (
-            {"task": Task(start=(0.0,), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10)},
-            ["task.start", "1 numbers", "2 are needed"],
-        ),
+        ({"task": Task(start=(0.0,), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10)}, ["task.start", "1 numbers", "2 are needed"]),
         ({"forces": (u, u)}, ["forces", "2 entries", "1 coordinates"]),
         ({"parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=-1.0, unit="N/m"))}, ["wall", "stiffness"]),
         ({"contacts": (wall(penetration=sp.Max(x, 0) - 1),)}, ["wall", "Max", "a contact of its own"]),
-        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]),
-        ({"coordinates": ()}, ["no coordinates"]),
+        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]), ({"coordinates": ()}, ["no coordinates"]),
         ({"name": "two words"}, ["two words", "identifier"]),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as caught:
         check_expressions(small_scene(**changes))
     text = str(caught.value)
     assert "\n" not in text
-    assert all(word in text for word in words), text
+    assert not unsaid(text, *words)
 
 
 def test_contact_bodies_are_shapes_or_fixed():
@@ -195,21 +181,17 @@ def test_catalog_lists_all_scenes():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]),
-        ({"forces": (None,)}, ["forces[0]", "NoneType"]),
-        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]),
-        ({"forces": u}, ["forces must be a tuple"]),
-        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]),
-        ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
-        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]),
-        ({"contacts": wall()}, ["contacts must be a tuple"]),
+        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]), ({"forces": (None,)}, ["forces[0]", "NoneType"]),
+        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]), ({"forces": u}, ["forces must be a tuple"]),
+        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]), ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
+        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]), ({"contacts": wall()}, ["contacts must be a tuple"]),
         ({"task": {}}, ["task must be a Task", "dict"]),
     ],
-)
+)  # fmt: skip
 def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as error:
         small_scene(**changes)
-    assert all(word in str(error.value) for word in ["scene small", *words]), str(error.value)
+    assert not unsaid(error.value, "scene small", *words)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +207,7 @@ def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
         (lambda: part(Limit, metric="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
         (lambda: part(Limit, metric="defect", value="1", reason=""), ["limit on defect", "'1'"]),
         (lambda: part(Contact, name="wall", penetration=x - 1, stiffness=k), [mend_of("bodies, depth, depth_reason")]),
-        (lambda: wall(bodies="mass"), ["contact wall: bodies must be the names of two different bodies, not 'mass'"]),
+        (lambda: wall(bodies="mass"), ["contact wall: bodies … two different bodies, not 'mass'"]),
         (lambda: wall(bodies=("mass", 3)), ["contact wall: bodies", "3"]),
         (lambda: wall(depth=float("nan")), ["contact wall: depth", "nan"]),
         (lambda: part(Shape, name="a", kind="disc", x=x, y=x, size=(1, 2)), ["shape a", "disc", "1 lengths"]),
@@ -235,7 +217,7 @@ def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
 def test_a_part_that_makes_no_sense_is_refused(make, words: list[str]):
     with pytest.raises(SceneError) as error:
         make()
-    assert all(word in str(error.value) for word in words), str(error.value)
+    assert not unsaid(error.value, *words)
 
 
 @pytest.mark.parametrize("assumption", ["positive", "integer", "nonnegative"])
@@ -276,23 +258,18 @@ def test_expressions_stay_exact():
     ],
 )
 def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
-    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}, which has no form in C"):
+    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}.*no form in C"):
         check_expressions(small_scene(forces=(force,)))
     with pytest.raises(SceneError, match=f"task.final_cost contains {words}"):
         check_expressions(small_scene(task=replace(small_scene().task, final_cost=force)))
 
 
 NOT_SMOOTH = {
-    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"),
-    "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
-    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"),
-    "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
-    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"),
-    "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"),
-    "floor": (sp.floor(x), "x for floor(x)"),
-    "ceiling": (sp.ceiling(x), "x for ceiling(x)"),
-    "Mod": (sp.Mod(x, 2), "a sine of the same period"),
-}
+    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"), "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
+    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"), "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
+    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"), "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"), "floor": (sp.floor(x), "x for floor(x)"),
+    "ceiling": (sp.ceiling(x), "x for ceiling(x)"), "Mod": (sp.Mod(x, 2), "a sine of the same period"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)
@@ -313,8 +290,8 @@ def test_a_corner_is_said_once(name: str):
             check_expressions(small_scene(**changes))
         text = str(caught.value)
         assert text.startswith(f"scene small: {field} contains {name}("), text
-        assert "which is not differentiable everywhere, as plans need it; round it off: " in text
-        assert advice in text
+        assert not unsaid(text, "not differentiable … round it off: ")
+        assert not unsaid(text, advice)
 
 
 @pytest.mark.parametrize("field", ["stiffness", "damping"])
@@ -325,7 +302,7 @@ def test_a_corner_of_parameters_is_a_parameter(field: str):
 
 
 def test_expressions_without_c_form_are_refused_when_emitted():
-    with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
+    with pytest.raises(SceneError, match=r"scene small: .* contain Integral.*no form in C"):
         emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 
 

@@ -26,16 +26,8 @@ from tests.formulations.transcription.rollouts import rolled_out
 from validate.judge.replay.run import replay
 
 NAMES = (
-    "acrobot_limits",
-    "bouncing_mass",
-    "cart_pole_walls",
-    "hopper",
-    "three_cart",
-    "two_body_collision",
-    "two_discs",
-    "two_finger",
-    "two_finger_lift",
-)
+    "acrobot_limits", "bouncing_mass", "cart_pole_walls", "hopper", "three_cart", "two_body_collision", "two_discs", "two_finger", "two_finger_lift",
+)  # fmt: skip
 BANK: dict[str, Callable[[], Scene]] = {
     **{name: (lambda name=name: load_scene(name)) for name in NAMES},
     **{f"cart_chain({n})": (lambda n=n: cart_chain(n)) for n in (2, 3, 5, 20)},
@@ -119,22 +111,15 @@ def _reversed(nq: int) -> np.ndarray:
 
 # Name -> (of positions and velocities, of inputs, of contact forces): the scene seen in a mirror.
 MIRRORS = {
-    "three_cart": (_reversed(3), _reversed(2), np.eye(2)[::-1]),
-    "cart_chain(2)": (_reversed(2), _reversed(2), np.eye(1)),
-    "cart_chain(5)": (_reversed(5), _reversed(2), np.eye(4)[::-1]),
-    "cart_chain(20)": (_reversed(20), _reversed(2), np.eye(19)[::-1]),
-    "cart_pole_walls": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
-    "acrobot_limits": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
+    "three_cart": (_reversed(3), _reversed(2), np.eye(2)[::-1]), "cart_chain(2)": (_reversed(2), _reversed(2), np.eye(1)),
+    "cart_chain(5)": (_reversed(5), _reversed(2), np.eye(4)[::-1]), "cart_chain(20)": (_reversed(20), _reversed(2), np.eye(19)[::-1]),
+    "cart_pole_walls": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]), "acrobot_limits": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
     "two_finger": (_FINGERS, np.eye(4)[[2, 3, 0, 1]], _PAIR),
-    "two_finger_lift": (
-        _FINGERS,
-        np.eye(4)[[2, 3, 0, 1]],
-        np.block([[_PAIR, np.zeros((2, 3))], [np.zeros((1, 2)), np.ones((1, 1)), np.zeros((1, 2))], [np.zeros((2, 3)), -_PAIR]]),
-    ),
+    "two_finger_lift": (_FINGERS, np.eye(4)[[2, 3, 0, 1]], np.block([[_PAIR, np.zeros((2, 3))], [np.zeros((1, 2)), np.ones((1, 1)), np.zeros((1, 2))], [np.zeros((2, 3)), -_PAIR]])),
     "two_discs": (np.diag([-1.0, 1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.eye(1)),
     "push_box": (np.diag([-1.0, 1.0, -1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.diag([1.0, -1.0])),
     "hopper_planar": (np.diag([-1.0, 1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0]), np.diag([1.0, -1.0])),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MIRRORS)
@@ -225,9 +210,7 @@ def test_the_rigid_optimum_of_the_discs(start: tuple[float, ...], goal: tuple[fl
         ((0.25, -0.3, -0.5, 0.6), (0.0, 1.6), RIGID_OPTIMUM_WALL, RIGID_HIT_WALL),
     ],
 )
-def test_the_discs_limit_is_the_cheapest_throw_onto_the_goal(
-    start: tuple[float, ...], goal: tuple[float, float], optimum: float, hit: float
-):
+def test_the_discs_limit_is_the_cheapest_throw_onto_the_goal(start, goal, optimum, hit):
     found = minimize_scalar(lambda time: rigid_hit_cost(time, start, goal), bounds=(0.05, 0.95), method="bounded", options={"xatol": 1e-9})
     assert found.fun == pytest.approx(hit, abs=1e-7)
     idle = start[2] ** 2 + start[3] ** 2

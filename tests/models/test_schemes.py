@@ -108,14 +108,9 @@ def test_friction_is_refused_and_so_is_a_hold_that_a_step_does_not_have() -> Non
         advance(load_kernel(scene), Scheme.RADAU_IIA_2, q, v, np.zeros((1, scene.nu)), 0.01)
     with pytest.raises(TrajectoryError, match=r"holds its inputs.*hold is linear"):
         Trajectory(
-            t=np.array([0.0, 1.0]),
-            q=np.zeros((2, 1)),
-            v=np.zeros((2, 1)),
-            u=NOTHING,
-            lam=NOTHING,
-            hold=Hold.LINEAR,
+            t=np.array([0.0, 1.0]), q=np.zeros((2, 1)), v=np.zeros((2, 1)), u=NOTHING, lam=NOTHING, hold=Hold.LINEAR,
             scheme=Scheme.RADAU_IIA_3,
-        )
+        )  # fmt: skip
 
 
 def test_a_file_keeps_the_scheme(tmp_path: Path) -> None:

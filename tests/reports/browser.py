@@ -57,13 +57,9 @@ class Page:
     def press(self, key: str) -> None:
         for kind in ("keyDown" if key == "Enter" else "rawKeyDown", "keyUp"):
             self.call(
-                "Input.dispatchKeyEvent",
-                type=kind,
-                key=key,
-                code=key,
-                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13, " ": 32}.get(key, 0),
-                **({"text": "\r"} if kind == "keyDown" else {}),
-            )
+                "Input.dispatchKeyEvent", type=kind, key=key, code=key,
+                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13, " ": 32}.get(key, 0), **({"text": "\r"} if kind == "keyDown" else {}),
+            )  # fmt: skip
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
         picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)

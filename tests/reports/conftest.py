@@ -1,7 +1,5 @@
 """Fixtures for the tests of the report: the record factory, and a headless Chromium where the machine has one."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

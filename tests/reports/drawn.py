@@ -1,7 +1,5 @@
 """What a plot shows, read back from its SVG: lines and points with their values, as the reader's script finds them."""
 
-from __future__ import annotations
-
 import base64
 import html
 import re

@@ -1,60 +1,31 @@
 """Records of runs that went wrong, and of one whose every string is markup; `factory` is the record factory beside this file."""
 
-from __future__ import annotations
-
 from reports.records.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
 
 
 def crashed(factory) -> RunRecord:
     return factory.run(
-        "crashing",
-        None,
-        "strict_lcp",
-        key="crashing-0",
-        stages=(),
-        outcome="crashed",
-        message="The process ended with signal 11.",
-        verdict="no plan",
-        log_tail="\x1b[31mSegmentation fault\x1b[0m",
-    )
+        "crashing", None, "strict_lcp", key="crashing-0", stages=(), outcome="crashed", message="The process ended with signal 11.",
+        verdict="no plan", log_tail="\x1b[31mSegmentation fault\x1b[0m",
+    )  # fmt: skip
 
 
 def out_of_time(factory) -> RunRecord:
     bare = {
-        "has_plan": False,
-        "replay": None,
-        "metrics": (),
-        "history": {},
-        "residuals": {},
-        "cost": None,
-        "verdict": "no plan",
-    }
+        "has_plan": False, "replay": None, "metrics": (), "history": {}, "residuals": {}, "cost": None, "verdict": "no plan",
+    }  # fmt: skip
     late = factory.stage(
-        0,
-        "strict_lcp",
-        None,
-        None,
-        0.0,
-        outcome="time_limit",
-        advice="Stopped at its time limit; allow more time, or start it warm.",
-        why="there is no plan to score.",
-        **bare,
-    )
+        0, "strict_lcp", None, None, 0.0, outcome="time_limit", advice="Stopped at its time limit; allow more time, or start it warm.",
+        why="there is no plan to score.", **bare,
+    )  # fmt: skip
     return factory.run("late", None, "strict_lcp", key="late-0", stages=(late,), outcome="time_limit", verdict="no plan", log_tail="")
 
 
 def refused(factory) -> RunRecord:
     return factory.run(
-        "refusing",
-        None,
-        "strict_lcp",
-        key="refusing-0",
-        stages=(),
-        outcome="refused",
-        message="The scene has friction, which this method does not know.",
-        verdict="not applicable",
-        must_hold=False,
-    )
+        "refusing", None, "strict_lcp", key="refusing-0", stages=(), outcome="refused",
+        message="The scene has friction, which this method does not know.", verdict="not applicable", must_hold=False,
+    )  # fmt: skip
 
 
 def hostile(factory) -> RunRecord:
@@ -98,15 +69,6 @@ def hostile(factory) -> RunRecord:
         packages={factory.HOSTILE: factory.HOSTILE},
     )
     return factory.run(
-        "strict",
-        None,
-        "strict_lcp",
-        key="hostile-0",
-        pipeline_title=factory.HOSTILE,
-        scene=where,
-        stages=(bad,),
-        outcome=factory.HOSTILE,
-        message=factory.HOSTILE,
-        provenance=origin,
-        log_tail=factory.HOSTILE,
-    ).model_copy(update={"pipeline": factory.HOSTILE})
+        "strict", None, "strict_lcp", key="hostile-0", pipeline_title=factory.HOSTILE, scene=where, stages=(bad,), outcome=factory.HOSTILE,
+        message=factory.HOSTILE, provenance=origin, log_tail=factory.HOSTILE,
+    ).model_copy(update={"pipeline": factory.HOSTILE})  # fmt: skip

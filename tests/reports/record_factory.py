@@ -4,8 +4,6 @@ Not a solver: the motions are simulated, so that they look like motions, but cos
 into the NetCDF files of the stages that have a plan, as a campaign does; `write_motion` writes others over them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -146,14 +144,10 @@ def trace(t: Sequence[float], **columns: Sequence[float]) -> Trace:
 
 
 QUESTIONS = (
-    (1, "Is it a plan of this task?"),
-    (2, "Does it say that it reaches the goal?"),
-    (3, "Is what it claims of its forces physical?"),
-    (4, "Do its inputs give its motion, and the goal?"),
-    (5, "Is the replayed motion possible?"),
-    (6, "Does it solve its own discrete equations?"),
+    (1, "Is it a plan of this task?"), (2, "Does it say that it reaches the goal?"), (3, "Is what it claims of its forces physical?"),
+    (4, "Do its inputs give its motion, and the goal?"), (5, "Is the replayed motion possible?"), (6, "Does it solve its own discrete equations?"),
     (None, "Is the judge well?"),
-)
+)  # fmt: skip
 
 
 def questions(**answers: str) -> tuple[QuestionRecord, ...]:
@@ -165,50 +159,30 @@ def _metric(
     name: str, value: float | None, unit: str, limit: float | None = None, question: int | None = None, error: float = 0.0
 ) -> MetricRecord:
     return MetricRecord(
-        question=question,
-        error=error,
-        name=name,
-        value=value,
-        unit=unit,
-        meaning=f"what {name} means, in words",
-        limit=limit,
-        reason="the reason of the limit" if limit is not None else "",
-        ok=None if limit is None or value is None else value <= limit,
-    )
+        question=question, error=error, name=name, value=value, unit=unit, meaning=f"what {name} means, in words", limit=limit,
+        reason="the reason of the limit" if limit is not None else "", ok=None if limit is None or value is None else value <= limit,
+    )  # fmt: skip
 
 
 PAPER = {(row.methods[-1], row.eps, row.methods[0] if len(row.methods) > 1 else None): row.numbers for row in TABLE_1}
 # cost, terminal error of the plan, on the grid, after the replay, physics: near what PAPER.md says was measured.
 OURS = {
-    ("strict_lcp", None, None): (496.63, 2e-10, 3e-8, 4.1e-3, 4e-6),
-    ("relu_gd", None, None): (542.5604, 0.04, 0.04, 0.041, 0.0),
-    ("relaxed_lcp", 1e-2, None): (489.83, 1e-10, 1.1e-2, 1.4e-2, 2.99),
-    ("relaxed_lcp", 1e-3, None): (489.2, 1e-10, 1.2e-3, 5e-3, 0.31),
-    ("relaxed_lcp", 1e-4, None): (491.64, 1e-10, 2e-4, 4.2e-3, 0.03),
-    ("strict_lcp", None, "relaxed_lcp"): (491.96, 1e-10, 2e-8, 4.0e-3, 2e-6),
-    ("relu_gd", None, "relaxed_lcp"): (490.1, 3e-3, 3e-3, 6e-3, 0.0),
-    ("softplus_dc", 1e-3, None): (197.863, 2e-10, 0.4491, 0.4512, 2445.9),
-    ("softplus_dc", 1e-5, None): (261.228, 2e-10, 0.2649, 0.2666, 625.14),
-    ("softplus_dc", 1e-7, None): (339.524, 2e-10, 0.1189, 0.1201, 239.53),
-    ("strict_lcp", None, "softplus_dc"): (490.83, 2e-10, 2e-8, 4.0e-3, 3e-6),
-    ("relu_gd", None, "softplus_dc"): (360.31, 0.047, 0.047, 0.048, 0.0),
-    ("softplus_gd", 1e-3, None): (149.17, 0.31, 0.411, 0.412, 2180.0),
-    ("softplus_gd", 1e-5, None): (166.45, 0.21, 0.273, 0.274, 510.0),
-    ("softplus_gd", 1e-7, None): (215.14, 0.15, 0.196, 0.197, 190.0),
-    ("strict_lcp", None, "softplus_gd"): (490.57, 2e-10, 2e-8, 4.0e-3, 3e-6),
+    ("strict_lcp", None, None): (496.63, 2e-10, 3e-8, 4.1e-3, 4e-6), ("relu_gd", None, None): (542.5604, 0.04, 0.04, 0.041, 0.0),
+    ("relaxed_lcp", 1e-2, None): (489.83, 1e-10, 1.1e-2, 1.4e-2, 2.99), ("relaxed_lcp", 1e-3, None): (489.2, 1e-10, 1.2e-3, 5e-3, 0.31),
+    ("relaxed_lcp", 1e-4, None): (491.64, 1e-10, 2e-4, 4.2e-3, 0.03), ("strict_lcp", None, "relaxed_lcp"): (491.96, 1e-10, 2e-8, 4.0e-3, 2e-6),
+    ("relu_gd", None, "relaxed_lcp"): (490.1, 3e-3, 3e-3, 6e-3, 0.0), ("softplus_dc", 1e-3, None): (197.863, 2e-10, 0.4491, 0.4512, 2445.9),
+    ("softplus_dc", 1e-5, None): (261.228, 2e-10, 0.2649, 0.2666, 625.14), ("softplus_dc", 1e-7, None): (339.524, 2e-10, 0.1189, 0.1201, 239.53),
+    ("strict_lcp", None, "softplus_dc"): (490.83, 2e-10, 2e-8, 4.0e-3, 3e-6), ("relu_gd", None, "softplus_dc"): (360.31, 0.047, 0.047, 0.048, 0.0),
+    ("softplus_gd", 1e-3, None): (149.17, 0.31, 0.411, 0.412, 2180.0), ("softplus_gd", 1e-5, None): (166.45, 0.21, 0.273, 0.274, 510.0),
+    ("softplus_gd", 1e-7, None): (215.14, 0.15, 0.196, 0.197, 190.0), ("strict_lcp", None, "softplus_gd"): (490.57, 2e-10, 2e-8, 4.0e-3, 3e-6),
     ("relu_gd", None, "softplus_gd"): (309.42, 0.047, 0.047, 0.049, 0.0),
-}
+}  # fmt: skip
 SCHEDULES = {"relaxed_lcp": (1e-2, 1e-3, 1e-4), "softplus_dc": (1e-3, 1e-5, 1e-7), "softplus_gd": (1e-3, 1e-5, 1e-7)}
 PIPELINES = (
-    ("strict", None, "strict_lcp"),
-    ("relu_gd", None, "relu_gd"),
-    ("relaxed+strict", "relaxed_lcp", "strict_lcp"),
-    ("relaxed+relu_gd", "relaxed_lcp", "relu_gd"),
-    ("softplus_dc+strict", "softplus_dc", "strict_lcp"),
-    ("softplus_dc+relu_gd", "softplus_dc", "relu_gd"),
-    ("softplus_gd+strict", "softplus_gd", "strict_lcp"),
-    ("softplus_gd+relu_gd", "softplus_gd", "relu_gd"),
-)
+    ("strict", None, "strict_lcp"), ("relu_gd", None, "relu_gd"), ("relaxed+strict", "relaxed_lcp", "strict_lcp"),
+    ("relaxed+relu_gd", "relaxed_lcp", "relu_gd"), ("softplus_dc+strict", "softplus_dc", "strict_lcp"), ("softplus_dc+relu_gd", "softplus_dc", "relu_gd"),
+    ("softplus_gd+strict", "softplus_gd", "strict_lcp"), ("softplus_gd+relu_gd", "softplus_gd", "relu_gd"),
+)  # fmt: skip
 
 
 def stage(index: int, method: str, eps: float | None, before: str | None, total: float, **changes: object) -> StageRecord:
@@ -278,19 +252,10 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
 
 def provenance(**changes: object) -> ProvenanceRecord:
     values = {
-        "touchstone": "0.1.0",
-        "commit": "a" * 40,
-        "python": "3.11.7",
-        "platform": "Linux-6.1-x86_64",
-        "cpu": "Some Processor 2.6 GHz",
-        "cores": 2,
-        "threads": 1,
-        "packages": {"numpy": "2.4.6", "pyomo": "6.10.1"},
-        "compiler": "gcc 12.2.0",
-        "seed": 1,
-        "started": "2025-01-02T03:04:05Z",
-        "command": "python -m validate all",
-    }
+        "touchstone": "0.1.0", "commit": "a" * 40, "python": "3.11.7", "platform": "Linux-6.1-x86_64", "cpu": "Some Processor 2.6 GHz",
+        "cores": 2, "threads": 1, "packages": {"numpy": "2.4.6", "pyomo": "6.10.1"}, "compiler": "gcc 12.2.0", "seed": 1,
+        "started": "2025-01-02T03:04:05Z", "command": "python -m validate all",
+    }  # fmt: skip
     return ProvenanceRecord.model_validate(values | changes)
 
 
@@ -301,19 +266,11 @@ def run(pipeline: str, before: str | None, last: str, **changes: object) -> RunR
         total += 0.73
     stages.append(stage(len(stages), last, None, before, total))
     values = {
-        "key": f"{pipeline.replace('+', '-')}-0123456789abcdef",
-        "scene": scene(),
-        "pipeline": pipeline,
-        "pipeline_title": f"{before or 'cold start'}, then {last}",
-        "stages": tuple(stages),
-        "outcome": "solved",
-        "verdict": stages[-1].verdict,
-        "must_hold": True,
-        "wall_seconds": 4.2,
-        "cpu_seconds": 4.0,
-        "provenance": provenance(),
+        "key": f"{pipeline.replace('+', '-')}-0123456789abcdef", "scene": scene(), "pipeline": pipeline,
+        "pipeline_title": f"{before or 'cold start'}, then {last}", "stages": tuple(stages), "outcome": "solved",
+        "verdict": stages[-1].verdict, "must_hold": True, "wall_seconds": 4.2, "cpu_seconds": 4.0, "provenance": provenance(),
         "log_tail": "iteration 1 objective 600\niteration 2 objective 500\nEXIT: Optimal Solution Found.",
-    }
+    }  # fmt: skip
     return RunRecord.model_validate(values | changes)
 
 
@@ -352,13 +309,9 @@ def violation() -> tuple[ViolationPoint, ...]:
 
 def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
     values = {
-        "title": "touchstone: all of Table I",
-        "command": "python -m validate all --out runs/all",
-        "started": "2025-01-02T03:04:05Z",
-        "keys": tuple(record.key for record in records),
-        "violation": violation(),
-        "provenance": provenance(),
-    }
+        "title": "touchstone: all of Table I", "command": "python -m validate all --out runs/all", "started": "2025-01-02T03:04:05Z",
+        "keys": tuple(record.key for record in records), "violation": violation(), "provenance": provenance(),
+    }  # fmt: skip
     return CampaignRecord.model_validate(values | changes)
 
 

@@ -1,8 +1,7 @@
 """Causes of runs that do not hold: those that are metrics, and runs grouped by them."""
 
-from __future__ import annotations
-
 import pytest
+from wording import unsaid
 
 from reports.causes import by_cause, cause_of
 
@@ -17,14 +16,14 @@ def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved
 @pytest.mark.parametrize(
     ("cause", "begins"),
     [
-        ("cost", "The plan costs more than the scene allows (solved)"),
-        ("replay_cost", "The plan costs more than the scene allows (solved)"),
+        ("cost", "costs more than … allows (solved)"),
+        ("replay_cost", "costs more than … allows (solved)"),
         ("a_new_metric", "A limit is exceeded: a new metric"),
     ],
 )
 def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, begins):
     found = cause_of(ended(factory, "violates", cause=cause))
-    assert found.sentence.startswith(begins)
+    assert not unsaid(found.sentence, begins)
     assert found.advice
 
 

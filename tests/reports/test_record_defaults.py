@@ -1,7 +1,5 @@
 """What a record does not say is nothing: every default of the schemas is empty, but for those that are named here."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import import_module
 

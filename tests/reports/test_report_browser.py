@@ -1,7 +1,5 @@
 """The page as its reader meets it: headless Chromium, network off, light and dark, desk and telephone, keyboard alone."""
 
-from __future__ import annotations
-
 import csv
 import re
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A campaign of many scenes in headless Chromium: all of it on paper, on a telephone, and in the tables that are saved."""
 
-from __future__ import annotations
-
 import pytest
 
 from reports.records.check_record import CheckRecord

@@ -1,7 +1,5 @@
 """Every table of the page as the file that its button saves: one head, numbers as a program reads them, names of their own."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

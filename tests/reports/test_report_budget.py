@@ -1,7 +1,5 @@
 """How large pages are, on a campaign of 16 scenes by 19 pipelines made by hand."""
 
-from __future__ import annotations
-
 import re
 from hashlib import sha256
 
@@ -46,7 +44,6 @@ def test_pages_keep_their_budget(folder):
     text = write_report(folder).read_text(encoding="utf-8")
     assert text.count('title="') >= SCENES * PIPELINES, "every run is there"
     overview = re.search(r'<section id="overview".*?</section>', text, re.DOTALL)
-    assert overview is not None
     assert len(overview[0].encode()) <= LARGEST["overview"]
     assert len(text.encode()) <= LARGEST["report.html"]
     sizes = {path.name: path.stat().st_size for path in (folder / PAGES).iterdir() if re.fullmatch(r"[0-9a-f]{16}", path.stem)}
@@ -61,7 +58,6 @@ def test_pages_keep_their_budget(folder):
 def test_each_tip_stands_once_on_the_first_screen(folder):
     """Hover, the name for assistive technology and the script read the same words."""
     overview = re.search(r'<section id="overview".*?</section>', write_report(folder).read_text(encoding="utf-8"), re.DOTALL)
-    assert overview is not None
     tips = re.findall(r"<title>([^<]*)</title>", overview[0])
     assert len(tips) > 200
     for tip in tips[:20]:

@@ -1,7 +1,5 @@
 """What each page of a report is called, which sections it has in which order, and where it leads back to."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

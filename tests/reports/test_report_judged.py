@@ -1,7 +1,5 @@
 """Of which of two replays a verdict is, and how metrics stand by question and end by end."""
 
-from __future__ import annotations
-
 import html
 import re
 
@@ -37,7 +35,6 @@ def followed(factory):
         metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
         metric("physics", 0.0),
     )
-    assert stage.replay is not None
     replay = stage.replay.model_copy(update={"judged": "feedback"})
     return stage.model_copy(update={"metrics": both, "verdict": "holds with feedback", "replay": replay, "questions": factory.questions()})
 

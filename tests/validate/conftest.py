@@ -1,7 +1,5 @@
 """The command line as a user has it: a process of its own, with the fakes of campaign_fakes.py within reach."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

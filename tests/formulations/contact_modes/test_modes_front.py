@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from formulations.contact_modes.quadratic import cheapest_in_ball
 from formulations.contact_modes.session import MpccSession
@@ -150,9 +151,6 @@ def test_a_front_says_how_many_of_its_points_have_a_plan():
     lost = Solution(method="mpcc", outcome=Outcome.FAILED)
     plan = replace(lost, outcome=Outcome.SOLVED, trajectory=Trajectory(t=t, q=q, v=q, u=u, lam=u))
     tight, loose = FrontPoint(tolerance=0.0, solution=lost), FrontPoint(tolerance=0.1, solution=plan)
-    assert front_message(0, (tight, tight), "no modes.") == "No plan was found within any of 2 terminal tolerances: no modes."
-    assert front_message(1, (tight, loose), "no modes.") == "Plans were found within 1 of 2 terminal tolerances, none within 0: no modes."
-    assert (
-        front_message(1, (loose, tight), "it ended.")
-        == "Plans were found within 1 of 2 terminal tolerances; this is the one within 0.1. It ended."
-    )
+    assert not unsaid(front_message(0, (tight, tight), "no modes."), "No plan … within any of 2 terminal tolerances: no modes.")
+    assert not unsaid(front_message(1, (tight, loose), "no modes."), "Plans … within 1 of 2 terminal tolerances, none within 0: no modes.")
+    assert not unsaid(front_message(1, (loose, tight), "it ended."), "within 1 of 2 … the one within 0.1. It ended.")

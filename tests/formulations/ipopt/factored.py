@@ -1,7 +1,5 @@
 """Our factorisation called as Ipopt calls it, and matrices of the kinds it meets."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

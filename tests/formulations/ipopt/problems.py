@@ -1,7 +1,5 @@
 """Models that the tests of the bridge share."""
 
-from __future__ import annotations
-
 import math
 
 import pyomo.environ as pyo

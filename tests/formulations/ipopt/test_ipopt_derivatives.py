@@ -1,7 +1,5 @@
 """Values, gradients and Hessians against two independent roads: Pyomo's own differentiation, and mpmath at 40 digits."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

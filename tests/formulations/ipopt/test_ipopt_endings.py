@@ -1,7 +1,5 @@
 """Every way a solve can end, and the check that does not take Ipopt's word."""
 
-from __future__ import annotations
-
 import math
 import sys
 
@@ -214,9 +212,9 @@ def test_a_number_that_is_not_finite_cuts_the_step(function):
     ("build", "told"),
     [
         (lambda m: m.c.add(pyo.log(m.x[2]) <= 3), "constraint 'c[1]' has no finite value there"),
-        (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)], "constraint 'c[1]' and 1 more has no finite value there"),
-        (lambda m: m.cost.set_value(pyo.log(m.x[1])), "the objective has no finite value there"),
-        (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "so that one of their derivatives has none"),
+        (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)], "constraint 'c[1]' and 1 more has no finite"),
+        (lambda m: m.cost.set_value(pyo.log(m.x[1])), "the objective has no finite value"),
+        (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "one of their derivatives has none"),
         (lambda m: m.x[1].set_value(math.nan, skip_validation=True), "variable 'x[1]' is no finite number there"),
     ],
 )

@@ -1,7 +1,5 @@
 """The algebra alone: simplification changes no value, and equal expressions are one node."""
 
-from __future__ import annotations
-
 import math
 import operator
 

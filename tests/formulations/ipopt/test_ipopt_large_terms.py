@@ -1,7 +1,5 @@
 """Terms that are deep, wide, shared or all different: cost stays bounded and derivatives stay right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest

@@ -1,7 +1,5 @@
 """Options and starts that are taken, and those that are refused in a sentence."""
 
-from __future__ import annotations
-
 import pathlib
 
 import numpy as np
@@ -15,19 +13,12 @@ from tests.formulations.ipopt.problems import quadratic
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"tolerance": 1e-6}, "tol"),
-        ({"max_itr": 5}, "max_iter"),
-        ({"linear_solver": "ma97"}, "mumps"),
-        ({"mehrotra_algorithm": "yes"}, "ends the process"),
-        ({"tol": "small"}, "number"),
-        ({"max_iter": 2.5}, "whole number"),
-        ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
-        ({"max_iter": 10**12}, "whole number of at most 2147483647"),
-        ({"mu_strategy": "fast"}, "adaptive"),
-        ({"tol": -1.0}, "does not accept"),
+        ({"tolerance": 1e-6}, "tol"), ({"max_itr": 5}, "max_iter"), ({"linear_solver": "ma97"}, "mumps"), ({"mehrotra_algorithm": "yes"}, "ends the process"),
+        ({"tol": "small"}, "number"), ({"max_iter": 2.5}, "whole number"), ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
+        ({"max_iter": 10**12}, "whole number of at most 2147483647"), ({"mu_strategy": "fast"}, "adaptive"), ({"tol": -1.0}, "does not accept"),
         ({"tol": float("nan")}, "number"),
     ],
-)
+)  # fmt: skip
 def test_options_that_cannot_be_are_refused_in_a_sentence(options, words, capfd):
     with pytest.raises(UnknownOptionError, match=words):
         solve(compile_model(quadratic()), options=options)

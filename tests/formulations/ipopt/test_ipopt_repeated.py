@@ -1,7 +1,5 @@
 """Equations that repeat each other: by luck of rounding Ipopt ends without an answer, and the plugin asks it once more in another way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest

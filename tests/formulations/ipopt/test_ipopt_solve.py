@@ -1,7 +1,5 @@
 """Solving: known optima, warm starts, what a result holds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SolverFactory("touchstone_ipopt") on models that have nothing to do with contact, with the manners Pyomo's users expect."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
@@ -150,13 +148,9 @@ def test_a_solution_can_be_loaded_later(solver):
         (lambda m: m.demand.set_value(m.a + m.b**2 <= -1), {}, TerminationCondition.infeasible),
         (lambda m: (m.b.setlb(None), m.demand.deactivate()), {}, TerminationCondition.unbounded),
         (lambda m: None, {"max_iter": 1}, TerminationCondition.maxIterations),
-        (
-            lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)),
-            {},
-            TerminationCondition.invalidProblem,
-        ),
+        (lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)), {}, TerminationCondition.invalidProblem),
     ],
-)
+)  # fmt: skip
 def test_a_solve_without_solution_is_a_warning(solver, change, options, condition, caplog):
     m = linear(pyo.minimize)
     change(m)

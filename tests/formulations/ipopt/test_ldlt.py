@@ -1,7 +1,5 @@
 """Our factorisation, called as Ipopt calls it, against eigenvalues and residuals of numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sparse

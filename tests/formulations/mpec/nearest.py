@@ -1,7 +1,5 @@
 """The MPEC that most tests begin with."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pyomo.environ as pyo

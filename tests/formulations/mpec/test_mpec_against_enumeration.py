@@ -1,7 +1,5 @@
 """Random quadratic programs with complementarity against all their branches, each a convex quadratic program; and a plan through contact."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The best of several strategies and starts, within a work; and costs in any unit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest
@@ -64,7 +62,6 @@ def test_an_attempt_cut_short_is_told_and_loses():
     assert [attempt.outcome for attempt in result.attempts] == [Outcome.SOLVED, Outcome.ITERATION_LIMIT]
     assert result.solved
     assert result.message.endswith("scholtes iteration limit")
-    assert result.certificate is not None
     assert result.certificate.holds
 
 
@@ -123,7 +120,6 @@ def test_a_flat_objective_is_refined_without_a_price_in_feasibility():
     weight = sum(1 / (k + 1) for k in range(20) if k != 1)
     assert result.solved, result.message
     assert result.objective == pytest.approx(1e-6 / weight, rel=1e-9)
-    assert result.certificate is not None
     assert result.certificate.primal <= 1e-9
 
 

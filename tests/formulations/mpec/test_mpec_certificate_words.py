@@ -1,7 +1,5 @@
 """What a certificate says of a point in words."""
 
-from __future__ import annotations
-
 import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, complements

@@ -1,7 +1,5 @@
 """Certificates of scene plans, and of points whose multipliers are known: right plans are confirmed, wrong ones found out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 
@@ -174,7 +172,6 @@ def test_least_squares_finds_multipliers_that_exist(seed: int) -> None:
     )
     y = random.normal(size=15)
     found = least_squares(matrix.tocsc(), matrix @ y)
-    assert found is not None
     np.testing.assert_allclose(found.y, y, atol=1e-10)
     np.testing.assert_allclose(found.rest, 0.0, atol=1e-12)
     direction = found.leaving(3)

@@ -1,7 +1,5 @@
 """Multipliers by projection against closed forms, linear programs, and all pieces one by one; and what proves each answer, checked by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -114,16 +112,10 @@ def random_point(random: np.random.Generator, count: int, n: int) -> tuple[Activ
     rows = random.integers(-2, 3, size=(n, 3)).astype(float)
     signs = [CHOICES[kind][k] for k in random.integers(len(CHOICES[kind]), size=count)]
     active = ActiveSet(
-        gradient=np.zeros(n),
-        normals=sparse.csc_matrix(rows),
-        limits=((None, None), (0.0, None), (None, 0.0)),
-        first_only=np.arange(0),
-        second_only=np.arange(0),
-        both=np.arange(count),
-        first_normals=sparse.csc_matrix(first),
-        second_normals=sparse.csc_matrix(second),
+        gradient=np.zeros(n), normals=sparse.csc_matrix(rows), limits=((None, None), (0.0, None), (None, 0.0)), first_only=np.arange(0),
+        second_only=np.arange(0), both=np.arange(count), first_normals=sparse.csc_matrix(first), second_normals=sparse.csc_matrix(second),
         scale=1.0,
-    )
+    )  # fmt: skip
     low, high = limits(active, signs)
     y = np.clip(random.normal(size=len(low)), low, high)
     gradient = active.matrix @ y

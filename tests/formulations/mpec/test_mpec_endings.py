@@ -1,7 +1,5 @@
 """How a solve ends: the model as it was, statuses that are true, multipliers where they are asked for."""
 
-from __future__ import annotations
-
 import io
 import logging
 import math
@@ -182,7 +180,6 @@ def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
     branching = Branching(work, x, MpecSettings(), WorkBudget(None))
     branch = branching.polish(x)
-    assert branch is not None
     assert branch.objective == pytest.approx(1.0, abs=1e-8)
     assert branch.is_strong
 

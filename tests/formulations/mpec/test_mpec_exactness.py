@@ -1,7 +1,5 @@
 """Points that satisfy every residual to tolerance, and only because complementarity is not exact, are no solutions."""
 
-from __future__ import annotations
-
 import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, complements

@@ -1,7 +1,5 @@
 """Every form that `complements` accepts, wherever it stands; and one sentence for what it does not."""
 
-from __future__ import annotations
-
 import math
 
 import pyomo.environ as pyo
@@ -159,19 +157,13 @@ def _external(m):
         (_pair(lambda m: m.x > 0, _nonnegative), ["'pair'", "strict"], ModelRefusedError),
         (_pair(lambda m: pyo.ceil(m.x) >= 1, _nonnegative), ["ceil"], ModelRefusedError),
         (_pair(lambda m: pyo.inequality(m.y, m.x, 3), lambda m: m.y), ["'pair'", "variable bound"], ModelRefusedError),
-        (lambda m: m.add_component("pair", Complementarity()), ["'pair'", "no condition"], ModelRefusedError),
-        (_integer, ["'n'"], ModelRefusedError),
-        (_external, ["pair"], ModelRefusedError),
-        (_no_value, ["p"], MissingValueError),
-        (
-            _beside(lambda m: m.add_component("either", Disjunction(expr=[[m.x >= 1], [m.y >= 1]]))),
-            ["'either", "Disjunct"],
-            ModelRefusedError,
-        ),
+        (lambda m: m.add_component("pair", Complementarity()), ["'pair'", "no condition"], ModelRefusedError), (_integer, ["'n'"], ModelRefusedError),
+        (_external, ["pair"], ModelRefusedError), (_no_value, ["p"], MissingValueError),
+        (_beside(lambda m: m.add_component("either", Disjunction(expr=[[m.x >= 1], [m.y >= 1]]))), ["'either", "Disjunct"], ModelRefusedError),
         (_beside(lambda m: m.x.set_value(math.nan, skip_validation=True)), ["'x'", "nan"], MissingValueError),
         (_beside(lambda m: m.add_component("more", pyo.Objective(expr=m.x))), ["2 objectives"], ModelRefusedError),
     ],
-)
+)  # fmt: skip
 def test_refusals_are_one_sentence(change, words, error):
     m = model()
     change(m)

@@ -1,7 +1,5 @@
 """Random MPECs of every kind against all their branches, and a judge that can say no: a share of what `python -m benchmarks fuzz mpec` counts."""
 
-from __future__ import annotations
-
 import io
 from collections import Counter
 from dataclasses import replace

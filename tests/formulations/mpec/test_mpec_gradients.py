@@ -1,7 +1,5 @@
 """Derivatives evaluated together are Pyomo's own, and where they are not, Pyomo's are taken and the certificate says so."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MacMPEC, its small problems: the published optimum, exact complementarity, and a certificate that holds."""
 
-from __future__ import annotations
-
 import pyomo.environ as pyo
 import pytest
 

@@ -1,7 +1,5 @@
 """Multipliers, what proves that there are none, classes and descents, in programs small enough to be worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,7 +45,6 @@ def test_a_column_of_zeros_has_length_one():
 def test_independent_gradients_have_one_candidate():
     """2 a - 3 b + (1, -1, 1), which both a and b are perpendicular to."""
     found = least_squares(columns((1, 1, 0), (0, 1, 1)), np.array([3.0, -2.0, -2.0]))
-    assert found is not None
     assert found.y == close(2, -3)
     assert found.rest == close(1, -1, 1)
     assert found.leaving(0) == close(2 / 3, 1 / 3, -1 / 3)
@@ -56,7 +53,6 @@ def test_independent_gradients_have_one_candidate():
 
 def test_without_gradients_everything_is_left():
     found = least_squares(sparse.csc_matrix((2, 0)), np.array([3.0, -4.0]))
-    assert found is not None
     assert (found.y.tolist(), found.rest.tolist()) == ([], [3.0, -4.0])
 
 
@@ -76,7 +72,6 @@ def test_rounding_of_badly_scaled_gradients_is_refined():
     matrix = random.normal(size=(60, 40)) * 10.0 ** random.integers(-4, 5, size=40)
     y = random.normal(size=40)
     found = least_squares(sparse.csc_matrix(matrix), matrix @ y)
-    assert found is not None
     assert np.max(np.abs(found.rest)) <= 1e-11 * np.max(np.abs(matrix @ y))
     assert found.y == pytest.approx(y, rel=1e-7, abs=1e-9)
 
@@ -87,19 +82,16 @@ def test_multipliers_of_the_wrong_sign_are_left_out_and_the_rest_found_again(sig
     matrix, gradient = columns((1, 0), (0, 1), (1, 1)), sign * np.array([3.0, 0.9])
     low, high = (np.zeros(3), np.full(3, INF)) if sign > 0 else (np.full(3, -INF), np.zeros(3))
     found = signed_least_squares(matrix, gradient, low, high, 1e-9)
-    assert found is not None
     assert found.y == close(sign * 2.1, 0, sign * 0.9)
     assert found.rest == close(0, 0)
     assert (found.least == close(0, 0), found.across <= 1e-12) == (True, True)
     enough = signed_least_squares(matrix, gradient, low, high, 0.076)
-    assert enough is not None
     assert enough.y == close(sign * 2.025, 0, sign * 0.975)
     assert enough.rest == close(0, -0.075 * sign)
 
 
 def test_what_no_sign_can_help_is_left():
     found = signed_least_squares(columns((2, 0, 0), (0, 5, 0)), np.array([-6.0, 10.0, 7.0]), np.zeros(2), np.full(2, INF), 1e-9)
-    assert found is not None
     assert found.y == close(0, 2)
     assert found.rest == close(-6, 0, 7)
     assert found.least == close(0, 0, 7)
@@ -126,10 +118,8 @@ def test_the_projection_has_the_signs_it_may_have_whatever_the_lengths(sign: flo
 
 def test_a_cone_of_nothing_leaves_the_gradient():
     found = project(columns((1, 0)), np.array([3.0, 4.0]), np.zeros(1), np.zeros(1))
-    assert found is not None
     assert (found.y.tolist(), found.rest.tolist(), found.polar.tolist(), found.across) == ([0.0], [3.0, 4.0], [3.0, 4.0], 0.0)
     nothing = project(columns((1, 0)), np.zeros(2), np.zeros(1), np.full(1, INF))
-    assert nothing is not None
     assert (nothing.y.tolist(), nothing.rest.tolist()) == ([0.0], [0.0, 0.0])
 
 
@@ -360,7 +350,6 @@ def test_a_tree_decides_pair_after_pair():
     rest, unit = [0.0] * 400, np.eye(406)
     pairs = [(unit[0], unit[1], "both"), (unit[2], unit[3], "both"), (unit[4], unit[5], "both")]
     slope, direction = steepest_piece(active((-3.0, -1.0, -1.0, -2.0, 4.0, 4.0, *rest), pairs=pairs), 1e-6)
-    assert direction is not None
     assert (slope, direction[:6]) == (pytest.approx(-13 / 3), close(1, 0, 0, 2 / 3, 0, 0, tolerance=1e-7))
     assert steepest_piece(active((3.0, 0.0, 0.0, 2.0, 4.0, 4.0, *rest), pairs=pairs), 1e-6) == (0.0, None)
 
@@ -418,7 +407,6 @@ def test_what_a_column_has_across_is_told_by_its_size(seed: int):
     random = np.random.default_rng(seed)
     matrix, gradient = sparse.csc_matrix(random.normal(size=(9, 4)) * 1e6), random.normal(size=9)
     found = signed_least_squares(matrix, gradient, np.full(4, -INF), np.full(4, INF), 1e-9)
-    assert found is not None
     assert found.across == np.max(np.abs(matrix.T @ found.least)) > 0
 
 

@@ -1,7 +1,5 @@
 """Options of the plugin: those that reach Ipopt, those that are refused by name."""
 
-from __future__ import annotations
-
 import pyomo.environ as pyo
 import pytest
 
@@ -13,20 +11,14 @@ from tests.formulations.mpec.nearest import nearest, solver
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
-        ({"strateg": "scholtes"}, ["'strateg'", "did you mean strategy?"]),
-        ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]),
-        ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
-        ({"eps_end": "small"}, ["'eps_end'", "number"]),
-        ({"polish": "maybe"}, ["'polish'", "True or False"]),
-        ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
-        ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
-        ({"search": float("inf")}, ["'search'", "whole"]),
-        ({"starts": 0}, ["'starts'", "at least 1"]),
-        ({"work": -1}, ["'work'", "at least 0"]),
+        ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]), ({"strateg": "scholtes"}, ["'strateg'", "did you mean strategy?"]),
+        ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]), ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
+        ({"eps_end": "small"}, ["'eps_end'", "number"]), ({"polish": "maybe"}, ["'polish'", "True or False"]),
+        ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]), ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
+        ({"search": float("inf")}, ["'search'", "whole"]), ({"starts": 0}, ["'starts'", "at least 1"]), ({"work": -1}, ["'work'", "at least 0"]),
         ({"linear_solver": "ma57"}, ["ma57"]),
     ],
-)
+)  # fmt: skip
 def test_wrong_options_are_named(options, words):
     with pytest.raises(UnknownOptionError) as caught:
         solver(**options).solve(nearest())

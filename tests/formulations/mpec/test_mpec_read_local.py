@@ -1,7 +1,5 @@
 """A model read to first order, by hand: each form of a complementarity, its signs, and every number of the certificate that follows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

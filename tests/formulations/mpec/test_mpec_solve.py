@@ -1,7 +1,5 @@
 """SolverFactory("mpec_ipopt"): the model is left as it was, the answer is certified, endings are honest."""
 
-from __future__ import annotations
-
 import math
 
 import pyomo.environ as pyo

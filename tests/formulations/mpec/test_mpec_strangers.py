@@ -1,7 +1,5 @@
 """Models as strangers bring them: abstract ones, half transformed ones, the examples of Pyomo's own documentation, solved by habit."""
 
-from __future__ import annotations
-
 import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, ComplementarityList, complements

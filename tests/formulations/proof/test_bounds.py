@@ -61,15 +61,11 @@ NOT_OF_THE_FORM: dict[str, Callable[[], Scene]] = {
     "no input": lambda: replace(SCENE.with_task(running_cost=sp.Integer(0)), inputs=(), forces=(-v / 2, -w)),
     "drag between the two": lambda: replace(SCENE, forces=(f - v / 2 + w / 8, g - 3 * w / 2)),
     "a force that is always there": lambda: replace(SCENE, forces=(f - v / 2 + 1, g - 3 * w / 2)),
-    "a cost of the state": lambda: SCENE.with_task(running_cost=COST + x**2),
-    "a cost of the end": lambda: SCENE.with_task(final_cost=x**2),
-    "a linear cost": lambda: SCENE.with_task(running_cost=COST + f),
-    "a cost that is always there": lambda: SCENE.with_task(running_cost=COST - 1),
-    "an input that costs nothing": lambda: SCENE.with_task(running_cost=f**2),
-    "an input that pays": lambda: SCENE.with_task(running_cost=f**2 - g**2),
-    "no drag": lambda: replace(SCENE, forces=(f, g)),
-    "a step that makes energy": lambda: SCENE.with_task(step=0.5),
-}
+    "a cost of the state": lambda: SCENE.with_task(running_cost=COST + x**2), "a cost of the end": lambda: SCENE.with_task(final_cost=x**2),
+    "a linear cost": lambda: SCENE.with_task(running_cost=COST + f), "a cost that is always there": lambda: SCENE.with_task(running_cost=COST - 1),
+    "an input that costs nothing": lambda: SCENE.with_task(running_cost=f**2), "an input that pays": lambda: SCENE.with_task(running_cost=f**2 - g**2),
+    "no drag": lambda: replace(SCENE, forces=(f, g)), "a step that makes energy": lambda: SCENE.with_task(step=0.5),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NOT_OF_THE_FORM)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from example_scenes import example_scene, solve
+from wording import unsaid
 
 from formulations.shooting.diagnosis import sensitivity, stable_rate
 from formulations.shooting.objective import Objective
@@ -24,8 +25,8 @@ def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
     solution = solve(APART, **options)
     assert solution.outcome is (Outcome.ITERATION_LIMIT if options else Outcome.STALLED)
     assert (solution.trajectory.lam == 0.0).all()
-    assert "no contact is made anywhere on the trajectory" in solution.message
-    assert "no gradient towards moving q2 (it misses its goal by 0.5 m; |d q2/d u| = 0)" in solution.message
+    assert not unsaid(solution.message, "no contact is made anywhere")
+    assert not unsaid(solution.message, "no gradient towards moving q2 … misses its goal by 0.5 m; |d q2/d u| = 0)")
     assert "start from a softplus stage" in solution.message
     gaps = re.search(r"smallest gap left ([\d.]+) m at t = ([\d.]+) s, right ([\d.]+) m", solution.message)
     phi = load_kernel(APART).penetration(solution.trajectory.q[:-1])
@@ -53,7 +54,7 @@ def _row_of_three() -> Scene:
 def test_the_one_contact_that_is_never_made_is_named():
     solution = solve(_row_of_three(), learning_rate=50.0)
     assert solution.outcome is Outcome.STALLED
-    assert "contact left is never made (smallest gap left" in solution.message
+    assert not unsaid(solution.message, "contact left is never made (smallest gap")
     assert "towards moving q2 (it misses" in solution.message
     assert " and q3 (it misses" in solution.message
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from example_scenes import solve
+from wording import unsaid
 
 from formulations.method import Kind, OptionError
 from formulations.pipelines import load_method
@@ -115,7 +116,7 @@ def test_jumping_across_a_kink_is_not_called_solved():
     stiff = SCENE.with_parameters(k=300.0)
     solution = solve(stiff)
     assert solution.outcome is Outcome.STALLED
-    assert "jumps to and fro; use a smaller learning rate" in solution.message
+    assert not unsaid(solution.message, "to and fro; use a smaller learning rate")
     smaller = solve(stiff, plan=solution.trajectory, learning_rate=100.0, max_iterations=2000)
     assert min(smaller.history["loss"]) < 0.999 * min(solution.history["loss"])
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from example_scenes import example_scene, solve
+from wording import unsaid
 
 from formulations.shooting.objective import Objective, Weights, noise
 from formulations.shooting.options import QuasiNewtonOptions
@@ -56,7 +57,7 @@ def test_bounds_hold_exactly():
 def test_dead_contact_is_told():
     solution = solve(APART, "relu_lbfgs")
     assert solution.outcome is Outcome.STALLED
-    assert "no contact is made anywhere on the trajectory" in solution.message
+    assert not unsaid(solution.message, "no contact is made anywhere")
 
 
 def test_noise_comes_in_pairs_of_the_size_asked_for():

@@ -135,11 +135,11 @@ def test_other_types_and_devices_are_refused_in_words():
         rollout(scene, u, torch.zeros(6))
     with pytest.raises(ShootingError, match=r"u is .* on meta, start .* on cpu; pass start\.to"):
         rollout(scene, u.to("meta"), torch.tensor(scene.task.start, dtype=torch.float64))
-    with pytest.raises(ShootingError, match=r"u is on meta, but a scene with friction.*pass u\.cpu\(\)"):
+    with pytest.raises(ShootingError, match=r"u is on meta, .*friction.*pass u\.cpu\(\)"):
         rollout(example_scene("hopper_planar"), torch.zeros(5, example_scene("hopper_planar").nu, device="meta"))
     with pytest.raises(ShootingError, match=r"u is a ndarray"):
         rollout(scene, u.numpy())  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ShootingError, match="last dimensions of u and start are 1 and 6, but 2 inputs and 6"):
+    with pytest.raises(ShootingError, match=r"last dimensions of u and start are 1 and 6.*2 inputs and 6"):
         rollout(scene, u[:, :1])
     with pytest.raises(ShootingError, match="u has 1 dimensions, but needs 2"):
         rollout(scene, u[0])

@@ -86,13 +86,8 @@ def test_motion_is_the_same_however_events_are_handled(any_scene, drive, mode):
 def observed(drive, scene, update, required=("u1",), **options):
     names = {variable.name: variable.valueReference for variable in drive(scene, "cs", "3.0").description.modelVariables}
     return drive(
-        scene,
-        "cs",
-        "3.0",
-        intermediateUpdate=update,
-        requiredIntermediateVariables=[names[name] for name in required],
-        **options,
-    )
+        scene, "cs", "3.0", intermediateUpdate=update, requiredIntermediateVariables=[names[name] for name in required], **options,
+    )  # fmt: skip
 
 
 def sine_driven(scene, drive, steps):

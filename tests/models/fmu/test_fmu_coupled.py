@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from lxml import etree
+from wording import unsaid
 
 from models.catalog import load_scene, scene_names
 from models.dynamics import derive
@@ -74,7 +75,7 @@ def test_bodies_that_mass_couples_stay_together():
 
 def test_split_refuses_unsplittable_scenes():
     scene = load_scene("three_cart")
-    with pytest.raises(SceneError, match="no contacts, so there is nothing to split"):
+    with pytest.raises(SceneError, match=r"no contacts.*nothing to split"):
         split(replace(scene, contacts=()))
     rubbing = Friction(name="left", slip=scene.coordinates[0].velocity, coefficient=sp.Rational(1, 2), contact="left")
     with pytest.raises(SceneError, match="friction"):
@@ -199,7 +200,7 @@ def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, ca
     assert run(["fmu", "two_body_collision", "--coupled", "-o", str(target)]) == 0
     assert target.read_bytes() == build_ssp(load_scene("two_body_collision")).read_bytes()
     assert run(["fmu", "two_body_collision", "--coupled", "--fmi", "3", "-o", str(target)]) == 2
-    assert "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform" in capsys.readouterr().err
+    assert not unsaid(capsys.readouterr().err, "--coupled writes FMI 2.0 for … leave out --fmi and --platform")
 
 
 @pytest.mark.slow

@@ -108,14 +108,9 @@ def test_order_four_through_touch_and_release(scene: Scene) -> None:
     errors = []
     for step in (end / 240, end / 480, end / 9600):
         found = fmpy.simulate_fmu(
-            str(build_fmu(scene)),
-            fmi_type="CoSimulation",
-            output=states,
-            stop_time=end,
-            output_interval=end / 60,
-            input=inputs,
+            str(build_fmu(scene)), fmi_type="CoSimulation", output=states, stop_time=end, output_interval=end / 60, input=inputs,
             start_values={"internal_step": step},
-        )
+        )  # fmt: skip
         errors.append(np.abs(np.column_stack([found[name] for name in states]) - truth).max())
     assert errors[-1] < 1e-8
     assert np.log2(errors[0] / errors[1]) > 3.3

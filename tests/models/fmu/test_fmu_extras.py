@@ -11,6 +11,7 @@ import fmpy.validation
 import numpy as np
 import pytest
 from lxml import etree
+from wording import unsaid
 
 from models.fmu import build_fmu, reference, variable_names
 from models.fmu.description import ACCURACY, FOLDER, STANDARDS, experiment_texts
@@ -123,7 +124,7 @@ def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(s
     assert f"{FOLDER}/validation.exp" in names
     assert f"{FOLDER}/validation_results.csv" not in names
     assert b"result" not in about
-    assert "There are no results: scene three_cart: its motion takes more than 20 evaluations of its equations" in page
+    assert not unsaid(page, "no results: scene three_cart: … more than 20 evaluations")
     assert fmpy.validation.validate_fmu(str(path)) == []
 
 

@@ -28,36 +28,24 @@ PARAMETERS = (
 def block(**changes: object) -> Scene:
     """A block of 2 kg on a table; friction holds it with up to 6 N."""
     fields: dict = {
-        "name": "block_on_a_table",
-        "title": "A block on a table",
-        "source": "own",
-        "coordinates": (Coordinate(symbol=x1, velocity=w1, unit="m"),),
-        "inputs": (Input(symbol=push, unit="N"),),
-        "parameters": PARAMETERS[:3],
-        "kinetic_energy": m * w1**2 / 2,
-        "potential_energy": sp.Integer(0),
-        "forces": (push,),
-        "contacts": (),
+        "name": "block_on_a_table", "title": "A block on a table", "source": "own",
+        "coordinates": (Coordinate(symbol=x1, velocity=w1, unit="m"),), "inputs": (Input(symbol=push, unit="N"),),
+        "parameters": PARAMETERS[:3], "kinetic_energy": m * w1**2 / 2, "potential_energy": sp.Integer(0), "forces": (push,), "contacts": (),
         "frictions": (Friction(name="table", slip=w1, coefficient=mu, normal_force=m * g),),
         "task": Task(start=(0.0, 0.9), goal=(0.0, 0.0), running_cost=push**2, step=0.01, steps=100),
         "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    }
+    }  # fmt: skip
     return Scene(**(fields | changes))
 
 
 def mass_on_a_belt() -> Scene:
     """A mass on a spring, carried by a heavy belt of equal mass at 1 m/s: it sticks until the spring pulls too hard."""
     return block(
-        name="mass_on_a_belt",
-        inputs=(),
-        parameters=PARAMETERS,
-        potential_energy=k * x1**2 / 2,
-        forces=(sp.Integer(0), sp.Integer(0)),
+        name="mass_on_a_belt", inputs=(), parameters=PARAMETERS, potential_energy=k * x1**2 / 2, forces=(sp.Integer(0), sp.Integer(0)),
         coordinates=(Coordinate(symbol=x1, velocity=w1, unit="m"), Coordinate(symbol=x2, velocity=w2, unit="m")),
-        kinetic_energy=m * w1**2 / 2 + m * w2**2 / 2,
-        frictions=(Friction(name="table", slip=w1 - w2, coefficient=mu, normal_force=m * g),),
+        kinetic_energy=m * w1**2 / 2 + m * w2**2 / 2, frictions=(Friction(name="table", slip=w1 - w2, coefficient=mu, normal_force=m * g),),
         task=Task(start=(0.0, 0.0, 1.0, 1.0), goal=(0.0,) * 4, running_cost=sp.Integer(0), step=0.01, steps=100),
-    )
+    )  # fmt: skip
 
 
 SCENES = [block(), mass_on_a_belt(), two_coupled_frictions()]

@@ -119,7 +119,7 @@ def test_unknown_version_is_refused(scene_of):
 def test_names_an_fmu_cannot_carry_are_refused(scene_of):
     scene = scene_of("oscillator")
     taken = Parameter(symbol=sp.Symbol("kinetic_energy"), value=1.0, unit="1")
-    with pytest.raises(SceneError, match="'kinetic_energy' is also that of a variable every FMU has"):
+    with pytest.raises(SceneError, match=r"'kinetic_energy' is also.*every FMU has"):
         build_fmu(dataclasses.replace(scene, parameters=(taken,)))
     with pytest.raises(SceneError, match="ASCII"):
         build_fmu(dataclasses.replace(scene, name="schwingerä"))

@@ -33,7 +33,7 @@ def test_platforms_are_found_by_the_names_of_either_version():
 def test_without_the_cross_compiler_a_sentence_says_what_to_install(scene_of, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     other = next(platform.name for platform in PLATFORMS if platform.name != this_platform())
-    with pytest.raises(MachineError, match=r"need a cross-compiler; install one with: pip install ziglang"):
+    with pytest.raises(MachineError, match=r"a cross-compiler; install one with: pip install ziglang"):
         build_fmu(scene_of("oscillator"), platforms=[other])
 
 

@@ -214,15 +214,9 @@ def first_change(scene, u, latest):
     equations, x = Equations(scene), np.array(scene.task.start, dtype=float)
     stay = equations.modes(x, u)
     found = solve_ivp(
-        lambda _, y: equations.rate(y, u, stay),
-        (0, latest),
-        x,
-        "DOP853",
-        rtol=1e-12,
-        atol=1e-13,
-        max_step=0.02,
+        lambda _, y: equations.rate(y, u, stay), (0, latest), x, "DOP853", rtol=1e-12, atol=1e-13, max_step=0.02,
         events=_leaving(equations, stay, u),
-    )
+    )  # fmt: skip
     assert found.success
     return (equations, CLEAR * found.t[-1], found.t[-1] + PAST) if found.status == 1 else (equations, latest, None)
 

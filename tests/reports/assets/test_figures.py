@@ -1,7 +1,5 @@
 """Figures, tables and the player as their buttons and keys work them in headless Chromium."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io
@@ -10,6 +8,8 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.slow
 
 # Every file that is saved from now on: its name, and its bytes.
 _LISTEN = """(() => {
@@ -37,7 +37,6 @@ def _saved(page, figure: str) -> dict[str, bytes]:
     return {name.rpartition(".")[2]: base64.b64decode(text) for name, text in files} | {"names": [name for name, _ in files]}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_a_figure_is_saved_as_drawing_picture_and_numbers(chromium, run_file, full_folder, factory, dark):
     page = chromium.open(run_file, dark=dark)
@@ -71,7 +70,6 @@ def test_a_figure_is_saved_as_drawing_picture_and_numbers(chromium, run_file, fu
     assert {series for series, *_ in rows} == {f"{name} {what}" for name in ("q1", "q2", "q3") for what in ("plan", "replay")}
 
 
-@pytest.mark.slow
 def test_a_span_that_is_dragged_is_enlarged_until_a_double_click(chromium, run_file):
     page = chromium.open(run_file)
     state = page.evaluate("""(async () => {
@@ -102,7 +100,6 @@ def test_a_span_that_is_dragged_is_enlarged_until_a_double_click(chromium, run_f
     assert after == before
 
 
-@pytest.mark.slow
 def test_a_table_is_sorted_filtered_and_saved_as_it_is_shown(chromium, page_file):
     page = chromium.open(page_file)
     page.evaluate(_LISTEN)
@@ -136,7 +133,6 @@ def test_a_table_is_sorted_filtered_and_saved_as_it_is_shown(chromium, page_file
     assert len(base64.b64decode(text).decode("utf-8-sig").splitlines()) == 1 + shown
 
 
-@pytest.mark.slow
 def test_the_player_has_speeds_a_loop_and_things_to_hide(chromium, run_file):
     page = chromium.open(run_file)
     player = "document.querySelector('[data-player]')"

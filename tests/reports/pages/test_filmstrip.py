@@ -1,7 +1,5 @@
 """A film strip: where bodies stand at six times, against a motion made by hand."""
 
-from __future__ import annotations
-
 import math
 import re
 

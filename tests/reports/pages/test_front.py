@@ -1,8 +1,7 @@
 """Cost against terminal error, and CPU time against error and cost: every mark at its values, and fronts as staircases."""
 
-from __future__ import annotations
-
 import pytest
+from wording import unsaid
 
 from reports.pages import overview, pareto
 from reports.pages.section import Report
@@ -30,7 +29,6 @@ def report(*runs: RunRecord) -> Report:
 def section(*runs: RunRecord) -> dict:
     told = report(*runs)
     found = pareto.ends(told, told.scenes[0])
-    assert found is not None
     assert (found.anchor, found.title) == ("front-1", "Cost against terminal error")
     return found.values
 
@@ -51,21 +49,13 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
     ]
     top, right = float(f"{positions.y.high:.4g}"), float(f"{positions.x.high:.4g}")
     path = [
-        (1e-12, top),
-        (1e-12, 600.0),
-        (0.1, 600.0),
-        (0.1, 300.0),
-        (0.2, 300.0),
-        (0.2, 200.0),
-        (0.4, 200.0),
-        (0.4, 100.0),
-        (right, 100.0),
-    ]
+        (1e-12, top), (1e-12, 600.0), (0.1, 600.0), (0.1, 300.0), (0.2, 300.0), (0.2, 200.0), (0.4, 200.0), (0.4, 100.0), (right, 100.0),
+    ]  # fmt: skip
     style, corners = drawn(positions).lines["front"]
     assert (style, corners) == ("front", [pytest.approx(place, rel=2e-4) for place in path])
-    assert positions.words == (
-        "5 stages; on the front, from the smallest error: exact (cost 600.00 at 0), near (cost 300.00 at 0.10), middle (cost 200.00 at 0.20) and "
-        "far (cost 100.00 at 0.40)."
+    assert not unsaid(
+        positions.words,
+        "5 stages; … exact (cost 600.00 at 0), near (… 300.00 at 0.10), middle (… 200.00 at 0.20) and far (… 100.00 at 0.40).",
     )
     assert [row.label for row in found["best"]] == ["exact", "near", "middle", "far"]
     assert [row.label for row in found["absent"]] == ["lost", "unpriced"]
@@ -137,7 +127,6 @@ def replayed(
 def speed(*runs: RunRecord) -> list:
     told = report(*runs)
     found = pareto.build(told, told.scenes[0])
-    assert found is not None
     return found.values["views"]
 
 
@@ -159,7 +148,7 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
         "those that end where the scene allows"
     )
     assert drawn(cost.plot).lines["front"][1][1:-1] == [(2.0, 500.0), (8.0, 500.0), (8.0, 400.0)], "of those that hold"
-    assert cost.sentence.endswith("Not compared, because the replay ends farther from the goal than the scene allows: 2 plans.")
+    assert not unsaid(cost.sentence, "Not compared … 2 plans.")
     assert drawn(error.plot).lines["front"][1][1] == (1e-3, 3e-9), "of all"
     assert (error.plot.y.quantity, error.plot.y.unit, error.plot.y.log, error.plot.x.unit) == ("replay error", "m", True, "s")
     assert [(view.plot.width, view.plot.height) for view in (error, cost)] == [(720, 400)] * 2
@@ -169,8 +158,8 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
     ]  # fmt: skip
     assert (cost.plot.y.quantity, cost.plot.y.log, cost.plot.x.quantity) == ("cost", False, "CPU time, with the stages before")
     level = next(words for words in drawn(cost.plot).lines if words != "front")
-    assert level == "best known cost of an exact plan: 490.55"
-    assert cost.plot.words == "3 stages; on the front, the fastest first: quick (2.00 s, 500.00) and best (8.00 s, 400.00)."
+    assert not unsaid(level, "best known … 490.55")
+    assert not unsaid(cost.plot.words, "3 stages; on the front … first: quick (2.00 s, 500.00) and best (8.00 s, 400.00).")
     assert error.plot.x.low == pytest.approx(1e-3 * 10 ** -(0.06 * 3.90309), rel=1e-6)
     assert error.plot.y.high == pytest.approx(0.5 * 10 ** (0.06 * 8.22185), rel=1e-4)
 
@@ -184,31 +173,31 @@ def test_costs_far_apart_are_logarithmic(least: float, log: bool):
 @pytest.mark.parametrize(
     ("steps", "said"),
     [
-        ([(1.0, 0.01)], "No other plan that holds is better, whatever time it takes."),
-        ([(1.0, 0.01), (1.04, 0.001)], "The next one that is better takes as long, 1.04 s (b): replay error 0.0010 m, 10 times nearer to its replay. More time buys nothing further."),
-        ([(1.0, 0.01), (1.06, 0.00951)], "No other plan that holds is better by more than 5 %, whatever time it takes."),
-        ([(1.0, 0.01), (1.06, 0.00949)], "The next one that is better takes 1.1 times as long, 1.06 s (b)"),
-        ([(1.0, 0.01), (2.0, 0.00951), (3.0, 0.005)], "The next one that is better by more than 5 % takes 3.0 times as long, 3.00 s (c)"),
-        ([(1.0, 0.02), (2.0, 2e-5)], "1000 times nearer to its replay. More"), ([(1.0, 0.02), (2.0, 1.9e-5)], "more than 1000 times nearer to its replay. More"),
-        ([(2.0, 0.02), (4.0, 0.01), (20.0, 0.002)], "The best takes 10 times as long as the first, 20.00 s (c): replay error 0.0020 m, 10 times nearer to its replay."),
+        ([(1.0, 0.01)], "No other plan … better, whatever"),
+        ([(1.0, 0.01), (1.04, 0.001)], "takes as long, 1.04 s (b): replay error 0.0010 m, 10 times nearer … nothing further."),
+        ([(1.0, 0.01), (1.06, 0.00951)], "No other plan … more than 5 %, whatever"),
+        ([(1.0, 0.01), (1.06, 0.00949)], "takes 1.1 times as long, 1.06 s (b)"),
+        ([(1.0, 0.01), (2.0, 0.00951), (3.0, 0.005)], "by more than 5 % takes 3.0 times as long, 3.00 s (c)"),
+        ([(1.0, 0.02), (2.0, 2e-5)], "1000 times nearer to its replay. More"), ([(1.0, 0.02), (2.0, 1.9e-5)], "more than 1000 times nearer … More"),
+        ([(2.0, 0.02), (4.0, 0.01), (20.0, 0.002)], "takes 10 times as long as the first, 20.00 s (c): … 0.0020 m, 10 times nearer"),
     ],
 )  # fmt: skip
 def test_what_more_time_buys(steps: list[tuple[float, float]], said: str):
     error = speed(*(replayed(name, missed, 500.0, cpu) for name, (cpu, missed) in zip("abc", steps, strict=False)))[0]
-    assert said in error.sentence
-    assert error.sentence.startswith(f"The least CPU time for a plan that holds is {steps[0][0]:.2f} s (a), replay error ")
+    assert not unsaid(error.sentence, said)
+    assert not unsaid(error.sentence, f"least CPU time … {steps[0][0]:.2f} s (a), replay error ")
 
 
 @pytest.mark.parametrize(
     ("costs", "said"),
     [
-        ((400.0, 300.0), "cost 300.00, 25 % cheaper. More"), ((400.0, 399.7), "No other plan that holds is better by more than 0.1 %"),
+        ((400.0, 300.0), "cost 300.00, 25 % cheaper. More"), ((400.0, 399.7), "No other plan … more than 0.1 %"),
         ((400.0, 399.5), "0.12 % cheaper"), ((0.0, -3.0), "cost −3.00, cheaper. More"), ((-2.0, -3.0), "cost −3.00, cheaper. More"),
     ],
 )  # fmt: skip
 def test_what_more_time_saves(costs: tuple[float, ...], said: str):
     cost = speed(*(replayed(name, 0.01, price, cpu) for name, cpu, price in zip("ab", (1.0, 2.0), costs, strict=True)))[1]
-    assert said in cost.sentence
+    assert not unsaid(cost.sentence, said)
 
 
 def test_of_a_stage_that_holds_with_feedback_that_replay_counts():
@@ -247,19 +236,15 @@ def test_why_a_method_has_no_point():
     assert (found.anchor, found.title) == ("pareto-1", "All methods: speed against error")
     nothing = report(ran("lost", outcome="crashed", verdict="no plan"))
     empty = pareto.build(nothing, nothing.scenes[0])
-    assert empty is not None
-    assert (empty.values["views"], empty.values["nothing"]) == (
-        [],
-        "No stage gave a plan that could be replayed, so there is nothing to compare.",
-    )
+    assert empty.values["views"] == []
+    assert not unsaid(empty.values["nothing"], "No stage … could be replayed")
 
 
 def test_where_nothing_holds_or_nothing_is_planned_it_says_so():
     bad = replayed("bad", 0.3, 490.0, 1.0, "violates")
-    assert speed(bad)[0].sentence == "None of 1 plan holds, so there is none to recommend."
+    assert not unsaid(speed(bad)[0].sentence, "None of 1 plan holds")
     told = report(bad.model_copy(update={"scene": bad.scene.model_copy(update={"inputs": ()})}))
     free = pareto.build(told, told.scenes[0])
-    assert free is not None
     assert (free.values["views"], free.values["failed"], free.values["nothing"][:28]) == ([], [], "This scene has no inputs: no")
 
 
@@ -283,9 +268,7 @@ def test_the_first_screen_has_speed_against_error_of_all_scenes():
         "c2 full", "circle", "fast on bank: holds; 1.00 CPU s, error 0.020", "pages/fast-key-bank.html", (1.0, 0.02)
     )
     assert drawn(plot).marks[-1].at == (0.2, 2e-5)
-    assert plot.words.startswith(
-        "Left is fast, below is near to its replay; relaxations at their tightest ε. 3 of 12 plans violate (hollow)."
-    )
+    assert not unsaid(plot.words, "relaxations at their tightest ε. 3 of 12 plans violate (hollow).")
     assert (plot.x.quantity, plot.x.unit, plot.y.quantity, plot.y.unit) == (
         "CPU time, with the stages before",
         "s",

@@ -1,9 +1,9 @@
 """All runs as one table, and the head of a run's page: the verdict with what decided it."""
 
-from __future__ import annotations
-
 import html
 import re
+
+from wording import unsaid
 
 from reports.pages.run import decision_of, view_of
 from reports.pages.section import Report, run_page
@@ -29,15 +29,9 @@ def rows_of(folder) -> list[list[str]]:
 
 def test_a_row_has_errors_apart_with_units_and_the_integral_cost(factory, tmp_path):
     refused = factory.run(
-        "refused",
-        None,
-        "strict_lcp",
-        key="no-0",
-        stages=(),
-        outcome="refused",
-        verdict="not applicable",
+        "refused", None, "strict_lcp", key="no-0", stages=(), outcome="refused", verdict="not applicable",
         message="strict_lcp: scene three_cart has no wall.",
-    )
+    )  # fmt: skip
     head, row, other = rows_of(factory.store(tmp_path / "all", [factory.runs()[0], refused]))
     assert head[3:5] == ["Cost", "Integral cost"]
     # 496.63 times 0.01 s; 4.1e-3 off, 0.8 of it in position and 0.6 in velocity.
@@ -54,13 +48,9 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
         for item in stage.metrics
     )
     said = {
-        "metrics": metrics,
-        "verdict": "violates",
-        "outcome": "stalled",
-        "questions": factory.questions(q4="no"),
-        "why": "the motion ends 0.12 m from the goal.",
-        "cause": "motion",
-    }
+        "metrics": metrics, "verdict": "violates", "outcome": "stalled", "questions": factory.questions(q4="no"),
+        "why": "the motion ends 0.12 m from the goal.", "cause": "motion",
+    }  # fmt: skip
     run = run.model_copy(update={"stages": (stage.model_copy(update=said),)})
     decision = decision_of(run)
     assert (decision.question.number, decision.metric.name, decision.metric.value) == (4, "replay_terminal_position_error", 0.12)
@@ -68,17 +58,12 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     write_report(folder)
     text = words((folder / PAGES / run_page(run)).read_text(encoding="utf-8"))
     order = [
-        "strict on three_cart ✗ violates",
-        "Question 4. Do its inputs give its motion, and the goal? ✗ no",
+        "strict on three_cart ✗ violates", "Question 4. Do its inputs give its motion, and the goal? ✗ no",
         "Decided by replay_terminal_position_error : 0.12 m ± 3.0×10⁻⁹, limit 0.06 m.",
-        "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.",
-        "Advice Look at the error over time",
-        "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663",
-        "Keys: space plays and pauses",
-        "Positions: plan dotted",
-        "Made by touchstone 0.1.0, commit aaaaaaaaaaaa",
-        "Run it again python -m validate all -k",
-    ]
+        "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.", "Advice Look at the error over time",
+        "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663", "Keys: space plays and pauses",
+        "Positions: plan dotted", "Made by touchstone 0.1.0, commit aaaaaaaaaaaa", "Run it again python -m validate all -k",
+    ]  # fmt: skip
     places = [text.find(part) for part in order]
     assert -1 not in places, order[places.index(-1)]
     assert places == sorted(places)
@@ -118,6 +103,4 @@ def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tm
     run = run.model_copy(update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)})
     folder = factory.store(tmp_path / "all", [run])
     write_report(folder)
-    assert "Decided by replay_error : the replay left every bound, limit 0.02 m." in words(
-        (folder / PAGES / run_page(run)).read_text(encoding="utf-8")
-    )
+    assert not unsaid(words((folder / PAGES / run_page(run)).read_text(encoding="utf-8")), "Decided by replay_error : … 0.02 m.")

@@ -1,7 +1,5 @@
 """Axes by hand: what they span, and where and how they are labelled."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The numbers of a plot as its page holds them: read back here by the format as it is written down."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 

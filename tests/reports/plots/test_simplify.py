@@ -1,7 +1,5 @@
 """Which points of a line may be left out: each limit from both sides, and nothing that can be seen."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,8 +1,7 @@
 """Runs in parts shown as one: which plan, which words, and sums of all that was spent."""
 
-from __future__ import annotations
-
 import pytest
+from wording import unsaid
 
 from reports.records.collected import collected, grouped, optima
 from reports.records.record import RunRecord, SecondsRecord, StartRecord
@@ -21,29 +20,25 @@ def part(place: int, *costs: float | None, parts: int = 2, scene: str = "hill", 
     seconds = SecondsRecord(**{name: float(place * (number + 1)) for number, name in enumerate(SecondsRecord.model_fields)})
     stages = tuple(stage.model_copy(update={"seconds": seconds, "message": "own"}) for stage in run.stages)
     said = {
-        "key": f"{scene}-{place}",
-        "part": place,
-        "parts": parts,
-        "wall_seconds": 3.0 * place,
-        "cpu_seconds": 2.0 * place,
-        "profile": {"replay": 1.0 * place},
-        "message": f"part {place}.",
-    }
+        "key": f"{scene}-{place}", "part": place, "parts": parts, "wall_seconds": 3.0 * place, "cpu_seconds": 2.0 * place,
+        "profile": {"replay": 1.0 * place}, "message": f"part {place}.",
+    }  # fmt: skip
     return run.model_copy(update={"stages": stages} | said | changes)
 
 
 @pytest.mark.parametrize(
     ("costs", "words"),
     [
-        (((5.0, 4.0), (3.0, 4.0)), "4 of 4 starts were solved, 3 distinct optima, from 3 to 5; 1 reached the cheapest. part 2."),
-        (((4.0, None), (4.0, 4.0)), "3 of 4 starts were solved, all of them at the same optimum; 3 reached the cheapest. part 1."),
-        (((4.0,), (4.0 * (1 + 2e-7),)), "2 of 2 starts were solved, 2 distinct optima, from 4 to 4; 1 reached the cheapest. part 1."),
+        (((5.0, 4.0), (3.0, 4.0)), "4 of 4 starts … 3 distinct optima, from 3 to 5; 1 reached … part 2."),
+        (((4.0, None), (4.0, 4.0)), "3 of 4 starts … all … at the same optimum; 3 reached … part 1."),
+        (((4.0,), (4.0 * (1 + 2e-7),)), "2 of 2 starts … 2 distinct optima, from 4 to 4; 1 reached … part 1."),
         (((None, None), (None,)), "None of 3 starts was solved. part 1."), (((), ()), "part 1."),
     ],
 )  # fmt: skip
 def test_what_all_starts_came_to(costs: tuple, words: str):
     (whole,) = collected([part(1, *costs[0]), part(2, *costs[1])])
-    assert whole.message == whole.stages[-1].message == words
+    assert whole.message == whole.stages[-1].message
+    assert not unsaid(whole.message, words)
 
 
 def test_seconds_steps_and_phases_are_those_of_all_parts():
@@ -57,10 +52,7 @@ def test_seconds_steps_and_phases_are_those_of_all_parts():
 
 def test_a_part_that_is_missing_or_crashed_is_told():
     (alone,) = collected([part(2, 3.0, parts=4)])
-    assert (
-        alone.message
-        == "1 of 1 starts were solved, all of them at the same optimum; 1 reached the cheapest. Only 1 of the 4 parts of this run are stored; the others are not counted. part 2."
-    )
+    assert not unsaid(alone.message, "1 of 1 starts … the same optimum; 1 reached … Only 1 of the 4 parts … part 2.")
     (crashed,) = collected([part(1, 3.0), part(2, outcome="crashed", message="it died.")])
     assert (crashed.outcome, crashed.stages[-1].cost) == ("crashed", 3.0)
     assert crashed.message.endswith("reached the cheapest. it died.")

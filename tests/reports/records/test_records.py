@@ -1,7 +1,5 @@
 """Records as they are written and read: columns of numbers, names of files, order, and a folder of them with what is broken in it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -11,6 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from pydantic import ValidationError
+from wording import unsaid
 
 from reports.records import load as module
 from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, divided, record_of
@@ -171,7 +170,7 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
 )
 def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):
     said = sentence_of(tmp_path, text)
-    assert [part for part in parts if part not in said] == [], said
+    assert not unsaid(said, *parts)
 
 
 def test_one_field_that_does_not_fit_is_named_alone(tmp_path: Path):
@@ -199,8 +198,9 @@ def test_what_is_larger_than_any_record_is_not_read(tmp_path: Path):
 
 def test_a_file_that_refuses_is_told_by_the_systems_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     found: list = []
+    (tmp_path / "file").write_text("{}")
     for error, words in ((PermissionError(13, "Permission denied"), "Permission denied"), (TimeoutError(), "TimeoutError")):
-        monkeypatch.setattr(module, "_text", Mock(side_effect=error))
+        monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=error))
         assert module.read_record(tmp_path / "file", tmp_path, record_of, found) is None
         assert (found[-1].path, words in found[-1].sentence) == ("file", True)
 

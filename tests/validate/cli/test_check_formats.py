@@ -1,7 +1,5 @@
 """What `check` writes for other tools, from a report whose every figure is different, read back by readers of the formats."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path
@@ -15,33 +13,13 @@ from validate.cli.check_formats import data, junit, markdown, sarif
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 
 _ROWS = (
-    FmuCheckRow(
-        name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"
-    ),
-    FmuCheckRow(
-        name="start values are the XML's",
-        type="ME",
-        claim="same",
-        status=Status.FAILED,
-        sentence="a|b is 2 <3>.",
-        seconds=0.2,
-        clause="FMI 3.0.2, 2.4.7.5",
-    ),
+    FmuCheckRow(name="archive", type="", claim="a zip", status=Status.PASSED, sentence="3 entries.", seconds=0.1, clause="FMI 3.0.2, 2.5.1"),
+    FmuCheckRow(name="start values are the XML's", type="ME", claim="same", status=Status.FAILED, sentence="a|b is 2 <3>.", seconds=0.2, clause="FMI 3.0.2, 2.4.7.5"),
     FmuCheckRow(name="runs repeat", type="CS", claim="bits", status=Status.FAILED, sentence="x\ndiffers.\x07", seconds=0.3),
-    FmuCheckRow(
-        name="set state restores",
-        type="CS",
-        claim="all",
-        status=Status.WAIVED,
-        sentence="off. Waived: ours.",
-        seconds=0.4,
-        clause="FMI 3.0.2, 2.2.7.4",
-    ),
-    FmuCheckRow(
-        name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"
-    ),
+    FmuCheckRow(name="set state restores", type="CS", claim="all", status=Status.WAIVED, sentence="off. Waived: ours.", seconds=0.4, clause="FMI 3.0.2, 2.2.7.4"),
+    FmuCheckRow(name="time after a step", type="CS", claim="time", status=Status.ADVICE, sentence="say it.", seconds=0.5, clause="FMI 3.0.2, 4.2.1"),
     FmuCheckRow(name="adjoint derivatives", type="ME", claim="adjoint", status=Status.NOT_OFFERED, sentence="none.", seconds=0.6),
-)
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -65,35 +43,21 @@ def test_json_has_every_figure_of_a_row(report: CheckReport):
     rows = data(report)["rows"]
     assert [row["seconds"] for row in rows] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     assert rows[3] == {
-        "check": "set state restores",
-        "type": "CS",
-        "claim": "all",
-        "status": "waived",
-        "severity": "error",
-        "clause": "FMI 3.0.2, 2.2.7.4",
-        "sentence": "off. Waived: ours.",
-        "seconds": 0.4,
-    }
+        "check": "set state restores", "type": "CS", "claim": "all", "status": "waived", "severity": "error",
+        "clause": "FMI 3.0.2, 2.2.7.4", "sentence": "off. Waived: ours.", "seconds": 0.4,
+    }  # fmt: skip
 
 
 def test_junit_skips_what_is_waived_and_fails_what_failed(report: CheckReport):
     suite = ElementTree.fromstring(junit([(report, 2.5)]))[0]
     assert {name: suite.get(name) for name in ("tests", "failures", "skipped", "errors", "time")} == {
-        "tests": "6",
-        "failures": "2",
-        "skipped": "2",
-        "errors": "0",
-        "time": "2.500",
-    }
+        "tests": "6", "failures": "2", "skipped": "2", "errors": "0", "time": "2.500",
+    }  # fmt: skip
     ends = {case.get("name"): [part.tag for part in case] for case in suite}
     assert ends == {
-        "archive": [],
-        "start values are the XML's (ME)": ["failure"],
-        "runs repeat (CS)": ["failure"],
-        "set state restores (CS)": ["skipped"],
-        "time after a step (CS)": ["system-out"],
-        "adjoint derivatives (ME)": ["skipped"],
-    }
+        "archive": [], "start values are the XML's (ME)": ["failure"], "runs repeat (CS)": ["failure"],
+        "set state restores (CS)": ["skipped"], "time after a step (CS)": ["system-out"], "adjoint derivatives (ME)": ["skipped"],
+    }  # fmt: skip
     failures = [case.find("failure") for case in suite if case.find("failure") is not None]
     assert [(item.get("type"), item.get("message")) for item in failures] == [("error", "a|b is 2 <3>."), ("behaviour", "x differs.")]
     assert "FMI 3.0.2, 2.4.7.5" in (failures[0].text or "")

@@ -1,7 +1,5 @@
 """The command line as a user meets it: help, lists, mistakes, exit codes."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
@@ -13,6 +11,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from wording import unsaid
 
 from formulations.pipelines import pipeline_names
 from models.catalog import load_scene
@@ -45,8 +44,7 @@ def in_here(tmp_path, monkeypatch, capfd):
 def test_help_shows_examples_and_exit_codes(cli):
     overview = cli("--help")
     assert overview.returncode == 0
-    for word in ("Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"):
-        assert word in overview.stdout
+    assert not unsaid(overview.stdout, "Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu")
     for name in _COMMANDS:
         with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
             text = context.get_help()
@@ -109,34 +107,22 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("al",), "did you mean all?"),
-        (("frobnicate",), "there are all, plan, run, list"),
-        (("show", "nothing", "--in", "nowhere/at_all"), "there is no campaign in this folder"),
-        (("run",), "give a campaign file"),
-        (("run", "nowhere.toml"), "it cannot be read (No such file"),
-        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
-        (("all", "--retry", "-1"), "-1 is not in the range"),
-        (("all", "--quik"), "Did you mean '--quick'?"),
-        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."),
-        (("all", "-j", "0"), "0 is not in the range x>=1"),
-        (("all", "-j", "two"), "'two' is not a valid integer"),
-        (("all", "--time-limit", "-1"), "not in the range x>0"),
-        (("all", "--time-limit", "nan"), "not a finite number"),
-        (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
-        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
-        (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
-        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
-        (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
-        (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
-        (("report", "nowhere/at_all"), "there is no campaign in this folder"),
-        (("replay", "plan.csv"), "give either --scene or --fmu"),
-        (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
-        (("fmu", "three_cart"), "missing option '-o'"),
-        (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
+        (("al",), "did you mean all?"), (("frobnicate",), "there are all, plan, run, list"),
+        (("show", "nothing", "--in", "nowhere/at_all"), "no campaign in this folder"), (("run",), "give a campaign file"),
+        (("run", "nowhere.toml"), "No such file"), (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "no campaign in this folder"),
+        (("all", "--retry", "-1"), "-1 is not in the range"), (("all", "--quik"), "Did you mean '--quick'?"),
+        (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."), (("all", "-j", "0"), "0 is not in the range x>=1"),
+        (("all", "-j", "two"), "'two' is not a valid integer"), (("all", "--time-limit", "-1"), "not in the range x>0"),
+        (("all", "--time-limit", "nan"), "not a finite number"), (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
+        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"), (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
+        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"), (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
+        (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"), (("report", "nowhere/at_all"), "no campaign in this folder"),
+        (("replay", "plan.csv"), "give either --scene or --fmu"), (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
+        (("fmu", "three_cart"), "missing option '-o'"), (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
         (("fmu", "three_cart", "-o", "x.ssp"), "only --coupled writes an .ssp; call it x.fmu"),
         (("fmu", "three_cart", "--coupled", "-o", "x.fmu"), "--coupled writes an .ssp; call it x.ssp"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):
     code, stdout, stderr = in_here(*arguments)
     assert code == 2
@@ -158,15 +144,10 @@ def test_a_mistake_ends_the_process_so_too(cli):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("SCENE = 3", "must define SCENE"),
-        ("import nothing_of_that_name", "ModuleNotFoundError"),
-        ("def broken(:", "SyntaxError"),
-        (
-            "from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')",
-            "the unit is missing",
-        ),
+        ("SCENE = 3", "must define SCENE"), ("import nothing_of_that_name", "ModuleNotFoundError"), ("def broken(:", "SyntaxError"),
+        ("from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')", "the unit is missing"),
     ],
-)
+)  # fmt: skip
 def test_a_scene_file_with_a_mistake_is_named(in_here, tmp_path, text, words):
     path = tmp_path / "own_scene.py"
     path.write_text(text)
@@ -349,6 +330,6 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
     part = cli(*words, "-k", "only_good", "--table")
     assert part.returncode == 0, "of what was selected nothing failed"
     assert sum(line.startswith("three_cart ") for line in part.stdout.splitlines()) == 1
-    assert "2 other runs and checks of the campaign in" in part.stderr
+    assert not unsaid(part.stderr, "2 other runs and checks")
     rows = (tmp_path / "results.csv").read_text().splitlines()[1:]
     assert {row.split(",")[1] for row in rows} == {"only_raises", "only_exit_seven", "only_good"}

@@ -1,8 +1,6 @@
 """A disk that refuses a command: at each request that the command makes, one after the other. It does what it was asked, or ends with one sentence;
 what was there before is whole."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -39,7 +37,7 @@ _ELSEWHERE = {
     "replaying": (("replay", "{made}/plan.csv", "--scene", _SCENE), {"TMPDIR": "{out}"}, 13),
     "a replay": (("replay", "{made}/plan.csv", "--scene", _SCENE, "--out", "{out}/answer"), {}, 4),
     "parts of a scene": (("fmu", _SCENE, "--coupled", "-o", "{out}/answer.ssp"), {}, 1),
-    "a campaign of a file": (("run", "{made}/campaign.toml", "--plugin", _FAKES[1], "-j", "1", "--out", "{out}"), {}, 4),
+    "a campaign of a file": (("run", "{made}/campaign.toml", "--plugin", _FAKES[1], "-j", "1", "--out", "{out}"), {}, 13),
 }
 # A compiler that takes no time: what it would have made is nowhere loaded.
 _COMPILER = """#!/bin/sh

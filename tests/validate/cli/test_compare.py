@@ -1,7 +1,5 @@
 """`compare`: what got worse stands first and makes the exit code 1; noise of times does not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,14 +46,8 @@ def test_a_campaign_does_not_differ_from_itself(runs):
 WHERE = "three_cart x strict, stage 1 strict_lcp"
 LADDER = ("no plan", "undecided", "violates", "holds with feedback", "holds")
 KINDS = [
-    ChangeKind.REGRESSION,
-    ChangeKind.GONE,
-    ChangeKind.SLOWER,
-    ChangeKind.OTHER,
-    ChangeKind.NEW,
-    ChangeKind.FASTER,
-    ChangeKind.IMPROVEMENT,
-]
+    ChangeKind.REGRESSION, ChangeKind.GONE, ChangeKind.SLOWER, ChangeKind.OTHER, ChangeKind.NEW, ChangeKind.FASTER, ChangeKind.IMPROVEMENT,
+]  # fmt: skip
 
 
 def changes(before: dict, after: dict, kind: str = "direct") -> list[Change]:

@@ -1,7 +1,5 @@
 """The shell completes commands, options and scenes of the installed program, by the line that the tutorial gives."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -46,14 +44,10 @@ def test_the_tutorial_says_the_same_line():
 @pytest.mark.parametrize(
     ("line", "offered"),
     [
-        ("touchstone sh", ["plain,show"]),
-        ("touchstone all --qu", ["plain,--quick"]),
-        ("touchstone all --scene two_f", ["plain,two_finger", "plain,two_finger_lift"]),
-        ("touchstone replay plan.csv --scene trans", ["plain,transport"]),
-        ("touchstone fmu bounc", ["plain,bouncing_mass"]),
-        ("touchstone all --scene my/own", ["file,my/own"]),
-        ("touchstone nonsense --qu", []),
+        ("touchstone sh", ["plain,show"]), ("touchstone all --qu", ["plain,--quick"]),
+        ("touchstone all --scene two_f", ["plain,two_finger", "plain,two_finger_lift"]), ("touchstone replay plan.csv --scene trans", ["plain,transport"]),
+        ("touchstone fmu bounc", ["plain,bouncing_mass"]), ("touchstone all --scene my/own", ["file,my/own"]), ("touchstone nonsense --qu", []),
     ],
-)
+)  # fmt: skip
 def test_what_is_offered(monkeypatch, capfd, line, offered):
     assert asked(monkeypatch, capfd, "bash_complete", line).split() == offered

@@ -1,7 +1,5 @@
 """`doctor` tries things: what works is found to work, what is broken on purpose is found and a remedy is named."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """`.. | head`: whoever reads the output goes away. The exit code says that, never that all holds or that something does not; nothing stays behind."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -17,12 +15,8 @@ pytestmark = pytest.mark.process
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
-    "list": ("list",),
-    "help": ("--help",),
-    "plan": ("plan", *FAKES, "-k", "only_good"),
-    "a typo": ("lsit",),
-    "a campaign": ("all", *FAKES, "-k", "only_good"),
-}
+    "list": ("list",), "help": ("--help",), "plan": ("plan", *FAKES, "-k", "only_good"), "a typo": ("lsit",), "a campaign": ("all", *FAKES, "-k", "only_good"),
+}  # fmt: skip
 
 
 # Where stderr is heard: one that writes once at its end, and one that tells of its progress.
@@ -37,13 +31,9 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "validate", *COMMANDS[command], *out],
-            stdout=writes,
-            stderr=subprocess.STDOUT if together else subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            env=cli_environment,
-            check=False,
-        )
+            [sys.executable, "-m", "validate", *COMMANDS[command], *out], stdout=writes,
+            stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL, env=cli_environment, check=False,
+        )  # fmt: skip
     finally:
         os.close(writes)
     assert done.returncode == READER_GONE == 141

@@ -1,12 +1,12 @@
 """`plan` tells what `all` would do, and `all` does it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 from wording import unsaid
+
+pytestmark = pytest.mark.slow
 
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 
@@ -25,7 +25,6 @@ def ran(cli, tmp_path_factory):
     return out
 
 
-@pytest.mark.slow
 def test_nothing_is_written(cli, tmp_path):
     out = tmp_path / "never"
     plan = told(cli, out, "-k", "only_good")
@@ -35,7 +34,6 @@ def test_nothing_is_written(cli, tmp_path):
     assert not out.exists()
 
 
-@pytest.mark.slow
 def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault")
     why = {run["name"]: run["why"] for run in plan["runs"]}
@@ -47,7 +45,6 @@ def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     assert told(cli, ran, "-k", "only_good or only_segfault", "--fresh")["stored"] == 0
 
 
-@pytest.mark.slow
 def test_another_version_is_recognised(cli, ran):
     """The same cells under another content, as after a change of the sources."""
     for request in ran.glob("runs/*/task.json"):
@@ -65,7 +62,6 @@ def test_another_version_is_recognised(cli, ran):
         moved.rename(request.parent)
 
 
-@pytest.mark.slow
 def test_damaged_requests_are_passed_over(cli, ran):
     bad = ran / "runs" / ("0" * 64)
     bad.mkdir()
@@ -75,7 +71,6 @@ def test_damaged_requests_are_passed_over(cli, ran):
     assert told(cli, ran, "-k", "only_good")["stored"] >= 1
 
 
-@pytest.mark.slow
 def test_bad_words_are_one_sentence(cli, tmp_path):
     for words in (("--time-limit", "nan"), ("--scene", "nosuchscene")):
         done = cli("plan", "--out", str(tmp_path), *words)
@@ -83,15 +78,13 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
         assert len(done.stderr.strip().splitlines()) == 1
 
 
-@pytest.mark.slow
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     why, counts = done.stdout.splitlines()[-2:]
-    assert why == "2 to run: nothing is stored of it"
+    assert not unsaid(why, "2 to run: nothing is stored")
     assert not unsaid(counts, "0 stored, 2 to run", "not known", "this folder")
 
 
-@pytest.mark.slow
 def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     path = tmp_path / "waiving.py"
     path.write_text(
@@ -110,7 +103,6 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     assert [line for line in lines if not unsaid(line, "waiving is unstable", "feedback is enough", ": It falls over.")]
 
 
-@pytest.mark.slow
 def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     out = tmp_path / "old"
     out.mkdir()
@@ -120,12 +112,11 @@ def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     assert sentence in planned.stderr
     assert cli("report", str(out)).stderr.startswith(f"error: {sentence}; run the campaign again.")
     done = cli("all", *FAKES, "--out", str(out), "-k", "only_good")
-    assert sentence in done.stderr
+    assert not unsaid(done.stderr, sentence)
     assert "1 to run" in done.stderr
     assert sentence not in cli("plan", *FAKES, "--out", str(out), "-k", "only_good").stderr
 
 
-@pytest.mark.slow
 def test_what_ran_before_says_how_long_it_takes(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault", "--fresh")
     assert all(run["past_cpu_seconds"] > 0 for run in plan["runs"])
@@ -135,4 +126,4 @@ def test_what_ran_before_says_how_long_it_takes(cli, ran):
     assert "of CPU time when they ran last, about " in known
     assert known.endswith(" on 2 cores")
     partly = cli(*words, "-k", "only_good or only_raises", "-j", "1").stdout.splitlines()[-1]
-    assert partly.endswith("when they ran last; 1 never ran here")
+    assert not unsaid(partly, "1 never ran here")

@@ -1,7 +1,5 @@
 """`report` a second time: the same files, whatever happened to them meanwhile, and what changed is told."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`show` tells the questions, both ends and what the scene leaves unasked, in the words of the report."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tables and sentences fit a terminal: columns go in a stated order, sentences break between words."""
 
-from __future__ import annotations
-
 import re
 
 import click

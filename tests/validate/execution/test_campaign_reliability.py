@@ -3,8 +3,6 @@
 `python -m benchmarks kills` kills more often, others than the campaign, and more kinds of cells.
 """
 
-from __future__ import annotations
-
 import random
 import signal
 import time

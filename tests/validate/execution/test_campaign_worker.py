@@ -1,7 +1,5 @@
 """Cells that misbehave: each is the right row, disturbs nothing else, and leaves neither process nor file behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -44,27 +42,19 @@ def misbehaved(cli, tmp_path_factory):
 @pytest.mark.parametrize(
     ("pipeline", "outcome", "words"),
     [
-        ("only_good", "solved", ""),
-        ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
-        ("only_abort", "crashed", "signal 6 (SIGABRT)"),
-        ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); it left no result"),
-        ("only_exit_seven", "crashed", "exit code 7"),
-        ("only_spoiled", "crashed", "its result file cannot be read"),
-        ("only_raises", "crashed", "ValueError in raises: the method's own mistake"),
-        ("only_bad_soft", "crashed", "ValueError in bad_soft"),
-        ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"),
-        ("only_no_solution", "crashed", "it must hand back a Solution, not str"),
-        ("only_quits", "crashed", "its last log line: SystemExit: 0"),
-        ("only_refuses", "refused", "it wants friction"),
-        ("only_infeasible", "infeasible", ""),
-        ("only_garbage", "solved", ""),
-        ("only_litter", "solved", ""),
+        ("only_good", "solved", ""), ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
+        ("only_abort", "crashed", "signal 6 (SIGABRT)"), ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); … no result"),
+        ("only_exit_seven", "crashed", "exit code 7"), ("only_spoiled", "crashed", "its result file cannot be read"),
+        ("only_raises", "crashed", "ValueError in raises: the method's own mistake"), ("only_bad_soft", "crashed", "ValueError in bad_soft"),
+        ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"), ("only_no_solution", "crashed", "Solution, not str"),
+        ("only_quits", "crashed", "its last log line: SystemExit: 0"), ("only_refuses", "refused", "it wants friction"), ("only_infeasible", "infeasible", ""),
+        ("only_garbage", "solved", ""), ("only_litter", "solved", ""),
     ],
-)
+)  # fmt: skip
 def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
     record = _records(misbehaved[0])[pipeline]
     assert record.outcome == outcome
-    assert words in record.message
+    assert not unsaid(record.message, words)
     assert "\n" not in record.message
     assert [stage.outcome for stage in record.stages] == [outcome]
     without = {"solved": False, "refused": record.verdict == "not applicable"}.get(outcome, record.verdict == "no plan")
@@ -198,7 +188,6 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
         text=True,
         env=cli_environment,
     ) as process:
-        assert process.stderr is not None
         assert process.stderr.readline() == "0 stored, 1 to run\n"
         process.send_signal(signal.SIGHUP)
         process.communicate()

@@ -1,8 +1,6 @@
 """A disk that refuses a cell: at each request that the child makes, one after the other. Either the cell is what it would have been, or the campaign
 ends with one sentence; never is a full disk told of as what a method or a judge did."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

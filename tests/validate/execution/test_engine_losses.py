@@ -1,7 +1,5 @@
 """Engines that lose what they run on: workers, the scheduler, the campaign itself. What finished stays, and nothing goes on for nobody."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import signal

@@ -1,7 +1,5 @@
 """Whose turn it is in an engine, and whose fault what ends it: each engine beside workers and a cluster that only answer."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import tempfile
@@ -213,7 +211,7 @@ def test_a_cell_that_a_worker_gave_up_is_given_out_anew(campaign: Campaign):
     campaign.silent = 5
     assert campaign.run(campaign.dask()) == [task.key for task in campaign.tasks]
     campaign.silent = 6
-    with pytest.raises(MachineError, match=f"lost before they begin {campaign.tasks[0].title}; their logs say why"):
+    with pytest.raises(MachineError, match=f"lost before they begin {campaign.tasks[0].title}; their logs"):
         campaign.run(campaign.dask())
 
 
@@ -230,7 +228,7 @@ def test_workers_that_cannot_be_started_here_are_one_sentence(tmp_path: Path, mo
         (tmp_path / "none", r"\[Errno 2\] No such file or directory: .*"),
     ):
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
-        with pytest.raises(MachineError, match=rf"^--engine dask: its workers cannot be started here \({why}\); make room") as caught:
+        with pytest.raises(MachineError, match=rf"^--engine dask: .*cannot be started.*\({why}\); make room") as caught:
             _enter(local_cluster(1))
         assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []

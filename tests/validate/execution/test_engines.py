@@ -1,7 +1,5 @@
 """What holds of every engine: the same rows, the same endings, nothing left behind. `dask` is a LocalCluster, `standing` a cluster by its scheduler file."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re
@@ -13,7 +11,7 @@ from typing import Any, cast
 import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
 from standing_cluster import come, standing_cluster
-from wording import unsaid
+from wording import saying, unsaid
 
 from models.errors import MachineError
 from reports.records.record import RunRecord
@@ -130,7 +128,7 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
     monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)
     asked: Any = {"provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "tasks": 1}
-    with pytest.raises(MachineError, match=f"the campaign's folder {tmp_path} is not seen here.*said by the Dask worker on"):
+    with pytest.raises(MachineError, match=f"folder {tmp_path} is not seen here.*the Dask worker on"):
         dask_cell.run_on_worker(cast("Any", None), "", **asked, sources=fingerprint())
     (tmp_path / "runs" / asked["mark"]).mkdir(parents=True)
     with pytest.raises(MachineError, match=r"sources, libraries or compiler.*not those of the campaign"):
@@ -141,16 +139,9 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
 @NEEDS_DASK
 def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
     done = cli(
-        "all",
-        *FAKES,
-        "-k",
-        "only_good",
-        "--engine",
-        "dask:tcp://127.0.0.1:9",
-        "--out",
-        str(tmp_path / "out"),
+        "all", *FAKES, "-k", "only_good", "--engine", "dask:tcp://127.0.0.1:9", "--out", str(tmp_path / "out"),
         DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1 s",
-    )
+    )  # fmt: skip
     assert done.returncode == 3, done.stderr
     (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
     assert "no Dask scheduler answers there" in sentence
@@ -161,10 +152,10 @@ def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("slurm", "there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json"),
+        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"),
         ("dask:", "there is no such engine"),
         ("local:2", "there is no such engine"),
-        pytest.param("dask:no.json", "the scheduler file cannot be read (No such file or directory)", marks=NEEDS_DASK),
+        pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
         pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK),
         pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
     ],
@@ -173,7 +164,7 @@ def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name
     monkeypatch.chdir(tmp_path)
     Path("empty.json").write_text("")
     Path("other.json").write_text("[]")
-    with pytest.raises(EngineError, match=re.escape(words)):
+    with pytest.raises(EngineError, match=saying(words)):
         check_engine(name)
 
 

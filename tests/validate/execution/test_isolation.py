@@ -1,7 +1,5 @@
 """Isolated calls: every way to misbehave has its own ending, good calls beside it are unchanged, nothing is left running or on disk."""
 
-from __future__ import annotations
-
 import errno
 import faulthandler
 import importlib

@@ -1,7 +1,5 @@
 """Code of somebody else, called as an FMU is: whatever it does has its own ending, and no process and no file is left of it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile
@@ -23,22 +21,13 @@ extern "C" void throw_out() { throw std::runtime_error("nobody catches this"); }
 extern "C" void refused_by_new() { volatile char *p = new char[(unsigned long)1 << 44]; p[0] = 1; }
 """
 _CALLS = (
-    ("one_huge_allocation", Ending.MEMORY_LIMIT, "memory limit of 4 GiB"),
-    ("null_pointer", Ending.SIGNAL, "SIGSEGV"),
-    ("endless_recursion", Ending.SIGNAL, "SIGSEGV"),
-    ("exit_in_a_thread", Ending.NO_RESULT, "exit code 0"),
-    ("change_folder", Ending.OK, ""),
-    ("close_files", Ending.OK, ""),
-    ("ignore_signals", Ending.TIME_LIMIT, "time limit of 2 s"),
-    ("start_daemon", Ending.OK, ""),
-    ("start_daemon_and_crash", Ending.SIGNAL, "SIGSEGV"),
-    ("remove_what_is_there", Ending.OK, ""),
-    ("take_all_limits", Ending.NO_RESULT, "without a result"),
-    ("jump_out", Ending.SIGNAL, "it crashed"),
-    ("break_the_heap", Ending.ABORT, "SIGABRT"),
-    ("crash_when_unloaded", Ending.OK, ""),
+    ("one_huge_allocation", Ending.MEMORY_LIMIT, "memory limit of 4 GiB"), ("null_pointer", Ending.SIGNAL, "SIGSEGV"),
+    ("endless_recursion", Ending.SIGNAL, "SIGSEGV"), ("exit_in_a_thread", Ending.NO_RESULT, "exit code 0"), ("change_folder", Ending.OK, ""),
+    ("close_files", Ending.OK, ""), ("ignore_signals", Ending.TIME_LIMIT, "time limit of 2 s"), ("start_daemon", Ending.OK, ""),
+    ("start_daemon_and_crash", Ending.SIGNAL, "SIGSEGV"), ("remove_what_is_there", Ending.OK, ""), ("take_all_limits", Ending.NO_RESULT, "without a result"),
+    ("jump_out", Ending.SIGNAL, "it crashed"), ("break_the_heap", Ending.ABORT, "SIGABRT"), ("crash_when_unloaded", Ending.OK, ""),
     ("stop_the_group", Ending.SIGNAL, "SIGTERM"),
-)
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -54,17 +43,9 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     library = tmp_path_factory.mktemp("calls") / "calls.so"
     command = [
-        *find_compiler().command,
-        "-O0",
-        "-w",
-        f"-DSLEEP={_SLEEP}",
-        "-shared",
-        "-fPIC",
-        "-pthread",
-        "-o",
-        str(library),
+        *find_compiler().command, "-O0", "-w", f"-DSLEEP={_SLEEP}", "-shared", "-fPIC", "-pthread", "-o", str(library),
         str(FAKES_FOLDER / "foreign_calls.c"),
-    ]
+    ]  # fmt: skip
     subprocess.run(command, check=True, capture_output=True)
     return library
 

@@ -3,8 +3,6 @@
 test_engines.py and test_campaign_reliability.py show the same of cells that only pretend, and of how they end.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import random
 import signal
@@ -21,7 +19,7 @@ from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
 from validate.execution.campaign import CampaignSettings, run_campaign
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.slow, pytest.mark.process]
 
 # Three chains that begin with the same stages, and one that shares nothing.
 SCENE, CELLS = "wall_pendulum", "softplus_dc or collocation"
@@ -56,7 +54,6 @@ def _same(out: Path, whole: Path) -> None:
     assert _plans(out) == plans
 
 
-@pytest.mark.slow
 def test_something_is_shared(whole):
     records = [RunRecord.model_validate_json(content) for content in finished(whole).values()]
     assert (
@@ -64,7 +61,6 @@ def test_something_is_shared(whole):
     )  # of three chains that begin alike, all but the first
 
 
-@pytest.mark.slow
 def test_in_another_order(whole, tmp_path, monkeypatch):
     """Whichever cell comes first runs what several begin with."""
     chosen = campaign.select
@@ -79,7 +75,6 @@ def test_in_another_order(whole, tmp_path, monkeypatch):
     _same(tmp_path, whole)
 
 
-@pytest.mark.slow
 def test_resumed_after_a_kill(whole, cli, start_cli, tmp_path):
     process = start_cli("all", *CAMPAIGN, "-j", "2", "--out", str(tmp_path))
     come(lambda: len(finished(tmp_path)) >= 1 or process.poll() is not None)
@@ -93,7 +88,6 @@ def test_resumed_after_a_kill(whole, cli, start_cli, tmp_path):
     _same(tmp_path, whole)
 
 
-@pytest.mark.slow
 def test_where_nothing_is_shared(whole, cli, tmp_path):
     """A cell in a folder of its own has every stage to itself, whichever of its chains ran them in the other."""
     for pipeline in ("softplus_dc+strict", "softplus_dc+lbfgs"):
@@ -104,7 +98,6 @@ def test_where_nothing_is_shared(whole, cli, tmp_path):
         assert _plans(out).items() <= _plans(whole).items()
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
 def test_on_dask(whole, cli, tmp_path):
     done = cli("all", *CAMPAIGN, "-j", "2", "--engine", "dask", "--out", str(tmp_path))

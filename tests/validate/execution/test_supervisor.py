@@ -1,7 +1,5 @@
 """Children under supervisors, forked or started alone: their session, limits, output and end, and that nothing is left of them, whoever is killed."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -280,7 +278,6 @@ def test_a_folder_whose_name_says_that_it_is_finished_is_not_removed_by_a_superv
     """Whatever is asked of it."""
     kept = KeptFolder(tmp_path)
     kept._channel.close()
-    assert kept._supervisor is not None
     kept._supervisor.wait()
     assert tmp_path.exists()
 

@@ -1,7 +1,5 @@
 """Which process a cell was begun by, seen from its child."""
 
-from __future__ import annotations
-
 import psutil
 
 

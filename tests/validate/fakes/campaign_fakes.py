@@ -3,8 +3,6 @@
 python -m validate all --plugin campaign_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess
@@ -145,25 +143,11 @@ METHODS = {
 }
 
 PIPELINES = (
-    Pipeline(
-        name="soft+good",
-        title="fake chain",
-        legs=(Leg(method="soft", schedule=(1e-1, 1e-2), stage_options=({"iterations": 2},)), Leg(method="good")),
-    ),
-    Pipeline(
-        name="broken_chain",
-        title="fake chain whose middle breaks",
-        legs=(Leg(method="soft", schedule=(1e-1,)), Leg(method="bad_soft", schedule=(1e-1,)), Leg(method="good")),
-    ),
+    Pipeline(name="soft+good", title="fake chain", legs=(Leg(method="soft", schedule=(1e-1, 1e-2), stage_options=({"iterations": 2},)), Leg(method="good"))),
+    Pipeline(name="broken_chain", title="fake chain whose middle breaks", legs=(Leg(method="soft", schedule=(1e-1,)), Leg(method="bad_soft", schedule=(1e-1,)), Leg(method="good"))),
     Pipeline(name="soft_alone", title="fake indirect", legs=(Leg(method="soft", schedule=(1e-1,)),)),
-    *(
-        Pipeline(
-            name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),)
-        )
-        for name in METHODS
-        if name not in {"soft"}
-    ),
-)
+    *(Pipeline(name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),)) for name in METHODS if name not in {"soft"}),
+)  # fmt: skip
 
 
 def _judge(score, scene: Scene, fmu: Path, trajectory: Trajectory) -> Judgement:
@@ -200,16 +184,11 @@ def _write_report(folder: Path) -> Path:
 
 def _fake_plugin(score=_score) -> Plugin:
     return Plugin(
-        load_method=METHODS.__getitem__,
-        pipelines_for=lambda scene: PIPELINES,
-        quick=("soft+good",),
-        checks=lambda scenes: (),
-        compile=lambda scene: None,
-        build_fmu=lambda scene: Path(os.devnull),
-        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
-        write_replay=lambda path, replay, scene: None,
+        load_method=METHODS.__getitem__, pipelines_for=lambda scene: PIPELINES, quick=("soft+good",), checks=lambda scenes: (),
+        compile=lambda scene: None, build_fmu=lambda scene: Path(os.devnull),
+        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory), write_replay=lambda path, replay, scene: None,
         write_report=_write_report,
-    )
+    )  # fmt: skip
 
 
 PLUGIN = _fake_plugin()

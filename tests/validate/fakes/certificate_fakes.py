@@ -1,7 +1,5 @@
 """Exact methods beside those of campaign_fakes.py, and a judge of theirs that never comes to an end, or crashes."""
 
-from __future__ import annotations
-
 import ctypes
 import time
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 python -m validate all --plugin check_fakes:PLUGIN        # with this folder on PYTHONPATH
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import time
@@ -52,17 +50,10 @@ def _offered(scenes: Sequence[SceneReference]) -> list[CheckTask]:
 
     def question(says: str, scene: SceneReference | None, *, quick: bool = True) -> CheckTask:
         return CheckTask(
-            kind="question",
-            name=f"{says} of {scene.scene.name if scene else 'nothing'}",
-            expected="it says yes.",
-            function="check_fakes:ask",
-            arguments={"says": says},
-            content=scene_text(scene.scene) if scene else "",
-            sources=("validate/tasks/check.py",),
-            scene=scene.scene.name if scene else None,
-            quick=quick,
-            words=("asked",),
-        )
+            kind="question", name=f"{says} of {scene.scene.name if scene else 'nothing'}", expected="it says yes.",
+            function="check_fakes:ask", arguments={"says": says}, content=scene_text(scene.scene) if scene else "",
+            sources=("validate/tasks/check.py",), scene=scene.scene.name if scene else None, quick=quick, words=("asked",),
+        )  # fmt: skip
 
     said = ["yes", "no", *_MISBEHAVIOUR]
     about = [question(says, scene) for scene in scenes for says in said]

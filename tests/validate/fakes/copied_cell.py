@@ -1,7 +1,5 @@
 """What a cell's child does instead of running it: it copies what an earlier campaign stored of it, in the folder that CELLS names."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

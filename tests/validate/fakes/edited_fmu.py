@@ -1,7 +1,5 @@
 """An FMU of ours with an edited modelDescription.xml: what offers less, or says other names."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Callable

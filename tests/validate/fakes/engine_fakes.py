@@ -3,8 +3,6 @@
 COUNTS names a folder; each run of a method leaves a file in it. `fatal` kills the process that its cell was started by, as often as KILLS says.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

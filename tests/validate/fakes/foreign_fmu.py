@@ -1,7 +1,5 @@
 """Builds somebody else's FMU for the tests from foreign_cart.c: well-behaved, or going wrong in one of ten ways."""
 
-from __future__ import annotations
-
 import subprocess
 import zipfile
 from pathlib import Path

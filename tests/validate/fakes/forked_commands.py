@@ -4,8 +4,6 @@ with forked_commands(environment) as run:
     done = run(["-m", "validate", "list"], environment)        # as subprocess.run([sys.executable, "-m", "validate", "list"], ..) would
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import json

@@ -1,7 +1,5 @@
 """A campaign's folder with spoilt files, and what goes on from one: resume, `plan`, --lf, `compare`, shared stages; and other small JSON files."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import random
@@ -93,13 +91,9 @@ def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
     """A stored leg, what it says spoilt."""
     stage = good_record()["stages"][0]
     content = {
-        "key": KEY,
-        "pipeline": "p",
-        "limit": None,
-        "profile": {},
-        "stages": [{**stage, "has_plan": False}],
+        "key": KEY, "pipeline": "p", "limit": None, "profile": {}, "stages": [{**stage, "has_plan": False}],
         "files": {"trajectory_1.nc": hashlib.sha256(_PLAN).hexdigest()},
-    }
+    }  # fmt: skip
     source = folder / "legs" / KEY
     source.mkdir(parents=True, exist_ok=True)
     (source / "trajectory_1.nc").write_bytes(_PLAN)
@@ -133,14 +127,9 @@ def read_scheduler(path: Path) -> None:
 @cache
 def _suite() -> dict[str, Any]:
     row = {
-        "stage": "solve",
-        "title": "t",
-        "by": "touchstone",
-        "n": 3,
-        "steps": 100,
-        "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
+        "stage": "solve", "title": "t", "by": "touchstone", "n": 3, "steps": 100, "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
         "memory_mib": [9.0] * 5,
-    }
+    }  # fmt: skip
     rows = [
         row,
         {**row, "by": "peer"},

@@ -8,8 +8,6 @@ process that reads it, after which hypothesis itself would be gone, is made agai
 hypothesis looks at its clock only when a test has ended.
 """
 
-from __future__ import annotations
-
 import random
 import signal
 import traceback
@@ -272,19 +270,10 @@ def _read_netcdf(path: Path) -> None:
 
 
 READERS: dict[str, Reader] = {
-    "plan CSV": Reader(_plan, _read_plan),
-    "map TOML": Reader(_map, _read_map),
-    "campaign TOML": Reader(_campaign, _read_campaign),
-    "scene file": Reader(_scene_file, _read_scene),
-    "FMU": Reader(_fmu, _read_fmu),
-    "NetCDF": Reader(_netcdf, _read_netcdf),
-    "record JSON": Reader(spoilt_campaign, read_record),
-    "campaign folder": Reader(spoilt_folder, resume),
-    "stored leg": Reader(spoilt_stored_leg, take_leg),
-    "scheduler file": Reader(spoilt_scheduler, read_scheduler),
-    "bench figures": Reader(spoilt_suite, compare_suite),
-    "foreign plan CSV": Reader(spoilt_table, read_table),
-    "library": Reader(spoilt_library, read_spoilt_library),
-    "leg of a lost run": Reader(spoilt_leg, recover),
-    "isolated answer": Reader(spoilt_answer, read_answer),
-}
+    "plan CSV": Reader(_plan, _read_plan), "map TOML": Reader(_map, _read_map), "campaign TOML": Reader(_campaign, _read_campaign),
+    "scene file": Reader(_scene_file, _read_scene), "FMU": Reader(_fmu, _read_fmu), "NetCDF": Reader(_netcdf, _read_netcdf),
+    "record JSON": Reader(spoilt_campaign, read_record), "campaign folder": Reader(spoilt_folder, resume), "stored leg": Reader(spoilt_stored_leg, take_leg),
+    "scheduler file": Reader(spoilt_scheduler, read_scheduler), "bench figures": Reader(spoilt_suite, compare_suite),
+    "foreign plan CSV": Reader(spoilt_table, read_table), "library": Reader(spoilt_library, read_spoilt_library),
+    "leg of a lost run": Reader(spoilt_leg, recover), "isolated answer": Reader(spoilt_answer, read_answer),
+}  # fmt: skip

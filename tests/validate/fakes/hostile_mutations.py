@@ -1,7 +1,5 @@
 """Seeded mutations that turn a good file into a hostile one: of text, of bytes, of nested data, of data as JSON."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random

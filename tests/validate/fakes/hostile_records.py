@@ -1,7 +1,5 @@
 """A campaign's folder with spoilt records, and all that reads one: load, results, `report` and `show`."""
 
-from __future__ import annotations
-
 import json
 import random
 from pathlib import Path
@@ -19,17 +17,9 @@ def good_record() -> dict[str, Any]:
     scene = {name: [] for name in ("coordinates", "velocities", "inputs", "contacts", "parameters", "start", "goal")}
     metric = {"name": "physics", "value": 1.0, "unit": "N^2", "meaning": "m", "question": 3, "error": 0.1, "limit": 2.0, "ok": True}
     stage = {
-        "index": 0,
-        "method": "m",
-        "method_title": "",
-        "kind": "direct",
-        "eps": 0.5,
-        "outcome": "solved",
-        "advice": "",
-        "metrics": [metric],
-        "questions": [{"number": 3, "text": "t", "answer": "yes"}],
-        "not_asked": ["n"],
-    }
+        "index": 0, "method": "m", "method_title": "", "kind": "direct", "eps": 0.5, "outcome": "solved", "advice": "", "metrics": [metric],
+        "questions": [{"number": 3, "text": "t", "answer": "yes"}], "not_asked": ["n"],
+    }  # fmt: skip
     return {
         "key": KEY, "scene": {"name": "s", "title": "", "source": "", "step": 0.01, "steps": 2, **scene}, "pipeline": "p", "pipeline_title": "",
         "stages": [{**stage, "options": {"a": 1}, "cost": 2.0, "verdict": "holds"}], "outcome": "solved", "must_hold": True, "wall_seconds": 1.0,

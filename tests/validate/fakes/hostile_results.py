@@ -1,7 +1,5 @@
 """Spoilt results - of a planner, a compiler, a cell, an isolated call - and what reads them."""
 
-from __future__ import annotations
-
 import json
 import random
 import struct
@@ -79,13 +77,9 @@ def read_spoilt_library(path: Path) -> None:
 def spoilt_leg(rng: random.Random, folder: Path) -> Path:
     """What a run that was lost left of its first leg."""
     content = {
-        "key": KEY,
-        "pipeline": "p",
-        "limit": None,
-        "profile": {"solve": 1.0},
-        "files": {},
+        "key": KEY, "pipeline": "p", "limit": None, "profile": {"solve": 1.0}, "files": {},
         "stages": [{**good_record()["stages"][0], "has_plan": False}],
-    }
+    }  # fmt: skip
     (folder / "leg_1").mkdir(exist_ok=True)
     (folder / "leg_1" / "leg.json").write_bytes(spoilt_json(rng, content))
     return folder

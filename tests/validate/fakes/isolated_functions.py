@@ -1,7 +1,5 @@
 """What isolated children are asked to do in test_isolation.py: to behave, and to misbehave."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
@@ -138,13 +136,9 @@ def where(request, arrays):
     import tempfile
 
     return [
-        os.getppid(),
-        os.getsid(0) == os.getpid(),
-        tempfile.gettempdir(),
-        os.getcwd(),
-        os.read(0, 1).decode(),
+        os.getppid(), os.getsid(0) == os.getpid(), tempfile.gettempdir(), os.getcwd(), os.read(0, 1).decode(),
         "isolated_functions" in sys.modules,
-    ]
+    ]  # fmt: skip
 
 
 def sums(request, arrays):

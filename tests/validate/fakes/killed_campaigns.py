@@ -1,7 +1,5 @@
 """Campaigns whose process is killed, or interrupted, at random moments, and what must be true of their folder at any moment, and in the end."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

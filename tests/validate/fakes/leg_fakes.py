@@ -5,8 +5,6 @@ process its cell was started by: for campaigns that run one cell at a time, or t
 run if named there.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -4,8 +4,6 @@ integrate(PythonModel(package, variables), ...)    # CVODE through scikit-sundae
 simulate(package, variables, ...)                  # validate.judge.replay.everyday.simulate with this loop in place of that of loops.c
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -202,15 +200,9 @@ class _Integration:
         if self.model.indicators:
             options = {"eventsfn": self.gaps(), "num_events": self.model.indicators}
         self.solver = CVODE(
-            self.right_hand_side(),
-            method="Adams",
-            rtol=self.rtol,
-            atol=self.absolute_tolerances(),
-            max_num_steps=STEP_LIMIT,
-            min_step=self.min_step,
-            max_step=self.max_step,
-            **options,
-        )
+            self.right_hand_side(), method="Adams", rtol=self.rtol, atol=self.absolute_tolerances(), max_num_steps=STEP_LIMIT,
+            min_step=self.min_step, max_step=self.max_step, **options,
+        )  # fmt: skip
         self.solver.init_step(time, y)
 
     def right_hand_side(self) -> Callable[[float, np.ndarray, np.ndarray], None]:

@@ -3,8 +3,6 @@
 REFUSED names a file of JSON, {"below": folder, "first": number, "last": number, "error": errno}; the number of requests is written beside it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

@@ -7,8 +7,6 @@ A line of JSON each. What the command says is in the file `told`. Cells do not r
 (copied_cell.py).
 """
 
-from __future__ import annotations
-
 import ctypes
 import importlib
 import json

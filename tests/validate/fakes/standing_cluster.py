@@ -1,7 +1,5 @@
 """A Dask scheduler and workers that stand by themselves, as on a cluster, and waiting for what comes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """CVODE by the addresses of its functions: the bits of scikit-sundae's own CVODE, its failures in words, and where it is looked for."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from pathlib import Path
@@ -40,12 +38,8 @@ def zeros(time: float, y: Any) -> list[float]:
 
 def made(method: tuple[int, int], y: np.ndarray, **more: Any) -> Cvode:
     given: dict[str, Any] = {
-        "rtol": 1e-8,
-        "absolute": np.array([1e-9, 2e-9, 3e-9]),
-        "min_step": 1e-14,
-        "max_step": 0.25,
-        "max_steps": 10_000,
-    }
+        "rtol": 1e-8, "absolute": np.array([1e-9, 2e-9, 3e-9]), "min_step": 1e-14, "max_step": 0.25, "max_steps": 10_000,
+    }  # fmt: skip
     return Cvode(method, y, rates=filling(swing, 3, True), indicators=filling(zeros, 2, False), count=2, **(given | more))
 
 

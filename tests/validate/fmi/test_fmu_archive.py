@@ -1,7 +1,5 @@
 """What is let in as an FMU: every other file is refused by its own sentence, before anything is unpacked."""
 
-from __future__ import annotations
-
 import hashlib
 import stat
 import zipfile
@@ -104,7 +102,7 @@ def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, w
 @pytest.mark.parametrize(
     ("entries", "check", "words"),
     [
-        ({LIBRARY: b"x"}, "description", "it has no modelDescription.xml, so it is no FMU"),
+        ({LIBRARY: b"x"}, "description", "no modelDescription.xml"),
         ({f"m/{DESCRIPTION}": GOOD}, "description", "must lie at the top"),
         ({DESCRIPTION: "<fmiModelDescription", LIBRARY: b"x"}, "description", "not well-formed"),
         ({DESCRIPTION: "", LIBRARY: b"x"}, "description", "not well-formed"),
@@ -287,7 +285,7 @@ def test_only_what_is_wanted_is_unpacked_and_only_what_was_checked(tmp_path: Pat
     unpack(archive, tmp_path / "out", leave_out=("sources/", "documentation/"))
     assert sorted(item.name for item in (tmp_path / "out").rglob("*") if item.is_file()) == ["m.so", DESCRIPTION, "sourcesc"]
     write(path, {DESCRIPTION: GOOD, LIBRARY: b"xy", "sources/a.c": "int a;", "documentation/b": "b", "sourcesc": "c"})
-    with pytest.raises(ArchiveError, match="the file changed while it was read"):
+    with pytest.raises(ArchiveError, match="changed while it was read"):
         unpack(archive, tmp_path / "again")
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(MachineError, match=r"cannot be unpacked to .*file \(.+\); make room there"):

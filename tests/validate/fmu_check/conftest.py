@@ -1,7 +1,5 @@
 """FMUs with a seeded defect: the exporter's own sources and description, changed at one place, compiled and packed anew."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache

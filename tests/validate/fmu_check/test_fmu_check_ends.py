@@ -1,7 +1,5 @@
 """An FMU that ends the simulation itself is run again, and shorter: that is no failure. One that never makes a step is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A look that falls exactly on an event is no alarm: a damped contact whose force jumps at the touch, timed to the look."""
 
-from __future__ import annotations
-
 import pytest
 import sympy as sp
 

@@ -1,7 +1,5 @@
 """A few hostile files for every reader: each is read or refused in a sentence; `python -m benchmarks fuzz readers` tries thousands."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from random import Random

@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 from scipy.linalg import expm
 from scipy.optimize import brentq
+from wording import unsaid
 
 from models.scene import Contact, Coordinate, Friction, Input, Parameter, Scene, Task, goal_limits
 from models.scene.contacts import DampingLaw
@@ -112,17 +113,9 @@ PLANS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", PLANS)
 def test_an_exact_plan_holds(name: str):
     plan = {
-        "mass": 1.0,
-        "drag": 2.0,
-        "damping": 0.0,
-        "push": 4.0,
-        "h": 0.02,
-        "steps": 100,
-        "says": "qv",
-        "since": 0.0,
-        "inputs": True,
-        **PLANS[name],
-    }
+        "mass": 1.0, "drag": 2.0, "damping": 0.0, "push": 4.0, "h": 0.02, "steps": 100, "says": "qv", "since": 0.0,
+        "inputs": True, **PLANS[name],
+    }  # fmt: skip
     t = plan["h"] * np.arange(plan["steps"] + 1)
     body = {"mass": plan["mass"], "drag": plan["drag"], "k_wall": plan["k"], "damping": plan["damping"]}
     pushes = bang(t, plan["push"], 1.2) if plan["inputs"] else np.zeros(len(t) - 1)
@@ -168,4 +161,4 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
     assert found.verdict.value == "holds", str(found)
     wrong = judge(scene, {"t": t, "q": place, "v": speed, "friction_rail": np.where(np.arange(steps) > steps - 20, 1.0, said)})
     assert wrong.verdict.value == "violates"
-    assert "needs a force that neither inputs nor contact give" in wrong.score.why
+    assert not unsaid(wrong.score.why, "neither inputs nor contact give")

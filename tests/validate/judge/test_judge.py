@@ -1,7 +1,5 @@
 """`judge(scene, plan)`: every form of a plan gives the same verdict; what it declares counts; mistakes are one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
@@ -97,11 +96,9 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     told = judge(scene, given)
     assert told.verdict is Verdict.HOLDS, told
     assert told.holds
-    assert repr(told).startswith("holds: every question asked is answered yes; closest to its limit:")
-    assert told.plan is not None
+    assert not unsaid(repr(told), "holds: every question … closest to its limit:")
     assert (told.plan.scheme, told.plan.missing) == (None, {"lam"})
     assert told.score.value("replay_error") == pytest.approx(judge(scene, plan).score.value("replay_error"), rel=1e-9)
-    assert told.replay is not None
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
@@ -129,7 +126,7 @@ def test_a_scene_is_given_by_name_too():
     for scheme in (None, "semi_implicit_euler"):
         told = judge("three_cart", rest, scheme=scheme)
         assert told.verdict is Verdict.VIOLATES
-        assert told.score.why.startswith("the plan itself ends 0.866 m from the goal, limit 0.05")  # sqrt(3) times half a metre
+        assert not unsaid(told.score.why, "plan itself ends 0.866 m … limit 0.05")  # sqrt(3) times half a metre
         assert "step" not in told.score.why
         assert "driven" not in told.score.why
         assert told.score.metric("replay_error").ok is True
@@ -150,13 +147,12 @@ def test_where_the_other_hold_passes_the_sentence_names_it(held, lines, hold: Ho
     told = judge(scene, replace(plan, hold=hold))
     assert told.verdict is Verdict.VIOLATES
     other = "linear" if hold is Hold.ZERO_ORDER else "zero"
-    assert f"with its inputs held the other way it does not: declare `# hold: {other}`" in told.score.why
+    assert not unsaid(told.score.why, f"held the other way … declare `# hold: {other}`")
 
 
 def test_a_last_input_beyond_the_bounds_counts_only_where_it_is_applied(held, lines):
     for (scene, plan), ok in ((held, True), (lines, False)):
         metric = judge(scene, replace(plan, u_end=np.array([10.5, 0.0]))).score.metric("bound_violation")
-        assert metric is not None
         assert metric.ok is ok
 
 
@@ -189,9 +185,7 @@ def test_an_exact_plan_that_claims_another_programs_step_is_refused_its_claim(he
     assert told.score.metric("defect").ok is None, "it does not say its forces"
     assert told.score.metric("law_error").ok is False
     assert "relaxed" not in told.score.why
-    assert (
-        "its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out" in told.score.why
-    )
+    assert not unsaid(told.score.why, "leave the declaration of the scheme out")
 
 
 @pytest.mark.slow
@@ -215,9 +209,9 @@ def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
         ({"u1": None}, {}, "the column 'u1' is missing"),
         ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
         ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
-        ({}, {"hold": "cubic"}, "the hold 'cubic' is unknown; it is zero or linear."),
+        ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
         ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
-        ({}, {"hold": ["zero"]}, "the hold ['zero'] is unknown; it is zero or linear."),
+        ({}, {"hold": ["zero"]}, "hold ['zero'] … zero or linear"),
         ({}, {"scheme": 3}, "the scheme 3 is unknown"),
     ],
 )
@@ -226,15 +220,15 @@ def test_a_mistake_is_one_sentence(held, change: dict, arguments: dict, words: s
     given = {name: values for name, values in (columns(scene, plan) | change).items() if values is not None}
     with pytest.raises(TrajectoryError) as caught:
         judge(scene, given, **arguments)
-    assert words in str(caught.value)
+    assert not unsaid(caught.value, words)
     assert "\n" not in str(caught.value)
 
 
 def test_what_is_no_plan_is_told_so(held):
     scene, plan = held
-    with pytest.raises(TrajectoryError, match=r"an? int is no plan; give the path"):
+    with pytest.raises(TrajectoryError, match=r"an? int is no plan; give"):
         judge(scene, 7)
-    with pytest.raises(TrajectoryError, match="a Trajectory says its own hold and scheme"):
+    with pytest.raises(TrajectoryError, match="a Trajectory says its own"):
         judge(scene, plan, scheme="semi_implicit_euler")
     with pytest.raises(TrajectoryError, match="scene three_cart has 2 inputs"):
         judge(scene, replace(plan, u=np.zeros((STEPS, 3)), u_end=None))
@@ -242,18 +236,16 @@ def test_what_is_no_plan_is_told_so(held):
 
 @pytest.mark.parametrize("scene", [None, 3, load_scene])
 def test_what_is_no_scene_is_told_so(held, scene):
-    with pytest.raises(
-        SceneError, match=r"scene: an? (NoneType|int|function) is no scene; give the name of one, the path of its file or a Scene"
-    ):
+    with pytest.raises(SceneError, match=r"scene: an? (NoneType|int|function) is no scene; give"):
         judge(scene, held[1])
 
 
 def test_a_file_that_says_its_own_scheme_is_not_asked_for_another(held, tmp_path: Path):
     scene, plan = held
     write_netcdf(tmp_path / "plan.nc", plan, scene)
-    with pytest.raises(TrajectoryError, match="a NetCDF file says its own hold and scheme"):
+    with pytest.raises(TrajectoryError, match="a NetCDF file says its own"):
         judge(scene, tmp_path / "plan.nc", scheme="semi_implicit_euler")
-    with pytest.raises(TrajectoryError, match="its trajectory is a str, but must be a Trajectory, or None"):
+    with pytest.raises(TrajectoryError, match="trajectory is a str, but must"):
         judge(scene, SimpleNamespace(trajectory="plan.csv"))
 
 
@@ -302,7 +294,7 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
     ):
         with pytest.raises(TrajectoryError) as caught:
             as_trajectory(wrong, scene)
-        assert words in str(caught.value)
+        assert not unsaid(caught.value, words)
 
 
 @pytest.mark.slow
@@ -312,7 +304,6 @@ def test_our_methods_declare_their_scheme():
     scene = load_scene("three_cart")
     with load_method("strict_lcp").open(scene, {}) as session:
         plan = session.solve(eps=None, warm_start=None, time_limit=60.0).trajectory
-    assert plan is not None
     assert plan.scheme is Scheme.SEMI_IMPLICIT_EULER
     told = judge(scene, plan)
     assert told.verdict is Verdict.HOLDS, told
@@ -351,9 +342,7 @@ def answered(motion: str, verdict: Verdict) -> Any:
         (Hold.ZERO_ORDER, None, 1, "no", Verdict.HOLDS_WITH_FEEDBACK, False),
     ],
 )
-def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(
-    hold: Hold, scheme: Scheme | None, inputs: int, motion: str, verdict: Verdict, again: bool, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hold, scheme, inputs, motion, verdict, again, monkeypatch):
     nodes = np.zeros((3, 1))
     plan = Trajectory(t=uniform_grid(0.5, 2), q=nodes, v=nodes, u=np.zeros((2, inputs)), lam=np.zeros((2, 0)), hold=hold, scheme=scheme)
     replays: list[Any] = []
@@ -393,9 +382,9 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
     assert run.keywords == {"limits": module.Limits(seconds=2.0)}
     assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
-    with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: there is no metric of that name \(near it: replay_error"):
+    with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: .*no metric.*\(near it: replay_error"):
         judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml")
-    with pytest.raises(TrajectoryError, match="plan: a int has no names for the variables of an FMU"):
+    with pytest.raises(TrajectoryError, match="plan: a int has no names"):
         judge_fmu(Path("a.fmu"), 7)
 
 
@@ -409,7 +398,6 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
     monkeypatch.setattr(module, "score", lambda *given, **named: SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics=given[2]))
     monkeypatch.setattr(module, "wants_feedback", lambda metrics: f"wanted of {metrics}")
     found = module.judge_trajectory(scene, Path("a.fmu"), plan, feedback=feedback, limits=None)
-    assert found.plan is not None
     assert (found.plan.t.tolist(), found.replay) == ([0.0, 0.5, 1.0], "replay")
     track = tracks[0][1]["track"]
     assert (track is True) is feedback
@@ -445,8 +433,6 @@ def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):
     write_csv(tmp_path / "plan.csv", plan, scene)
     for path in (tmp_path / "plan.nc", tmp_path / "plan.csv", str(tmp_path / "plan.nc"), str(tmp_path / "plan.csv")):
         found = as_trajectory(path, scene)
-        assert found is not None
         assert (found.q.tolist(), found.v.tolist(), found.u.tolist()) == (plan.q.tolist(), plan.v.tolist(), plan.u.tolist())
     linear = as_trajectory(tmp_path / "plan.csv", scene, hold="zero", scheme="semi_implicit_euler")
-    assert linear is not None
     assert (linear.hold, linear.scheme) == (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER)

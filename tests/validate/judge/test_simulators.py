@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.errors import MachineError, UnknownNameError
@@ -16,18 +17,9 @@ from validate.judge.simulator import Came, CannotExpressError, Drive, describe_e
 
 # Scenes that MuJoCo is told whole, and how near it comes to our replay at a fiftieth of the task's step [m, rad]: the tip of a cart-pole meets a constraint.
 EXPRESSED = {
-    "three_cart": 1e-7,
-    "cart_chain": 1e-7,
-    "two_discs": 1e-5,
-    "two_discs_wall": 1e-5,
-    "bouncing_mass": 1e-7,
-    "two_body_collision": 1e-7,
-    "transport": 1e-6,
-    "hopper": 1e-5,
-    "wall_pendulum": 1e-7,
-    "acrobot_limits": 1e-7,
-    "cart_pole_walls": 1e-3,
-}
+    "three_cart": 1e-7, "cart_chain": 1e-7, "two_discs": 1e-5, "two_discs_wall": 1e-5, "bouncing_mass": 1e-7, "two_body_collision": 1e-7, "transport": 1e-6,
+    "hopper": 1e-5, "wall_pendulum": 1e-7, "acrobot_limits": 1e-7, "cart_pole_walls": 1e-3,
+}  # fmt: skip
 
 
 def drive(name: str, parts: int = 50) -> Drive:
@@ -57,7 +49,7 @@ def test_a_package_that_is_missing_is_said(monkeypatch):
     monkeypatch.setattr(simulator.importlib.util, "find_spec", lambda name: None)
     answer = run_engine("mujoco", [drive("wall_pendulum")])
     assert answer.came is Came.MISSING
-    assert answer.why == "engine mujoco: the package mujoco is not installed; pip install -e '.[engines]'"
+    assert not unsaid(answer.why, "engine mujoco: … not installed; pip install -e '.[engines]'")
     with pytest.raises(MachineError, match="not installed"):
         load_engine("mujoco")
 
@@ -104,7 +96,7 @@ def test_mujoco_says_what_it_cannot_express():
     pytest.importorskip("mujoco")
     answer = run_engine("mujoco", [drive("damped_collision", 1)])
     assert answer.came is Came.CANNOT
-    assert "contact bumper: MuJoCo has no damping that grows with the depth" in answer.why
+    assert not unsaid(answer.why, "contact bumper: MuJoCo has no damping")
 
 
 def test_a_motion_that_diverges_is_told_as_such():
@@ -135,4 +127,4 @@ def test_an_engine_that_crashes_hangs_or_raises_is_a_row(monkeypatch, tmp_path, 
     )
     answer = run_engine("fmu", [drive("wall_pendulum", 1)], limits=Limits(seconds=5.0))
     assert answer.came is Came.FAILED
-    assert words in answer.why
+    assert not unsaid(answer.why, words)

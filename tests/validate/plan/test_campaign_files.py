@@ -1,11 +1,10 @@
 """Campaign files: every mistake told with its place, changes and sweeps in the keys, the resolved file runs again to the same cells."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
@@ -43,27 +42,15 @@ stage_options = [{}, {}]
 """
 # Where each mistake of it is, and what is said there.
 TOLD = {
-    "titel": "did you mean title?",
-    "time_limit": "greater than 0, not -3",
-    "pipelines[0]": "did you mean strict?",
-    "pipelines[3]": "stands there twice",
-    "seeds[0]": "valid integer, not 1.5",
-    "scenes[0].scene": "did you mean three_cart?",
-    "scenes[1].parameters.kk": "did you mean k?",
-    "scenes[1].parameters.d": "-1 m lies outside its range",
-    "scenes[1].parameters.c[0]": "valid number, not 'a'",
-    "scenes[1].start.q9": "there are q1, q2, q3, v1, v2, v3.",
-    "scenes[1].goal.q1[0]": 'a number, or "free"',
-    "scenes[1].steps[0]": "greater than or equal to 1",
-    "scenes[1].limits.defect.value": "it is missing",
-    "scenes[1].limits.defect.valu": "did you mean value?",
-    "pipeline.mine.legs[0].method": "did you mean softplus_gd?",
-    "pipeline.mine.legs[1].eps": "needs a schedule",
-    "pipeline.mine.legs[1].options.max_iteration": "did you mean max_iterations?",
-    "pipeline.mine.legs[1].options.max_iterations": "must be a whole number",
-    "pipeline.mine.legs[2].eps[0]": "takes no eps",
-    "pipeline.mine.legs[2].stage_options": "for 2 stages, but there is 1",
-}
+    "titel": "did you mean title?", "time_limit": "greater than 0, not -3", "pipelines[0]": "did you mean strict?", "pipelines[3]": "stands there twice",
+    "seeds[0]": "valid integer, not 1.5", "scenes[0].scene": "did you mean three_cart?", "scenes[1].parameters.kk": "did you mean k?",
+    "scenes[1].parameters.d": "-1 m lies outside its range", "scenes[1].parameters.c[0]": "valid number, not 'a'",
+    "scenes[1].start.q9": "there are q1, q2, q3, v1, v2, v3.", "scenes[1].goal.q1[0]": 'a number, or "free"',
+    "scenes[1].steps[0]": "greater than or equal to 1", "scenes[1].limits.defect.value": "it is missing", "scenes[1].limits.defect.valu": "did you mean value?",
+    "pipeline.mine.legs[0].method": "did you mean softplus_gd?", "pipeline.mine.legs[1].eps": "needs a schedule",
+    "pipeline.mine.legs[1].options.max_iteration": "did you mean max_iterations?", "pipeline.mine.legs[1].options.max_iterations": "must be a whole number",
+    "pipeline.mine.legs[2].eps[0]": "takes no eps", "pipeline.mine.legs[2].stage_options": "for 2 stages, but there is 1",
+}  # fmt: skip
 
 
 def written(folder: Path, text: str) -> Path:
@@ -101,29 +88,22 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scenes = []", "scenes: list should have at least 1 item"),
-        ("", "scenes: it is missing"),
-        ("scenes = [3]", "scenes[0]"),
-        ('scenes = ["own/scene.py"]', "there is no such file"),
-        ('scenes = ["three_cart", "three_cart"]', "2 of them are called 'three_cart'"),
+        ("scenes = []", "scenes: … at least 1 item"), ("", "scenes: it is missing"), ("scenes = [3]", "scenes[0]"),
+        ('scenes = ["own/scene.py"]', "there is no such file"), ('scenes = ["three_cart", "three_cart"]', "2 of them are called 'three_cart'"),
         ('scenes = [{ scene = "three_cart", name = "hopper", steps = 3 }]', "is a scene of ours"),
         ('scenes = [{ scene = "three_cart", name = "../x" }]', "scenes[0].name"),
         ('scenes = [{ scene = "three_cart", steps = [1, 2, 3], step = [0.1, 0.2], sweep = "together" }]', "but theirs are 3, 2"),
         ('scenes = [{ scene = "three_cart", parameters = { k = 1e400 } }]', "scenes[0].parameters.k[0]"),
         ('scenes = [{ scene = "three_cart", parameters = { k = true } }]', "valid number, not True"),
-        ('scenes = ["three_cart"]\nseeds = [1]', "name the pipelines"),
-        ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "none of these pipelines draws at random"),
+        ('scenes = ["three_cart"]\nseeds = [1]', "name the pipelines"), ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "draws at random"),
         ('scenes = ["three_cart"]\n[pipeline.strict]\nlegs = [{ method = "strict_lcp" }]', "it is a pipeline of ours"),
-        (
-            'scenes = ["three_cart"]\n[pipeline.x]\nlegs = [{ method = "mpcc", options = { search = { a = 1 } } }]',
-            "an option is true, false",
-        ),
+        ('scenes = ["three_cart"]\n[pipeline.x]\nlegs = [{ method = "mpcc", options = { search = { a = 1 } } }]', "an option is true, false"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence(tmp_path, text, words):
     with pytest.raises(ConfigError) as caught:
         read(tmp_path, text)
-    assert words in str(caught.value)
+    assert not unsaid(caught.value, words)
     assert "\n" not in str(caught.value)
 
 
@@ -160,15 +140,9 @@ def test_product_and_together(tmp_path):
 
 
 CHANGED = [
-    "parameters = { k = 31 }",
-    "parameters = { k = 30.000000001 }",
-    "steps = 40",
-    "step = 0.02",
-    "start = { q1 = 2.25 }",
-    'goal = { q1 = "free" }',
-    "limits = { replay_error = 0.5 }",
-    'limits = { replay_error = { value = 0.5, reason = "another" } }',
-]
+    "parameters = { k = 31 }", "parameters = { k = 30.000000001 }", "steps = 40", "step = 0.02", "start = { q1 = 2.25 }", 'goal = { q1 = "free" }',
+    "limits = { replay_error = 0.5 }", 'limits = { replay_error = { value = 0.5, reason = "another" } }',
+]  # fmt: skip
 
 
 def test_whatever_is_changed_is_part_of_the_key(tmp_path):

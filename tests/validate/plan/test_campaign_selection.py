@@ -14,30 +14,13 @@ NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
 @pytest.mark.parametrize(
     ("expression", "expected"),
     [
-        ("strict", True),
-        ("STRICT", True),
-        ("softplus_dc+strict", True),
-        ("relaxed", False),
-        ("not relaxed", True),
-        ("strict and relaxed", False),
-        ("strict and not relaxed", True),
-        ("relaxed or three", True),
-        ("relaxed or gd and strict", False),
-        ("(relaxed or strict) and three", True),
-        ("not (relaxed or strict)", False),
-        ("not not strict", True),
-        ("strict or relaxed", True),
-        ("relaxed or strict or relaxed", True),
-        ("=strict", False),
-        ("=strict_lcp", True),
-        ("=STRICT_LCP and not =strict", True),
-        ('="the ""title"" of it"', True),
-        ('="the title"', False),
-        ('="strict_lcp"', True),
-        ("title", False),
-        ('="', False),
+        ("strict", True), ("STRICT", True), ("softplus_dc+strict", True), ("relaxed", False), ("not relaxed", True), ("strict and relaxed", False),
+        ("strict and not relaxed", True), ("relaxed or three", True), ("relaxed or gd and strict", False), ("(relaxed or strict) and three", True),
+        ("not (relaxed or strict)", False), ("not not strict", True), ("strict or relaxed", True), ("relaxed or strict or relaxed", True), ("=strict", False),
+        ("=strict_lcp", True), ("=STRICT_LCP and not =strict", True), ('="the ""title"" of it"', True), ('="the title"', False), ('="strict_lcp"', True),
+        ("title", False), ('="', False),
     ],
-)
+)  # fmt: skip
 def test_expressions(expression, expected):
     assert matches(expression, NAMES, 'The "title" of it') is expected
 

@@ -1,7 +1,5 @@
 """What is possible in a scene but hardly meant is told before anything runs; the bank gives no cause."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -74,7 +72,7 @@ def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, wrong_sign, ar
     assert run([word.format(scene=wrong_sign, folder=tmp_path) for word in arguments]) in (0, 1)
     said = capsys.readouterr().err
     assert said.startswith("warning: scene wrong_sign: contact wall is ")
-    assert "is the sign of its penetration right?" in said
+    assert not unsaid(said, "sign of its penetration right?")
     assert said.count("\n") == 1
 
 
@@ -85,5 +83,5 @@ def test_a_doubt_goes_into_json_too(tmp_path, capsys, wrong_sign):
     assert run([word.format(scene=wrong_sign, folder=tmp_path) for word in (*REPLAY, "--json")]) in (0, 1)
     out, err = capsys.readouterr()
     (warning,) = json.loads(out)["warnings"]
-    assert "is the sign of its penetration right?" in warning
+    assert not unsaid(warning, "sign of its penetration right?")
     assert err == ""

@@ -1,7 +1,5 @@
 """A step past its stability limit is told before anything runs, stored with the campaign and shown in the report."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The store: whole folders only, nothing lost, and what of it can be used again."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -48,14 +46,10 @@ def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -
 @pytest.mark.parametrize(
     ("outcome", "time_limit", "used_again"),
     [
-        ("solved", 600.0, True),
-        ("infeasible", 600.0, True),
-        ("refused", 600.0, True),
-        ("crashed", 600.0, False),
-        ("time_limit", 600.0, True),
+        ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True), ("crashed", 600.0, False), ("time_limit", 600.0, True),
         ("time_limit", 599.0, False),
     ],
-)
+)  # fmt: skip
 def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
     store = Store(tmp_path)
     _stored(store, entry, _record(entry, outcome), time_limit)

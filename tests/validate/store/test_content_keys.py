@@ -1,7 +1,5 @@
 """The key of a cell: another one for every option, eps, order and scene, the same for the same."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform
@@ -100,15 +98,10 @@ def _sources_with(changed: str) -> dict[str, str]:
 SOURCES = provenance._source_digests()
 # A file of ours, and whether it decides: a run of strict_lcp, a check of nothing but models/fmu, one that names no sources, which has all.
 DECIDES = {
-    "models/fmu/package.py": (True, True, True),
-    "models/dynamics.py": (True, False, True),
-    "formulations/methods/strict_lcp.py": (True, False, False),
-    "formulations/methods/mpcc.py": (False, False, False),
-    "models/scenes/three_cart.py": (False, False, False),
-    "validate/tasks/check.py": (False, True, True),
-    "validate/judge/score/measures.py": (True, False, True),
-    "reports/records/record.py": (True, True, True),
-}
+    "models/fmu/package.py": (True, True, True), "models/dynamics.py": (True, False, True), "formulations/methods/strict_lcp.py": (True, False, False),
+    "formulations/methods/mpcc.py": (False, False, False), "models/scenes/three_cart.py": (False, False, False), "validate/tasks/check.py": (False, True, True),
+    "validate/judge/score/measures.py": (True, False, True), "reports/records/record.py": (True, True, True),
+}  # fmt: skip
 
 
 @pytest.mark.slow

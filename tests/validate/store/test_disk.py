@@ -1,7 +1,5 @@
 """What is said of a disk that refuses, and of which errors it is said."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

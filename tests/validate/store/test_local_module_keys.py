@@ -1,7 +1,5 @@
 """A cell is run again when a module changes that its scene's file imports from beside it, in whatever folder the campaign is started."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """results.csv: a row in which every value is another, read back column by column; rows without a replay, without a run, without a value."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path
@@ -87,13 +85,9 @@ def test_what_is_not_known_is_empty(template: RunRecord):
     )  # fmt: skip
     first, second = read(tables([run_of(template, refused, stage(index=1))], (), ())[RESULTS])
     known = {
-        "scene": "three_cart",
-        "pipeline": "relaxed+strict",
-        "stage": "1",
-        "method": "relaxed_lcp",
-        "outcome": "refused",
+        "scene": "three_cart", "pipeline": "relaxed+strict", "stage": "1", "method": "relaxed_lcp", "outcome": "refused",
         "verdict": "not applicable",
-    }
+    }  # fmt: skip
     assert {name: value for name, value in first.items() if value} == known
     assert second["stage"] == "2"
     assert rows([run_of(template, refused)])[0]["iterations"] is None

@@ -1,7 +1,5 @@
 """Disks that refuse: at each thing the store asks of the system, one after the other; and campaigns that write into one folder at once."""
 
-from __future__ import annotations
-
 import builtins
 import errno
 import itertools

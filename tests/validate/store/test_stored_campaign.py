@@ -1,7 +1,5 @@
 """What a folder says of the campaign that it holds: which of its runs failed, and whether its records are of this version."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

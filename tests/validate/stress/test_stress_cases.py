@@ -43,19 +43,10 @@ CHEAP: dict[str, dict[str, object]] = {
 def record_of(name: str, found: Found) -> CheckRecord:
     """The record that a campaign would store, through JSON and back."""
     record = CheckRecord(
-        key="0" * 64,
-        kind="stress case",
-        name=heading(name),
-        expected=describe_case(name).expected,
-        outcome="answered",
-        passed=found.passed,
-        found=found.sentence,
-        figures=found.figures,
-        wall_seconds=1.0,
-        cpu_seconds=1.0,
-        provenance=gather("a test"),
-        **found.details,
-    )
+        key="0" * 64, kind="stress case", name=heading(name), expected=describe_case(name).expected, outcome="answered",
+        passed=found.passed, found=found.sentence, figures=found.figures, wall_seconds=1.0, cpu_seconds=1.0,
+        provenance=gather("a test"), **found.details,
+    )  # fmt: skip
     return CheckRecord.model_validate_json(record.model_dump_json())
 
 
@@ -108,18 +99,12 @@ def test_an_unknown_case_is_named():
 @pytest.mark.parametrize(
     ("figure", "ok"),
     [
-        (at_most("error", 1.0, 1.0, reason="r"), True),
-        (at_most("error", 1.1, 1.0, reason="r"), False),
-        (at_most("error", math.nan, 1.0, reason="r"), False),
-        (at_most("error", -math.inf, 1.0, reason="r"), False),
-        (at_least("order", 1.9, 2.0, reason="r"), False),
-        (at_least("order", 2.0, 2.0, reason="r"), True),
-        (none_of("wrong", ["one thing"], reason="r"), False),
-        (none_of("wrong", [], reason="r"), True),
-        (unlimited("only told", 5.0), None),
-        (unlimited("only told", math.nan), False),
+        (at_most("error", 1.0, 1.0, reason="r"), True), (at_most("error", 1.1, 1.0, reason="r"), False), (at_most("error", math.nan, 1.0, reason="r"), False),
+        (at_most("error", -math.inf, 1.0, reason="r"), False), (at_least("order", 1.9, 2.0, reason="r"), False),
+        (at_least("order", 2.0, 2.0, reason="r"), True), (none_of("wrong", ["one thing"], reason="r"), False), (none_of("wrong", [], reason="r"), True),
+        (unlimited("only told", 5.0), None), (unlimited("only told", math.nan), False),
     ],
-)
+)  # fmt: skip
 def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
     assert figure.ok is ok
 

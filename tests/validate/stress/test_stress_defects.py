@@ -86,20 +86,8 @@ def test_contacts_whose_order_matters(monkeypatch):
 
 @pytest.mark.slow
 def test_a_goal_out_of_reach_that_is_called_solved(monkeypatch):
-    load = h10_out_of_reach.load_method
-
-    class Liar:
-        def __init__(self, method):
-            self.method = method
-
-        def open(self, scene):
-            session = self.method.open(scene)
-            solve = session.solve
-            session.solve = lambda **given: replace(solve(**given), outcome=Outcome.SOLVED)
-            return session
-
     monkeypatch.setattr(h10_out_of_reach, "METHODS", {"strict_lcp": None})
-    monkeypatch.setattr(h10_out_of_reach, "load_method", lambda name: Liar(load(name)))
+    changed(monkeypatch, h10_out_of_reach, lambda solution: replace(solution, outcome=Outcome.SOLVED))
     finding = h10_out_of_reach.measure()
     assert "do not say so" in broken(finding)
     assert "hands back a plan" in finding.figures[0].meaning

@@ -1,7 +1,5 @@
 """A pipeline in parts: one cell a part, one row of results; certificates from the campaign's own judge; starts.csv and front.csv."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Cells that are no scene x pipeline: selected, run in children, stored, resumed and judged as other cells are."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -69,7 +67,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert done.returncode == 1
     failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failing) == 6
-    assert "fails: question: no of three_cart: failed - it says no." in failing
+    assert not unsaid(failing, "no of three_cart: failed - it says no.")
     assert [line for line in failing if not unsaid(line, "question: refuse of three_cart", "says why it cannot")]
     assert re.search(r"\[\d/8\] question: yes of three_cart: passed, .*it says yes", done.stderr)
     assert "only_good" in (out / "results.csv").read_text()
@@ -115,13 +113,9 @@ def test_equal_content_has_equal_keys_and_other_content_another():
     key = check_key(_check())
     assert key == check_key(_check(time_limit=3.0, words=("w",), quick=False, scene="s"))
     others = [
-        _check(name="m"),
-        _check(arguments={"a": 2}),
-        _check(content=scene_text(load_scene("three_cart"))),
-        _check(sources=("validate/judge/replay/",)),
-        _check(sources=()),
-        _check(function="f:h"),
-    ]
+        _check(name="m"), _check(arguments={"a": 2}), _check(content=scene_text(load_scene("three_cart"))),
+        _check(sources=("validate/judge/replay/",)), _check(sources=()), _check(function="f:h"),
+    ]  # fmt: skip
     keys = {key, *(check_key(other) for other in others)}
     assert len(keys) == len(others) + 1
 

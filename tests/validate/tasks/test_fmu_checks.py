@@ -1,7 +1,5 @@
 """Our own FMUs as cells of a campaign: exported, checked, stored, told."""
 
-from __future__ import annotations
-
 import csv
 import json
 import time

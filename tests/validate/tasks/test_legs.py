@@ -1,7 +1,5 @@
 """A leg that several pipelines of a scene have runs once, and gives the same numbers as if it had run in each."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -160,7 +158,6 @@ def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
     (late,) = (path.name for path in (lost.out / "legs").iterdir() if path.name.endswith("s"))
     key, scene = late.rpartition("-")[0], load_scene("three_cart")
     taken = take(lost.out / "legs", key, 12.0, 1, tmp_path / "leg_1", scene)
-    assert taken is not None
     assert taken[0].limit == 12.0
     for limit in (24.0, None):  # with more time it is run again; later in a path it says nothing
         assert take(lost.out / "legs", key, limit, 1, tmp_path / "leg_2", scene) is None
@@ -215,7 +212,6 @@ def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     scene, stored = load_scene("three_cart"), tmp_path / "legs"
     leg = next(path for path in sorted(stored.iterdir()) if (path / "trajectory_3.nc").exists())
     good = take(stored, leg.name, None, 3, tmp_path / "leg_1", scene)
-    assert good is not None
     assert len(good[0].stages) == 3
     assert {path.name for path in (tmp_path / "leg_1").iterdir()} == {path.name for path in leg.iterdir()}
     content = json.loads((leg / "leg.json").read_text())

@@ -1,7 +1,5 @@
 """Where the wall time of a cell goes: nothing is left out, and nothing is counted twice."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

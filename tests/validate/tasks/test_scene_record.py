@@ -1,7 +1,5 @@
 """A scene as the report shows it: each quantity with its own words, each equation as it is written by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """What a method hands back is looked at before anybody believes it: its type, its outcome, its shapes, and how long its plan lasts."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path
@@ -47,9 +45,7 @@ def test_a_plan_on_another_grid_of_the_same_duration_is_taken():
 def test_a_plan_that_takes_its_time_is_refused():
     """Any damped scene comes to rest if one waits: the goal belongs to the task's end."""
     task = load_scene("wall_pendulum").task
-    with pytest.raises(
-        TrajectoryError, match=f"it lasts {100 * task.horizon:.6g} s, but the task of scene wall_pendulum {task.horizon:.6g} s"
-    ):
+    with pytest.raises(TrajectoryError, match=f"lasts {100 * task.horizon:.6g} s, .*wall_pendulum {task.horizon:.6g} s"):
         run(Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(100 * task.step, task.steps)))
 
 
@@ -139,9 +135,7 @@ def test_exact_plans_can_be_certified():
     assert not stage(Kind.INDIRECT, True, True).can_be_certified
 
 
-def test_each_method_is_opened_once_before_anything_is_timed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-):
+def test_each_method_is_opened_once_before_anything_is_timed(monkeypatch, capsys, tmp_path):
     log: list[Any] = []
     monkeypatch.setattr(module, "progress", lambda folder, text: log.append((folder, text)))
 

@@ -1,7 +1,5 @@
 """A record says what its source says, field by field, with values that all differ; what is not known is not 0."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -94,15 +92,9 @@ def error(by: float) -> ReplayError:
         Difference(position=by + n, state=by + 10 * n, gap=by + 100 * n) for n in range(1, 7)
     )
     return ReplayError(
-        estimate=estimate,
-        tolerance=tolerance,
-        step=step,
-        everyday=everyday,
-        rollback=rollback,
-        lag=lag,
-        step_source="second run",
+        estimate=estimate, tolerance=tolerance, step=step, everyday=everyday, rollback=rollback, lag=lag, step_source="second run",
         step_ratio=4.0,
-    )
+    )  # fmt: skip
 
 
 def solution(**changes: Any) -> Solution:
@@ -201,7 +193,6 @@ def test_the_replay_with_feedback_stands_beside_the_open_one():
     growth = Growth(amplification=math.exp(6.0), begin=0.0, end=1.0, duration=2.0)
     judged = Judged(score=scored(judged="feedback"), replay=replay(tracked=followed, growth=growth, message="a word"))
     found = recorded(solution(), judged).replay
-    assert found is not None
     assert (found.judged, found.growth_rate, found.message) == ("feedback", pytest.approx(3.0), "a word")
     assert found.tracked == TrackedRecord(
         error_estimate=1.5, events=3, seconds_reference=5.0, seconds_everyday=6.0, message=ReplayOutcome.DIVERGED.value, rms=(0.5, 0.25),
@@ -209,15 +200,12 @@ def test_the_replay_with_feedback_stands_beside_the_open_one():
     )  # fmt: skip
     said = replace(followed, message="its own word")
     record = recorded(solution(), Judged(score=scored(), replay=replay(tracked=said))).replay
-    assert record is not None
-    assert record.tracked is not None
     assert record.tracked.message == "its own word"
 
 
 def test_an_error_of_the_replay_that_is_not_known_is_missing():
     unknown = ReplayError(estimate=None, tolerance=Difference(position=math.inf, state=1.0, gap=1.0))
     found = recorded(solution(), Judged(replay=replay(error=unknown), problem="no score")).replay
-    assert found is not None
     assert (found.error_estimate, found.tolerance_difference, found.step_difference, found.rollback_difference) == (None, None, None, None)
     assert (found.judged, found.growth_rate, found.tracked, found.step_source) == ("open", None, None, "none")
 
@@ -277,14 +265,12 @@ def test_what_a_certificate_does_not_know_is_missing():
     found = recorded(
         solution(certificate=certificate(primal=math.inf, complementarity=math.nan, dual=math.nan, least=math.nan, unique=False))
     ).certificate
-    assert found is not None
     assert (found.primal, found.complementarity, found.dual, found.least, found.unique) == (None, None, None, None, False)
     assert (found.holds, found.feasible) == (False, False)
 
 
 def test_a_plan_that_is_feasible_need_not_hold():
     found = recorded(solution(certificate=certificate(stationarity=Stationarity.WEAK, descent=-1.0))).certificate
-    assert found is not None
     assert (found.feasible, found.holds, found.b_stationary) == (True, False, False)
 
 

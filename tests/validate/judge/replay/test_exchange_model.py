@@ -1,7 +1,5 @@
 """An FMU by Model Exchange under CVODE: the order of its calls, events, bounds, and how each loop ends."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -134,7 +132,7 @@ def test_states_have_bounds_and_sums_are_numbers(y: list[float], words: str):
 def test_an_output_that_is_no_number_ends_the_run():
     one = integration()
     one.model.read = lambda time, y: np.array([math.nan])
-    with pytest.raises(Stop, match=r"An output was not a finite number at t = 0\.5 s"):
+    with pytest.raises(Stop, match=r"output was not.*finite number at t = 0\.5 s"):
         one._record(0.5, knot=True)
     assert one.run.t == []
 

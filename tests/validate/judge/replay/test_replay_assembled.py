@@ -1,7 +1,5 @@
 """A replay is put together from its runs: numbers in the plan's units, errors, feedback, and what ended a run."""
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 from dataclasses import replace
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.trajectory import Hold, Trajectory
@@ -53,7 +52,6 @@ def test_what_a_run_recorded_is_taken_apart_by_name():
     out = Outputs(MODEL, VARIABLES, run)
     assert [array.ravel().tolist() for array in (out.q, out.v, out.lam, out.gap)] == [[1.0, 5.0], [2.0, 6.0], [3.0, 7.0], [4.0, 8.0]]
     assert (out.friction.shape, out.kinetic.tolist()) == ((2, 0), [0.0, 0.0])
-    assert out.contact_impulse is not None
     assert (out.contact_impulse.ravel().tolist(), out.work("input_power").tolist(), out.work("dissipated_power").tolist()) == (
         [0.0, 9.0],
         [0.0, 10.0],
@@ -65,12 +63,8 @@ def test_what_a_run_recorded_is_taken_apart_by_name():
     assert (known.work("input_power").tolist(), known.work("dissipated_power").tolist()) == ([0.0], [2.0])  # type: ignore[union-attr]
     bare = Outputs(MODEL, replace(VARIABLES, lam=(), gap=(), v=()), Run(t=[0.0], outputs=[np.array([1.0])]))
     assert (bare.v.tolist(), bare.lam.tolist(), bare.gap.tolist(), bare.contact_impulse, bare.work("input_power")) == (
-        [[0.0]],
-        [[0.0]],
-        [[0.0]],
-        None,
-        None,
-    )
+        [[0.0]], [[0.0]], [[0.0]], None, None,
+    )  # fmt: skip
     partly = Outputs(
         MODEL,
         replace(VARIABLES, lam=(), powers={"input_power": 6}),
@@ -118,9 +112,9 @@ def test_a_replay_is_the_tighter_reference_and_is_compared_with_all_others():
 def test_without_a_reference_the_finest_everyday_run_is_judged():
     found = assembled(simulated([], [3.0, 2.0, 1.5], note="and a note"))
     assert (found.method, found.q[-1].tolist(), found.error.tolerance, found.error.estimate) == ("everyday", [1.5], None, at(0.5))
-    assert found.message == "No reference replay: the FMU offers no Model Exchange. a note of the map. and a note"
+    assert not unsaid(found.message, "No reference replay: … no Model Exchange. a note of the map. and a note")
     same = assembled(simulated([], [1.5, 1.5, 1.5]))
-    assert (same.error.estimate, "how wrong that is cannot be told" in same.message) == (None, True)
+    assert (same.error.estimate, not unsaid(same.message, "cannot be told")) == (None, True)
     assert assembled(simulated([], [1.5, 1.5, 1.5]), internal_step=9).error.step == at(0.0), "an FMU with a step to set heeds it"
 
 
@@ -135,7 +129,7 @@ def test_runs_that_were_cut_off_are_compared_with_nothing():
     ended_early = assembled(simulated([1.25, nan], []))
     assert (ended_early.outcome, ended_early.message.split(". ")[0]) == (ReplayOutcome.DIVERGED, "cut off")
     refused = assembled(simulated([1.25, 1.0], [], refusal="it wants equal steps."))
-    assert refused.message.startswith("No everyday replay: it wants equal steps. a note")
+    assert not unsaid(refused.message, "No everyday replay: … equal steps. a note")
 
 
 def test_a_stated_accuracy_that_counts_for_nothing_is_said():
@@ -147,7 +141,7 @@ def test_a_stated_accuracy_that_counts_for_nothing_is_said():
     assert not any(note in text for text in run_module._notes(MODEL, runs, error, True))
     assert not any(note in text for text in run_module._notes(stated, runs, ReplayError(estimate=None), True))
     own = run_module._notes(stated, simulated([], [1.5, 1.5]), ReplayError(estimate=None, stated=stated.accuracy), False)
-    assert any("how wrong that is its author states" in text for text in own)
+    assert any(not unsaid(text, "its author states") for text in own)
 
 
 def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
@@ -187,10 +181,7 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
     assert opened.q[-1].tolist() == [2.0 * 1.0 + 0.1]
     for track in (True, lambda replay: True):
         found = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=track)  # type: ignore[arg-type]
-        assert found.tracked is not None
-        assert found.tracked.applied is not None
         assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
-        assert found.tracked.effort is not None
         assert found.tracked.effort.peak == (2.0,)
     assert jobs[-1][3].lower.tolist() == [-89.0]
     (model, _, variables, given, units, start, _) = designed[0]
@@ -226,9 +217,7 @@ def test_a_run_that_was_refused_says_when(status: int, outcome: ReplayOutcome):
 
 @pytest.mark.parametrize("looks", [0, 1, 5, 9])
 @pytest.mark.parametrize("too_many", [False, True])
-def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it(
-    looks: int, too_many: bool, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it(looks, too_many, monkeypatch):
     """Each time with at most what would have seen it, and at most half of what it had; six times, or until that takes too many steps."""
     asked: list[float] = []
     seen = iter([0.1] * looks + [None] * 20)
@@ -247,7 +236,7 @@ def test_a_replay_that_steps_over_a_contact_is_made_again_with_steps_that_see_it
     assert asked == [0.15, 0.075, 0.0375, 0.01875, 0.009375, 0.0046875][:runs]
     assert applied.tolist() == [[runs]], "of the last"
     lost = looks >= 6 or (looks > 0 and too_many)
-    assert (found.error.estimate is None, "steps over a contact that is shorter than any of its steps" in found.message) == (lost, lost)
+    assert (found.error.estimate is None, not unsaid(found.message, "shorter than any of its steps")) == (lost, lost)
 
 
 def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypatch: pytest.MonkeyPatch):
@@ -255,13 +244,9 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     states = np.zeros((3, 1))
     plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
     law = Feedback(
-        gains=np.zeros((2, 1, 2)),
-        reference=np.zeros((3, 2)),
-        u=plan.u,
-        lower=np.array([-9.0]),
-        upper=np.array([9.0]),
+        gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=plan.u, lower=np.array([-9.0]), upper=np.array([9.0]),
         scale=np.array([9.0]),
-    )
+    )  # fmt: skip
     jobs: list[Any] = []
 
     def seeing(scene: Any, kernel: Any, job: Job, feedback: Feedback | None) -> Any:
@@ -279,20 +264,13 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     job, feedback = jobs[0]
     assert (job.package, job.variables, job.plan, job.start.tolist()) == (NO_FMU, VARIABLES, plan, [0.0, 0.0])
     assert (job.tolerances, job.fineness, job.event_budget, job.parts, job.max_step) == (
-        (1e-11, 1e-13),
-        (50, 100, 200),
-        10_000,
-        3,
-        math.inf,
-    )
+        (1e-11, 1e-13), (50, 100, 200), 10_000, 3, math.inf,
+    )  # fmt: skip
     assert (job.limits, feedback) == (None, None)
     for track in (True, lambda replay: replay.growth == "growth"):
         found = run_module.replay(scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0))  # type: ignore[arg-type]
-        assert found.tracked is not None
-        assert found.tracked.applied is not None
         assert (found.tracked.applied.tolist(), found.tracked.feedback) == ([[3.0], [4.0]], law)
         assert [(job.limits, feedback) for job, feedback in jobs[-2:]] == [(Limits(seconds=3.0), None), (Limits(seconds=3.0), law)]
-        assert found.tracked.effort is not None
         assert found.tracked.effort.peak == (2.0,)
     blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: False)
     assert blind.growth is None

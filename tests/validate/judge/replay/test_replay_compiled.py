@@ -1,7 +1,5 @@
 """The loops in C against the loops in Python: the same calls, and therefore the same numbers, bit for bit; and what is said where they cannot run."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from dataclasses import fields
@@ -179,7 +177,7 @@ def test_a_binary_that_lacks_a_function_is_refused(tmp_path: Path, function: str
     """Before any loop is begun: FMPy wants all functions of the interface."""
     with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", defines=(f"{function}=another",)))) as package:
         run = reference if function == "fmi2GetDerivatives" else lambda *given: simulate(*given, 20)
-        with pytest.raises(FmuError, match=f"cannot be loaded on this machine .a function of FMI is missing in the binary .*{function}"):
+        with pytest.raises(FmuError, match=f"missing in the binary .*{function}"):
             run(package, FOREIGN, np.zeros(2), foreign_inputs())
 
 
@@ -225,14 +223,8 @@ def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_need
         instance, ["SetTime", "NewDiscreteStates", "GetReal"], inputs=inputs, outputs=outputs, rates=rates, states=9, indicators=10
     )
     assert (found.component, found.three, found.states, found.indicators, found.inputs, found.outputs, found.rates) == (
-        77,
-        major == 3,
-        9,
-        10,
-        1,
-        2,
-        3,
-    )
+        77, major == 3, 9, 10, 1, 2, 3,
+    )  # fmt: skip
     assert (found.input_references, found.output_references, found.rate_references) == tuple(
         ctypes.addressof(item.array) for item in (inputs, outputs, rates)
     )
@@ -309,9 +301,7 @@ def test_all_steps_are_recorded_where_they_are_made(monkeypatch: pytest.MonkeyPa
     ("reason", "outcome", "local"),
     [(everyday.Reason.OUTPUT_NOT_FINITE, ReplayOutcome.NOT_A_NUMBER, 2), (everyday.Reason.OUT_OF_BOUNDS, ReplayOutcome.DIVERGED, 2), (everyday.Reason.CALL_REFUSED, ReplayOutcome.OK, 1)],
 )  # fmt: skip
-def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(
-    reason: Any, outcome: ReplayOutcome, local: int, monkeypatch: pytest.MonkeyPatch
-):
+def test_what_ends_a_loop_ends_the_run_at_the_step_that_it_was_in(reason, outcome, local, monkeypatch):
     run, _, instance = stepped(reason, 1, monkeypatch, rolls_back=True)
     assert (run.t, run.knots, run.outcome, len(run.local)) == ([0.0, 0.5], [0, 1], outcome, local)
     assert ("t = 1 s" in run.message) is (outcome is not ReplayOutcome.OK)
@@ -332,7 +322,7 @@ def test_a_loop_is_told_its_bounds_and_within_which_share_a_state_is_restored(mo
 
 
 def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(Misbehaviour, match=r"it returned early at 0\.3 s, which was not allowed"):
+    with pytest.raises(Misbehaviour, match=r"returned early at 0\.3 s.*not allowed"):
         stepped(everyday.Reason.EARLY_RETURN, 1, monkeypatch)
     with pytest.raises(everyday.RollbackError):
         stepped(everyday.Reason.NOT_RESTORED, 1, monkeypatch, rolls_back=True)
@@ -342,13 +332,9 @@ def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(
 
 def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypatch: pytest.MonkeyPatch):
     law = Feedback(
-        gains=np.ones((3, 1, 2)),
-        reference=np.zeros((4, 2)),
-        u=np.ones((3, 1)),
-        lower=np.array([-100.0]),
-        upper=np.array([100.0]),
+        gains=np.ones((3, 1, 2)), reference=np.zeros((4, 2)), u=np.ones((3, 1)), lower=np.array([-100.0]), upper=np.array([100.0]),
         scale=np.array([1.0]),
-    )
+    )  # fmt: skip
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
     assert answering.calls == [(0, 1), (1, 2), (2, 3)]
     assert [row.tolist() for row in run.applied] == [[1.0 - 3.0], [1.0 - 27.0], [1.0 - 33.0]]
@@ -384,13 +370,9 @@ def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
     monkeypatch.setattr(everyday, "step_through", lambda stepping, run: found.append(stepping))
     states = np.zeros((3, 1))
     plan = Trajectory(
-        t=np.array([0.5, 1.0, 2.0]),
-        q=states,
-        v=states,
-        u=np.array([[3.0], [4.0]]),
-        lam=np.zeros((2, 0)),
+        t=np.array([0.5, 1.0, 2.0]), q=states, v=states, u=np.array([[3.0], [4.0]]), lam=np.zeros((2, 0)),
         hold=Hold.LINEAR if linear else Hold.ZERO_ORDER,
-    )
+    )  # fmt: skip
     variables = Variables(q=(1,), v=(2,), u=(5,), lam=(), gap=(), energies={}, powers={}, zero=frozenset(), parameters=((6, 0.5),), start=(7,), internal_step=internal, choices=((8, 1),))  # fmt: skip
     package: Any = SimpleNamespace(is_three=False, cosimulation=SimpleNamespace(canInterpolateInputs=interpolates))
     run = everyday.simulate(package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back)

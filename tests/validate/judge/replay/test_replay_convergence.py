@@ -1,7 +1,5 @@
 """The replay under inputs that jump at every step, and on grids that divide nothing: it converges as its own order says, or says that it did not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +44,6 @@ def test_bang_bang_without_contact_is_exact(fmu: Path):
     result = replayed(fmu, t, u, Hold.ZERO_ORDER, APART, fineness=(2, 4, 8))
     error = result.error
     assert result.outcome is ReplayOutcome.OK
-    assert error.estimate is not None
-    assert error.everyday is not None
     assert max(error.estimate.position, error.everyday.position) < NOISE
     assert error.step_ratio is None
 
@@ -58,8 +54,6 @@ def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: P
     assert len(result.events) >= 4
     assert result.error.step_ratio is not None
     assert np.log2(result.error.step_ratio) == pytest.approx(ORDER, abs=0.5)
-    assert result.error.everyday is not None
-    assert result.error.step is not None
     assert result.error.everyday.position < 10 * result.error.step.position
 
 
@@ -121,5 +115,4 @@ def test_the_two_holds_are_told_apart(fmu: Path):
     held, lines = (replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING) for hold in (Hold.ZERO_ORDER, Hold.LINEAR))
     apart = np.abs(held.end - lines.end).max()
     for result in (held, lines):
-        assert result.error.estimate is not None
         assert apart > 1e4 * result.error.estimate.state

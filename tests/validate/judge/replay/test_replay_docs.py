@@ -1,7 +1,5 @@
 """docs/replay.md is true: its snippets write plans that replay reads, its map fits the foreign FMU."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """FMUs that offer less than ours: one kind only, no contact outputs, no energies, no interpolation of inputs. Made by editing the XML of ours."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -52,14 +50,11 @@ def test_without_model_exchange_the_everyday_replay_is_judged(tmp_path: Path, sc
     assert "no Model Exchange" in result.message
     step, rollback, estimate = result.error.step, result.error.rollback, result.error.estimate
     assert step is not None
-    assert rollback is not None
-    assert estimate is not None
     assert estimate.position == max(step.position, rollback.position), "the larger counts"
     assert result.error.tolerance is None
     assert result.q == pytest.approx(whole.q[whole.knots], abs=1e-10)
     assert (result.input_work, result.contact_impulse) == (None, None)
     metric = score(scene, make_plan(scene), result).metric("energy_residual")
-    assert metric is not None
     assert metric.value is None
     assert "input_power" in metric.reason
 
@@ -96,15 +91,12 @@ def test_what_the_fmu_does_not_put_out_comes_from_the_scene(tmp_path: Path, scen
 def test_without_an_internal_step_the_communication_step_is_halved(tmp_path: Path, scene: Scene, fmu: Path):
     result = replay(scene, edited(fmu, tmp_path / "fixed.fmu", renamed("internal_step")), make_plan(scene))
     assert result.error.step is not None
-    assert result.error.everyday is not None
     assert result.error.everyday.position < 1e-9
 
 
 def test_ramps_become_stairs_for_an_fmu_that_holds_its_inputs(tmp_path: Path, scene: Scene, fmu: Path):
     holding = edited(fmu, tmp_path / "hold.fmu", lambda text: text.replace('canInterpolateInputs="true"', 'canInterpolateInputs="false"'))
     ramped, exact = replay(scene, holding, make_plan(scene, Hold.LINEAR)), replay(scene, fmu, make_plan(scene, Hold.LINEAR))
-    assert ramped.error.everyday is not None
-    assert exact.error.everyday is not None
     # Stairs at a hundredth of the step, wrong by their square: far above the integrator's own error, far below what the hold makes.
     assert 10 * exact.error.everyday.position < ramped.error.everyday.position < 1e-6
     assert ramped.error.step_ratio == pytest.approx(4.0, rel=0.05)
@@ -122,7 +114,7 @@ def test_steps_of_different_length_are_not_given_to_an_fmu_that_wants_equal_ones
     assert (result.method, result.error.everyday) == ("reference", None)
     assert "differ in length" in result.message
     assert replay(scene, fmu, uneven).error.everyday is not None
-    with pytest.raises(FmuError, match="no Model Exchange, and the plan's steps differ in length"):
+    with pytest.raises(FmuError, match=r"no Model Exchange, .*steps differ"):
         replay(scene, edited(equal, tmp_path / "only.fmu", without("ModelExchange")), uneven)
 
 
@@ -138,7 +130,7 @@ def test_a_binary_that_does_not_load_is_named(tmp_path: Path, scene: Scene, fmu:
         for item in old.infolist():
             new.writestr(item, b"no library" if item.filename.startswith("binaries/") else old.read(item))
     before = Path.cwd()
-    with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded on this machine"):
+    with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded"):
         replay(scene, broken, make_plan(scene))
     assert Path.cwd() == before  # FMPy leaves the process in a folder that no longer exists
 
@@ -210,11 +202,11 @@ def test_what_an_fmu_lacks_of_a_group_leaves_the_group_out_or_is_refused(scene: 
     assert (found.lam, found.gap, found.internal_step) == ((), (), None)
     assert (list(found.energies), list(found.powers)) == (["kinetic_energy", "potential_energy"], ["dissipated_power"])
     for name in ("q2", "v1", "u3"):
-        with pytest.raises(FmuError, match=f"FMU a.fmu: it has no variable '{name}' of scene three_cart; give its name"):
+        with pytest.raises(FmuError, match=f"FMU a.fmu: .*no variable '{name}' of scene three_cart; give"):
             find_variables(described({other: item for other, item in whole.items() if other != name}), scene)
     with pytest.raises(FmuError, match=r"u1 \(value reference 200\) is no input"):
         find_variables(described(whole | {"u1": (200, "output")}), scene)
-    with pytest.raises(FmuError, match="q1 is of type Integer, but must be Real or Float64"):
+    with pytest.raises(FmuError, match=r"q1 is of type Integer.*Real or Float64"):
         find_variables(described(whole, "Integer"), scene)
     first = scene.parameters[0].name
     assert len(find_variables(described(whole | {first: (1, "local")}), scene).parameters) == len(scene.parameters) - 1

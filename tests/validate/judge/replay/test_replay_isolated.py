@@ -1,7 +1,5 @@
 """Somebody's FMU that misbehaves, replayed in its child: every ending right, good runs beside it unchanged, nothing left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -24,7 +22,7 @@ from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay_foreign
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.slow, pytest.mark.process]
 
 ROOT = Path(__file__).parents[4]
 
@@ -71,19 +69,16 @@ def good(folder: Path) -> Replay:
     return run(folder, build_foreign(folder / "good.fmu"))
 
 
-@pytest.mark.slow
 def test_a_good_one_follows_the_closed_form(good: Replay):
     assert good.ok, good.message
     plan = foreign_plan()
     assert good.q[good.knots, 0] == pytest.approx(plan[:, 1], abs=1e-8)
     assert good.v[good.knots, 0] == pytest.approx(plan[:, 2], abs=1e-7)
     assert good.lam[good.knots, 0] == pytest.approx(plan[:, 4], abs=1e-4)
-    assert good.error.everyday is not None
     assert good.error.everyday.position < 1e-5
     assert [event.closes for event in good.events] == [True, False]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "kinds", "outcome", "words"),
     [
@@ -96,9 +91,7 @@ def test_a_good_one_follows_the_closed_form(good: Replay):
         ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
     ],
 )
-def test_each_misbehaviour_has_its_own_outcome(
-    folder: Path, place: Path, good: Replay, mode: str, kinds: tuple[str, ...], outcome: ReplayOutcome, words: str
-):
+def test_each_misbehaviour_has_its_own_outcome(folder, place, good, mode, kinds, outcome, words):
     limits = Limits(seconds=2.0 if mode == "hang" else 60.0, memory=1024**3)
     result = run(folder, build_foreign(folder / f"{mode}.fmu", mode, kinds), limits)
     assert (result.outcome, result.ok) == (outcome, False)
@@ -106,7 +99,6 @@ def test_each_misbehaviour_has_its_own_outcome(
     assert left(place) == []
 
 
-@pytest.mark.slow
 def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, place: Path, good: Replay):
     garbage = run(folder, build_foreign(folder / "garbage.fmu", "garbage"))
     assert garbage.q.tobytes() == good.q.tobytes()
@@ -118,7 +110,6 @@ def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, pl
     assert left(place) == []
 
 
-@pytest.mark.slow
 def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     bomb = build_foreign(folder / "bomb.fmu")
     with zipfile.ZipFile(bomb, "a", zipfile.ZIP_DEFLATED) as archive:
@@ -128,21 +119,12 @@ def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     assert left(place) == []
 
 
-@pytest.mark.slow
 def test_nothing_is_left_when_the_command_is_killed(folder: Path, place: Path):
     """kill -9 of `python -m validate replay` while the FMU hangs, with a process of its own left behind."""
     hanging = build_foreign(folder / "hang.fmu", "hang")
     command = [
-        sys.executable,
-        "-m",
-        "validate",
-        "replay",
-        str(folder / "plan.csv"),
-        "--fmu",
-        str(hanging),
-        "--map",
-        str(folder / "map.toml"),
-    ]
+        sys.executable, "-m", "validate", "replay", str(folder / "plan.csv"), "--fmu", str(hanging), "--map", str(folder / "map.toml"),
+    ]  # fmt: skip
     process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while not any(name.isdigit() for name in left(place)):

@@ -1,7 +1,5 @@
 """A whole map at once, every number different: each stands in its place, and each mistake names its own."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Callable
@@ -11,6 +9,7 @@ from typing import Any
 
 import pytest
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
+from wording import unsaid
 
 from models.errors import TouchstoneError
 from models.plan_table import PlanTable
@@ -160,12 +159,9 @@ def test_what_a_map_leaves_out_is_left_out_of_all(whole):
     )
     assert (trajectory.missing, trajectory.v.tolist(), trajectory.lam.tolist()) == ({"v", "lam"}, [[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2)
     told = "\n".join(model.not_asked)
-    for part in (
-        "duration_error: the map gives no",
-        "contact stop has no gap in the map",
-        "ghost_impulse, missed_impulse: not every contact",
-    ):
-        assert part in told
+    assert not unsaid(
+        told, "duration_error: the map gives no", "contact stop has no gap in the map", "ghost_impulse, missed_impulse: not every contact",
+    )  # fmt: skip
     assert "no [goal]" not in told
     assert "replay_error: the map names" not in told
 
@@ -183,52 +179,52 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (WHOLE.replace('"torque"', '"torqe"'), "inputs.M: the FMU has no variable 'torqe' (near it: torque)"),
-        (WHOLE.replace('"torque"', '"label"'), "inputs.M: 'label' is of type String, but must be one number"),
+        (WHOLE.replace('"torque"', '"torqe"'), "inputs.M: … no variable 'torqe' (near it: torque)"),
+        (WHOLE.replace('"torque"', '"label"'), "inputs.M: 'label' is of type String … number"),
         (WHOLE.replace('"torque"', '"arm"'), "inputs.M: 'arm' is no input of the FMU"),
-        (WHOLE.replace('"torque"', '"drive.force"'), "inputs.M: 'drive.force' is driven by the column 'F' already"),
-        (WHOLE.replace("[velocities]\na =", "[velocities]\nb ="), "velocities.b: there is no position of that name"),
-        (WHOLE.replace("gain = 2.5", "gain = 3.5"), "parameters.gain: 3.5 is not possible: the FMU allows at most 3"),
-        (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 is not possible: the FMU allows at least -2"),
-        (WHOLE.replace("gain = 2.5", "arm = 2.5"), "parameters.arm: 'arm' is no parameter of the FMU, but output"),
-        (WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'), "start.wall.gap: 'wall.gap' has no start value that can be set"),
-        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: the plan has no column 'turnin' (near it: turning)"),
-        (WHOLE.replace("turning = 2.25", "v_a = 2.25"), "goal.v_a: there is no position or velocity of that name"),
+        (WHOLE.replace('"torque"', '"drive.force"'), "inputs.M: 'drive.force' … column 'F' already"),
+        (WHOLE.replace("[velocities]\na =", "[velocities]\nb ="), "velocities.b: … no position"),
+        (WHOLE.replace("gain = 2.5", "gain = 3.5"), "parameters.gain: 3.5 … at most 3"),
+        (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 … at least -2"),
+        (WHOLE.replace("gain = 2.5", "arm = 2.5"), "parameters.arm: … no parameter of the FMU, but output"),
+        (WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'), "start.wall.gap: … no start value"),
+        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: … no column 'turnin' (near it: turning)"),
+        (WHOLE.replace("turning = 2.25", "v_a = 2.25"), "goal.v_a: … no position or velocity"),
         (WHOLE.replace("turning = 2.25", "zzzz = 2.25"), "of that name; there are x, a, turning, v_x"),
-        (WHOLE.replace("scale = 2.0, offset = 1.0", "scale = 0.0"), "inputs.M: scale is 0; it must not be"),
-        (WHOLE.replace("lower = -100.0", "lower = -501.0"), "inputs.F.lower: -501 lies beyond the FMU's own bound, which is -500"),
-        (WHOLE.replace("lower = -100.0", "upper = 1501.0"), "inputs.F.upper: 1501 lies beyond the FMU's own bound, which is 1500"),
-        (WHOLE.replace('force = { variable = "wall.push", scale = 15.0, offset = 16.0 }\ngap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }\n', ""), "contacts.wall: it names neither force nor gap"),
+        (WHOLE.replace("scale = 2.0, offset = 1.0", "scale = 0.0"), "inputs.M: scale is 0"),
+        (WHOLE.replace("lower = -100.0", "lower = -501.0"), "inputs.F.lower: -501 … own bound, which is -500"),
+        (WHOLE.replace("lower = -100.0", "upper = 1501.0"), "inputs.F.upper: 1501 … own bound, which is 1500"),
+        (WHOLE.replace('force = { variable = "wall.push", scale = 15.0, offset = 16.0 }\ngap = { variable = "wall.gap", scale = 17.0, offset = 18.0 }\n', ""), "contacts.wall: … neither force nor gap"),
         (WHOLE.replace("gain = 2.5", "gain = 2.5\nbody = 1"), "parameters.body: the FMU has no variable 'body'"),
         (WHOLE.replace("time = \"time\"", 'time = "time"\nhold = "spline"'), "plan.hold"),
-        (WHOLE.replace("depth = 0.5", "dept = 0.5"), "contacts.stop.dept: there is no such key; did you mean depth?"),
-        (WHOLE.replace("unit = \"N\"", "units = \"N\""), "inputs.F.units: there is no such key; did you mean unit?"),
-        (WHOLE.replace("[parameters]", "[parameter]"), "parameter: there is no such key; did you mean parameters?"),
-        (WHOLE.replace("duration = 3.0", "xyz = 3.0"), "task.xyz: there is no such key; there is duration"),
-        (WHOLE.replace("force = { variable = \"stop.push\",", "force = { variable = \"stop.push\", lower = 1.0,"), "contacts.stop.force.lower: there is no such key; there are variable, scale, offset, unit"),
-        (WHOLE.replace('column = "turning"', 'colum = "turning"'), "velocities.a.colum: there is no such key; did you mean column?"),
-        (WHOLE.replace('value = 0.1, reason = "near"', 'value = 0.1, reasn = "near"'), "limits.replay_terminal_position_error.reasn: there is no such key; did you mean reason?"),
+        (WHOLE.replace("depth = 0.5", "dept = 0.5"), "contacts.stop.dept: … no such key; did you mean depth?"),
+        (WHOLE.replace("unit = \"N\"", "units = \"N\""), "inputs.F.units: … no such key; did you mean unit?"),
+        (WHOLE.replace("[parameters]", "[parameter]"), "parameter: … no such key; did you mean parameters?"),
+        (WHOLE.replace("duration = 3.0", "xyz = 3.0"), "task.xyz: … no such key; there is duration"),
+        (WHOLE.replace("force = { variable = \"stop.push\",", "force = { variable = \"stop.push\", lower = 1.0,"), "contacts.stop.force.lower: … no such key; … variable, scale, offset, unit"),
+        (WHOLE.replace('column = "turning"', 'colum = "turning"'), "velocities.a.colum: … no such key; did you mean column?"),
+        (WHOLE.replace('value = 0.1, reason = "near"', 'value = 0.1, reasn = "near"'), "limits.replay_terminal_position_error.reasn: … no such key; did you mean reason?"),
     ],
 )  # fmt: skip
 def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: str):
-    assert words in refusal(lambda: whole(text))
+    assert not unsaid(refusal(lambda: whole(text)), words)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         (WHOLE.replace("lower = -100.0", "lower = -500.000001"), "inputs.F.lower: -500 lies beyond"),
-        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2, but must be below upper, 2"),
-        (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: its lower bound is -500, its upper bound -500, in the plan's unit"),
-        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: input should be greater than or equal to 0"),
+        (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2 … below upper, 2"),
+        (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: … lower bound is -500 … upper bound -500"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: … greater than or equal to 0"),
         (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = true"), "limits.replay_terminal_velocity_error: "),
         (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: input should be a finite number"),
-        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: string should have at least 1 character"),
+        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: … at least 1 character"),
         (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: input should be a valid number"),
     ],
 )  # fmt: skip
 def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: str):
-    assert words in refusal(lambda: whole(text))
+    assert not unsaid(refusal(lambda: whole(text)), words)
 
 
 def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
@@ -238,7 +234,6 @@ def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
         )
     )
     limit = foreign.model.limit("replay_terminal_velocity_error")
-    assert limit is not None
     assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
 
 
@@ -251,18 +246,18 @@ def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
     ("plan", "words"),
     [
         (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"),
-        (ROWS.replace("pressed", "presed"), "the column 'presed' is unknown (near it: pressed)"),
+        (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
         (ROWS.replace("time,", "time [ms],"), "time"),
-        (ROWS.replace("F,", "F [kN],"), "inputs.F: the plan's column 'F' is in 'kN', but the map says 'N'"),
+        (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
     ],
 )
 def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words: str):
-    assert words in refusal(lambda: whole(WHOLE, plan))
+    assert not unsaid(refusal(lambda: whole(WHOLE, plan)), words)
 
 
 def test_a_unit_of_the_plan_against_that_of_the_fmu_needs_a_scale(whole):
     plain = '[inputs]\nF = "drive.force"\n[positions]\nx = "body.pos"\n'
-    assert "the plan is in 'm', but 'body.pos' is in 'mm'; give a scale" in refusal(lambda: whole(plain, "t,F,x [m]\n0,1,0\n1,1,0\n"))
+    assert not unsaid(refusal(lambda: whole(plain, "t,F,x [m]\n0,1,0\n1,1,0\n")), "in 'm', but 'body.pos' is in 'mm'; give a scale")
     for given in ('{ variable = "body.pos", scale = 0.001 }', '{ variable = "body.pos", offset = 1.0 }'):
         foreign, _ = whole(plain.replace('"body.pos"', given), "t,F,x [m]\n0,1,0\n1,1,0\n")
         assert foreign.model.coordinates[0].unit == "m"
@@ -312,11 +307,11 @@ def test_a_rate_belongs_to_the_position_that_its_name_says(rate: str):
 
 
 def test_names_that_nothing_shares_are_said():
-    with pytest.raises(MapError, match=r"plan p: the FMU has no variable 'z'; name the right one in a map"):
+    with pytest.raises(MapError, match=r"plan p: .*no variable 'z'; name the right one in a map"):
         equal(variables(*FMU), "t,z")
     with pytest.raises(MapError, match=r"no variable 'lam_c' \(near it: lam_b, lam_a\)"):
         equal(variables(*FMU), "t,lam_c")
-    with pytest.raises(MapError, match="the plan and the FMU share no names"):
+    with pytest.raises(MapError, match="share no names"):
         equal(variables(*FMU), "t,lam_a")
 
 

@@ -1,7 +1,5 @@
 """Plans and replays in NetCDF files: bit for bit, and one sentence for a file that is stale, foreign or garbled."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -162,9 +160,7 @@ def _other_hold(file: h5netcdf.File) -> None:
         (_other_hold, "hold is 'cubic'"),
     ],
 )
-def test_a_stale_plan_is_refused_by_name(
-    tmp_path: Path, scene: Scene, plan: Trajectory, change: Callable[[h5netcdf.File], None], sentence: str
-):
+def test_a_stale_plan_is_refused_by_name(tmp_path, scene, plan, change, sentence):
     path = tmp_path / "stale.nc"
     write_netcdf(path, plan, scene)
     with pytest.raises(TrajectoryError, match=sentence):
@@ -187,12 +183,8 @@ def test_names_that_netcdf_does_not_allow_are_changed_and_said():
     given = [("a_b", ""), ("a/b", "gap"), ("a\x00b", "force"), ("time", "of another"), (" ", "")]
     found = storable([Column(name=name, dimension="time", values=np.zeros(1), unit="m", description=text) for name, text in given])
     assert [(item.name, item.description) for item in found] == [
-        ("a_b", ""),
-        ("a_b_2", "a/b: gap"),
-        ("a_b_3", "a\x00b: force"),
-        ("time_2", "time: of another"),
-        ("_", ""),
-    ]
+        ("a_b", ""), ("a_b_2", "a/b: gap"), ("a_b_3", "a\x00b: force"), ("time_2", "time: of another"), ("_", ""),
+    ]  # fmt: skip
     assert {(item.dimension, item.unit) for item in found} == {("time", "m")}
 
 
@@ -245,19 +237,15 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
         "effort": {"rms": [1.0], "peak": [2.0], "rms_share": 3.0, "peak_share": 4.0, "plan_share": 5.0, "saturated": 6.0},
     }  # fmt: skip
     bare = replace(
-        given,
-        contact_impulse=None,
-        growth=None,
-        effort=None,
-        applied=given.applied[:0] if given.applied is not None else None,
-        input_work=None,
-    )
+        given, contact_impulse=None, growth=None, effort=None,
+        applied=given.applied[:0] if given.applied is not None else None, input_work=None,
+    )  # fmt: skip
     write_replay(tmp_path / "bare.nc", bare, model)
     columns, attributes = read_columns(tmp_path / "bare.nc")
     assert expected.keys() - columns.keys() == {"impulse_stop", "impulse_wall", "applied_F", "applied_M", "input_work"}
     facts = json.loads(str(attributes["facts"]))
     assert (facts["has_impulse"], facts["growth"], facts["effort"]) == (False, None, None)
-    with pytest.raises(TrajectoryError, match=r"other\.nc: the replay is of scene cart, not of other"):
+    with pytest.raises(TrajectoryError, match=r"other\.nc: .*of scene cart, not of other"):
         write_replay(tmp_path / "other.nc", given, replace(model, name="other"))
 
 
@@ -267,9 +255,9 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
         (ReplayError(estimate=None), "state how good its results are"),
         (ReplayError(estimate=None, tolerance=Difference(position=1.0, state=1.0, gap=1.0)), ""),
         (ReplayError(estimate=None, everyday=Difference(position=1.0, state=1.0, gap=1.0)), ""),
-        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=1.0)), "state [accuracy] position in the map too"),
-        (ReplayError(estimate=Difference(position=1.0, state=np.inf, gap=1.0)), "state [accuracy] velocity in the map too"),
-        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=np.inf)), "state [accuracy] position and gap in the map too"),
+        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=1.0)), "state [accuracy] position in"),
+        (ReplayError(estimate=Difference(position=1.0, state=np.inf, gap=1.0)), "state [accuracy] velocity in"),
+        (ReplayError(estimate=Difference(position=np.inf, state=np.inf, gap=np.inf)), "state [accuracy] position and gap in"),
         (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0), step_source="rollback, stated"), "a better stated accuracy"),
         (ReplayError(estimate=Difference(position=1.0, state=1.0, gap=1.0), step_source="rollback"), "a plan with shorter steps"),
     ],

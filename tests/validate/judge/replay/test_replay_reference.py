@@ -3,8 +3,6 @@
 By the loop in C, which calls them as it calls an FMU, and by its oracle in Python.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable, Sequence

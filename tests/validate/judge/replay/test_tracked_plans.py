@@ -1,7 +1,5 @@
 """Plans of the cart-pole between walls under tracking: an exact one is followed, one that cheats is not saved, and the command shows both replays."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
@@ -67,9 +66,8 @@ def above(told: Score) -> set[str]:
 def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
     told = score(scene, plans["exact"], exact)
     assert (told.verdict, told.judged) == (Verdict.HOLDS_WITH_FEEDBACK, "feedback"), told.why
-    assert told.why.startswith("not for the inputs alone: driven by its inputs the motion ends")
+    assert not unsaid(told.why, "not for the inputs alone: … the motion ends")
     assert "unstable in the open loop (amplification 5" in told.why
-    assert exact.growth is not None
     assert 3.67 < exact.growth.rate < 5.0
     assert (told.value("replay_terminal_velocity_error") or 0.0) > 0.2 > (told.value("tracked_replay_terminal_velocity_error") or 1.0)
     assert (told.value("feedback_effort") or 1.0) < 0.25
@@ -88,8 +86,6 @@ def test_feedback_is_tried_by_the_judge_itself(scene: Scene, plans: dict[str, Tr
     told = judge(scene, plans["exact"])
     assert told.verdict is Verdict.HOLDS_WITH_FEEDBACK
     assert told.replay is not None
-    assert told.replay.tracked is not None
-    assert exact.tracked is not None
     assert told.replay.tracked.q.tobytes() == exact.tracked.q.tobytes()
 
 
@@ -108,16 +104,13 @@ def test_only_a_consistent_motion_is_followed(scene: Scene, plans: dict[str, Tra
 @pytest.mark.slow
 @pytest.mark.parametrize("tells", [True, False])
 @pytest.mark.parametrize("declares", [True, False])
-def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
-    scene: Scene, plans: dict[str, Trajectory], tells: bool, declares: bool
-):
+def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, plans, tells, declares):
     """With its forces in the plan, and with a plan that keeps them to itself, its scheme too: feedback is not even tried, and would not help."""
     plan = plans["cheat"]
     plan = plan if tells else replace(plan, lam=0.0 * plan.lam, missing=frozenset({"lam"}))
     plan = plan if declares else replace(plan, scheme=None)
     told = judge(scene, plan)
     assert told.verdict is Verdict.VIOLATES
-    assert told.replay is not None
     assert told.replay.tracked is None
     named = {(True, True): "physics_scaled", (True, False): "contact_law_error"}.get((tells, declares), "unexplained_force")
     assert named in above(told.score)
@@ -126,11 +119,8 @@ def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(
 
 
 @pytest.mark.parametrize(("field", "name"), [("rms_share", "feedback_effort"), ("plan_share", "feedback_share")])
-def test_feedback_that_arrives_by_planning_anew_does_not_hold(
-    scene: Scene, plans: dict[str, Trajectory], exact: Replay, field: str, name: str
-):
+def test_feedback_that_arrives_by_planning_anew_does_not_hold(scene, plans, exact, field, name):
     """The exact plan's replay with feedback, with the effort that a plan of force from a distance needs."""
-    assert exact.tracked is not None
     assert exact.tracked.effort is not None
     strained = replace(exact.tracked, effort=replace(exact.tracked.effort, **{field: 0.9}))
     told = score(scene, plans["exact"], replace(exact, tracked=strained))
@@ -139,9 +129,7 @@ def test_feedback_that_arrives_by_planning_anew_does_not_hold(
 
 
 @pytest.mark.slow
-def test_the_command_shows_both_and_keeps_the_gains(
-    scene: Scene, plans: dict[str, Trajectory], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_the_command_shows_both_and_keeps_the_gains(scene, plans, tmp_path, capsys):
     write_csv(tmp_path / "plan.csv", plans["exact"], scene)
     arguments = ["replay", str(tmp_path / "plan.csv"), "--scene", scene.name, "--track"]
     assert run([*arguments, "--out", str(tmp_path / "told")]) == 0
@@ -150,7 +138,7 @@ def test_the_command_shows_both_and_keeps_the_gains(
     assert header.split()[2:6] == ["inputs", "alone", "with", "feedback"]
     row = next(line.split() for line in out.splitlines() if line.split()[1:2] == ["replay_terminal_velocity_error"])
     assert float(row[2]) > 0.2 > float(row[3])
-    assert "\nholds with feedback: not for the inputs alone: driven by its inputs" in out
+    assert not unsaid(out, "\nholds with feedback: not for the inputs alone")
     assert sorted(path.name for path in (tmp_path / "told").iterdir()) == ["plan.nc", "replay.nc", "score.json", "tracked.nc"]
     columns, _ = read_columns(tmp_path / "told/plan.nc")
     assert [len(column.values) for name, column in columns.items() if name.startswith("gain_")] == [200] * 4
@@ -187,7 +175,6 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
         step = min(int(np.searchsorted(plan.t, time, side="right")) - 1, plan.steps - 1)
         assert applied == exact.tracked.applied[step, 0]
     assert motion.tracked.columns["position_error"].max() == pytest.approx(told.value("tracked_replay_error"))
-    assert motion.replay is not None
     assert name not in motion.replay.columns
     row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type] - of a type that was checked or made so above
     last = ["judged", "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share", "growth_rate"]
@@ -202,4 +189,4 @@ def test_a_scene_without_inputs_cannot_be_tracked(tmp_path: Path, capsys: pytest
     code = run(["replay", str(tmp_path / "plan.csv"), "--scene", "bouncing_mass", "--track"])
     _, err = capsys.readouterr()
     assert (code, err.count("\n")) == (2, 1)
-    assert "no inputs, so there is nothing to feed back to" in err
+    assert not unsaid(err, "no inputs, so … nothing to feed back to")

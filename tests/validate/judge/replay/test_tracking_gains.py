@@ -1,7 +1,5 @@
 """Tracking gains against other people's Riccati solver and by hand, growth against closed forms, the law in other units."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -72,7 +70,6 @@ def test_the_growth_of_a_constant_system_is_that_of_its_power():
     c, s = np.cosh(rate * h), np.sinh(rate * h)
     A = np.array([[c, s / rate], [rate * s, c]])
     growth = largest_growth(np.tile(A, (steps, 1, 1)), h * np.arange(steps + 1), np.ones(2))
-    assert growth is not None
     assert growth.amplification == pytest.approx(np.linalg.norm(np.linalg.matrix_power(A, steps), 2), rel=1e-12)
     assert (growth.begin, growth.end) == (0.0, 1.0)
     assert np.exp(growth.rate * growth.duration) == pytest.approx(growth.amplification)
@@ -85,8 +82,6 @@ def test_the_growth_does_not_depend_on_units():
     steps, times = np.tile(A, (10, 1, 1)), np.arange(11.0)
     scaled = steps * (S[None, :, None] / S[None, None, :])
     one, other = largest_growth(steps, times, np.ones(2)), largest_growth(scaled, times, S)
-    assert one is not None
-    assert other is not None
     assert one.amplification == pytest.approx(other.amplification, rel=1e-10)
 
 
@@ -99,7 +94,6 @@ def _growth_at_rest(name: str) -> float:
         t=uniform_grid(scene.task.step, steps), q=still, v=still, u=np.zeros((steps, scene.nu)), lam=np.zeros((steps, scene.nl))
     )
     growth = measure_growth(load_kernel(scene), scene, plan)
-    assert growth is not None
     return growth.rate
 
 
@@ -117,7 +111,6 @@ def test_free_masses_do_not_grow():
     q = np.tile([0.0, 5.0, 10.0], (501, 1))
     plan = Trajectory(t=uniform_grid(0.01, 500), q=q, v=0.0 * q, u=np.zeros((500, 2)), lam=np.zeros((500, 2)))
     growth = measure_growth(load_kernel(scene), scene, plan)
-    assert growth is not None
     assert growth.amplification < 10.0
 
 
@@ -155,7 +148,6 @@ def test_a_plan_on_an_edge_grows_as_the_side_that_rounding_says():
         held = np.full((400, 1), (4e4 - 16.0) * depth if depth > 0 else -16.0 * depth)
         force = np.full((400, 1), max(0.0, 4e4 * depth))
         growth = measure_growth(kernel, scene, replace(plan, q=np.full((401, 1), depth), u=held, lam=force))
-        assert growth is not None
         return growth.amplification
 
     assert amplification(-2e-9) > 1000.0  # exp(4 t) over two seconds
@@ -224,7 +216,6 @@ def test_many_uneven_steps_are_taken_in_blocks():
     t = np.concatenate([[0.0], np.cumsum(h)])
     turn = np.array([[np.cos(5.0 * h), -np.sin(5.0 * h)], [np.sin(5.0 * h), np.cos(5.0 * h)]]).transpose(2, 0, 1)
     growth = largest_growth(np.exp(2.0 * h)[:, None, None] * turn, t, np.ones(2))
-    assert growth is not None
     assert growth.amplification == pytest.approx(np.exp(2.0 * t[-1]), rel=1e-10)
     assert growth.rate == pytest.approx(2.0)
 
@@ -309,7 +300,7 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
     with pytest.raises(TrackingError, match="a directional derivative is not a finite number"):
         module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
     monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: "it has no inputs")
-    with pytest.raises(TrackingError, match=r"FMU a\.fmu: the plan cannot be tracked, because it has no inputs\."):
+    with pytest.raises(TrackingError, match=r"FMU a\.fmu: .*cannot be tracked.*no inputs\."):
         module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
 
 
@@ -317,7 +308,6 @@ def test_the_largest_growth_is_that_of_the_piece_where_it_is_largest():
     """1/2, 4, 3, 1/8 in a row: 12 from the second node to the fourth."""
     steps = np.array([0.5, 4.0, 3.0, 0.125])[:, None, None] * np.eye(2)
     growth = largest_growth(steps, np.array([1.0, 1.5, 2.5, 4.0, 8.0]), np.array([3.0, 0.1]))
-    assert growth is not None
     assert (growth.amplification, growth.begin, growth.end, growth.duration) == (pytest.approx(12.0), 1.5, 4.0, 7.0)
     assert growth.rate == pytest.approx(np.log(12.0) / 7.0)
     assert largest_growth(steps * np.array([1.0, 1e200, 1e200, 1.0])[:, None, None], np.arange(5.0), np.ones(2)) is None
@@ -332,9 +322,7 @@ def test_the_largest_growth_is_that_of_the_piece_where_it_is_largest():
         ([0.5, 0.01], 0.01, [1, 8]), ([None] * 4, None, [1, 8, 64, 512]),
     ],
 )  # fmt: skip
-def test_a_growth_counts_once_smaller_steps_give_no_less_than_a_third_of_it(
-    found: list[float | None], expected: float | None, asked: list[int], monkeypatch: pytest.MonkeyPatch
-):
+def test_a_growth_counts_once_smaller_steps_give_no_less_than_a_third_of_it(found, expected, asked, monkeypatch):
     """Of a plan that declares no scheme; one that does is asked once."""
     rest, parts_asked = iter(found), []
 

@@ -1,7 +1,5 @@
 """The best plan of three carts, judged once."""
 
-from __future__ import annotations
-
 import pytest
 
 from formulations.pipelines import solve_scene

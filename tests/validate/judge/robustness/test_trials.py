@@ -1,7 +1,5 @@
 """A plan in one world: against the judge, the reference and an integrator of the tests' own."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -44,7 +42,6 @@ def test_in_the_scenes_own_world_it_is_what_the_judge_found(judged: Judgement):
         for trial in (arena.trial(arena.nominal), arena.checked(arena.nominal), arena.trial(arena.nominal)):
             for name, share in trial.shares.items():
                 metric = judged.score.metric(name)
-                assert metric is not None
                 assert share == pytest.approx(metric.value / metric.limit, abs=1e-4), name  # type: ignore[operator]
             assert trial.arrives
         assert len(trial.shares) == 3

@@ -293,9 +293,7 @@ off("energy, of what is there", "energy_residual_relative", 0.5 / 2.0, "1", 1e-6
 
 @SIDES
 @pytest.mark.parametrize(("what", "name", "value", "unit", "limit", "change"), FOUND, ids=[f"{n} of {w}" for w, n, *_ in FOUND])
-def test_what_is_off_is_found_by_exactly_that(
-    what: str, name: str, value: float, unit: str, limit: float | None, change: Change, side: float
-):
+def test_what_is_off_is_found_by_exactly_that(what, name, value, unit, limit, change, side):
     case = Case(side)
     change(case)
     found = case.metric(name)
@@ -396,9 +394,7 @@ def test_a_goal_nearer_than_the_nominal_is_the_scale_of_the_start():
         (Question.MOTION, 2.6, False),
     ],
 )
-def test_how_many_errors_a_metric_must_be_from_its_limit(
-    question: Question, value: float, ok: bool | None, monkeypatch: pytest.MonkeyPatch
-):
+def test_how_many_errors_a_metric_must_be_from_its_limit(question, value, ok, monkeypatch):
     entry = next(entry for entry in score_room.TABLE if entry.name == "energy_residual_relative")
     asked = replace(entry, question=question, measure=lambda case: Measured(values=np.array([value]), error=0.15), default=(1.0, "one"))
     monkeypatch.setattr(score_room, "TABLE", tuple(asked if other is entry else other for other in score_room.TABLE))

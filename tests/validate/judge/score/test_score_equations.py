@@ -191,13 +191,8 @@ def contacts_of_carts(events: list[tuple[float, str, bool]], **rows: np.ndarray)
 
 
 EVENTS = [
-    (0.1, "right", False),
-    (0.2, "right", True),
-    (0.25, "left", True),
-    (0.3, "left", False),
-    (0.4, "right", False),
-    (0.5, "right", True),
-]
+    (0.1, "right", False), (0.2, "right", True), (0.25, "left", True), (0.3, "left", False), (0.4, "right", False), (0.5, "right", True),
+]  # fmt: skip
 
 
 def test_the_first_contact_is_measured_from_where_it_closes_to_where_the_same_one_opens():

@@ -65,7 +65,7 @@ def test_a_contact_that_pushes_while_its_gap_is_open_has_a_map_that_is_wrong(con
     lam[:, contact] = 10.0, 10.0, 10.0, 0.09, 10.0
     gap[:, contact] = -1.0, 0.5, 0.6, 0.9, 0.009
 
-    with pytest.raises(Contradicted, match=f"contact {('left', 'right')[contact]} pushes, but its gap is open in 62 % of that time"):
+    with pytest.raises(Contradicted, match=f"contact {('left', 'right')[contact]} .*open in 62 %"):
         measures._check_gaps(foreign(lam, gap))
     lam[3, contact] = 0.11  # a hundredth of the largest force is one: 15 of 20 s
     with pytest.raises(Contradicted, match="open in 75 %"):

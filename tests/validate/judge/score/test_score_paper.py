@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from example_scenes import solve
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -59,9 +60,9 @@ def test_softplus_collocation_rows(scores: dict[str, Score], name: str, physics:
     answers = dict(result.questions)
     assert answers[Question.GOAL] == "yes", "on paper it arrives"
     assert {answers[question] for question in (Question.FORCES, Question.MOTION, Question.POSSIBLE, Question.SCHEME)} == {"no"}
-    assert result.why.startswith("its contact forces are not those of contact")
+    assert not unsaid(result.why, "contact forces are not those of contact")
     assert "a relaxed contact law; tighten eps" in result.why
-    assert "driven by its inputs the motion departs from the plan by" in result.why
+    assert not unsaid(result.why, "departs from the plan by")
 
 
 @pytest.mark.parametrize(

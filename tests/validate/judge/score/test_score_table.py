@@ -327,14 +327,9 @@ def asking(**ok: bool | None) -> tuple[Metric, ...]:
 @pytest.mark.parametrize(
     "name",
     [
-        "terminal_position_error",
-        "terminal_velocity_error",
-        "cost",
-        "replay_terminal_position_error",
-        "replay_terminal_velocity_error",
-        "replay_cost",
+        "terminal_position_error", "terminal_velocity_error", "cost", "replay_terminal_position_error", "replay_terminal_velocity_error", "replay_cost",
     ],
-)
+)  # fmt: skip
 def test_who_asks_for_an_end_or_a_cost_asks_for_something(name: str):
     scene, plan = SimpleNamespace(nc=1, nf=1), SimpleNamespace(has_states=True, missing=frozenset())
     assert _of_what_is_asked(scene, plan, Verdict.HOLDS, asking(**{name: True})) is Verdict.HOLDS
@@ -361,9 +356,7 @@ def test_who_claims_nothing_is_not_judged_where_nothing_is_asked(has_states: boo
 
 @pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
 @pytest.mark.parametrize("ok", [(True, True), (True, False), (True, None), (None,), ()])
-def test_the_other_hold_passes_where_every_metric_of_the_motion_does(
-    hold: Hold, ok: tuple[bool | None, ...], monkeypatch: pytest.MonkeyPatch
-):
+def test_the_other_hold_passes_where_every_metric_of_the_motion_does(hold, ok, monkeypatch):
     """Of the plan held the other way, beside the replay made so; what is not judged and what is of other questions is not asked."""
     words = iter(ok)
     holds: list[Any] = []
@@ -373,14 +366,9 @@ def test_the_other_hold_passes_where_every_metric_of_the_motion_does(
         holds.append((case.trajectory.hold, case._replay))
         word = next(words, "shown")
         return Metric(
-            name=entry.name,
-            question=entry.question,
-            value=1.0,
-            unit="m",
-            meaning="",
-            limit=None if word == "shown" else 1.0,
+            name=entry.name, question=entry.question, value=1.0, unit="m", meaning="", limit=None if word == "shown" else 1.0,
             ok=None if word == "shown" else word,
-        )
+        )  # fmt: skip
 
     monkeypatch.setattr(score_module, "_metric", measured)
     states = np.zeros((3, 1))
@@ -396,13 +384,9 @@ def test_the_other_hold_passes_where_every_metric_of_the_motion_does(
 def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_replays():
     scene = load_scene("wall_pendulum")
     fails = replace(
-        TABLE[0],
-        name="x",
-        question=Question.MOTION,
-        measure=lambda case: (_ for _ in ()).throw(Unmeasured("unseen.")),
-        default=(0.5, "r"),
+        TABLE[0], name="x", question=Question.MOTION, measure=lambda case: (_ for _ in ()).throw(Unmeasured("unseen.")), default=(0.5, "r"),
         needs=(),
-    )
+    )  # fmt: skip
     trajectory = SimpleNamespace(missing=frozenset(), scheme=None)
 
     class Case:
@@ -428,7 +412,7 @@ def test_an_answer_by_a_measure_that_nobody_knows_is_refused_with_its_file(tmp_p
     wrong = replace(scene, answers=(replace(scene.answers[0], measure="depht"),))
     with pytest.raises(
         SceneError,
-        match=r"^scene bouncing_mass: answer .* is measured by 'depht', but the measures are closing time, contact time, restitution, depth\.$",
+        match=r"^scene bouncing_mass: .*'depht', .*closing time, contact time, restitution, depth\.$",
     ):
         score_module.check_limits(wrong)
     with pytest.raises(SceneError, match=rf"^scene file {tmp_path}: scene bouncing_mass: answer"):

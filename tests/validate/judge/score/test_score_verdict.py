@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.schemes import Scheme
@@ -212,54 +213,46 @@ TRUE = metric("physics_scaled", True, value=0.0, limit=1e-5, unit="s")
 
 def test_a_relaxed_law_is_named_before_what_follows_from_it():
     why = told(metric("physics_scaled", False, value=0.7, limit=1e-5, unit="s"), MISS, metric("ghost_impulse", False, 3.1, 0.1, "N s"))
-    assert why == (
-        "its contact forces are not those of contact: complementarity violation 0.7 s (scaled), limit 1e-05 s: a relaxed contact law; "
-        "tighten eps, or go on from it with exact contact (`strict`, `mpcc`); driven by its inputs the motion ends 0.27 m from the goal, limit 0.06 m; "
-        "also above their limits: ghost_impulse."
+    assert not unsaid(
+        why,
+        "not those of contact: … 0.7 s (scaled), limit 1e-05 s: a relaxed … tighten eps, … (`strict`, `mpcc`); … 0.27 m … 0.06 m; … ghost_impulse.",
     )
 
 
 def test_a_miss_by_the_grid_alone_is_not_blamed_on_contact():
     why = told(TRUE, metric("replay_terminal_position_error", False, value=0.08), GRID)
-    assert why.startswith(
-        "driven by its inputs the motion ends 0.08 m from the goal, limit 0.06 m: discretisation error 0.079 m; the contact forces are correct"
-    )
+    assert not unsaid(why, "ends 0.08 m … limit 0.06 m: discretisation error 0.079 m; the contact forces are correct")
     # 0.8 * 0.06/0.08 of 0.01 s, as the scheme is of order one: said as a prediction.
-    assert "Try h = 0.006 s (predicted from the order of the scheme)" in why
+    assert not unsaid(why, "Try h = 0.006 s")
 
 
 def test_a_plan_through_a_wall_without_forces_is_complementary_but_of_another_law():
     why = told(TRUE, STRAY, GRID, metric("law_error", None, value=0.2, limit=None))
-    assert ": a relaxed contact law (0.2 m on its own grid already)" in why
+    assert not unsaid(why, ": a relaxed contact law (0.2 m")
     assert "discretisation" not in why
 
 
 @pytest.mark.parametrize(
     ("first", "says"),
     [
-        (metric("start_error", False, value=0.1, limit=1e-6), "the plan starts 0.1 m away from the task's start, limit 1e-06 m; driven by"),
+        (metric("start_error", False, value=0.1, limit=1e-6), "the plan starts 0.1 m … limit 1e-06 m; driven by"),
         (metric("bound_violation", False, value=47.0, limit=1e-6, unit="N"), "the inputs leave their bounds by 47 N, limit 1e-06 N; driven by"),
-        (metric("terminal_position_error", False, value=0.5, limit=0.05), "the plan itself ends 0.5 m from the goal, limit 0.05 m; also above"),
+        (metric("terminal_position_error", False, value=0.5, limit=0.05), "the plan itself ends 0.5 m … limit 0.05 m; also above"),
     ],
 )  # fmt: skip
 def test_the_first_question_that_fails_speaks_first(first: Metric, says: str):
-    assert told(TRUE, STRAY, MISS, GRID, first).startswith(says)
+    assert not unsaid(told(TRUE, STRAY, MISS, GRID, first), says)
 
 
 def test_what_declares_no_scheme_hears_nothing_of_grids():
     hidden = metric("unexplained_force", False, value=0.4, limit=0.1, unit="1")
     why = told(STRAY, hidden, scheme=None)
-    assert "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force" in why
+    assert not unsaid(why, "neither inputs nor contact give, 40 %")
     assert "grid" not in why
     assert "time step" not in why
-    assert told(hidden, scheme=None) == (
-        "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force, limit 10 %."
-    )
+    assert not unsaid(told(hidden, scheme=None), "neither inputs nor contact give, 40 % … limit 10 %.")
     unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
-    assert (
-        unstable
-        == "driven by its inputs the motion departs from the plan by 0.2 m, limit 0.06 m; unstable in the open loop (amplification 550)."
-    )
+    assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
 
 
 def metric_of_growth(value: float) -> Metric:
@@ -272,21 +265,21 @@ def test_the_cause_of_what_is_undecided_is_what_is_open():
 
 
 def test_the_other_hold_is_named_where_it_passes():
-    assert "with its inputs held the other way it does not: declare `# hold: linear`." in told(STRAY, scheme=None, other_hold=True)
+    assert not unsaid(told(STRAY, scheme=None, other_hold=True), "held the other way … declare `# hold: linear`.")
 
 
 def test_what_is_undecided_says_why():
     unmeasured = metric("replay_error", None, value=None, reason="the plan was not replayed.")
     why = told(unmeasured, verdict=Verdict.UNDECIDED)
-    assert why == "replay_error could not be measured: the plan was not replayed."
+    assert not unsaid(why, "replay_error … not be measured: … not replayed.")
     blurred = metric("replay_error", None, value=0.0599, error=1e-4)
     why = told(blurred, OPEN, verdict=Verdict.UNDECIDED)
-    assert "by 0.0599 m, limit 0.06 m, but the replay's own error of 0.0001 m" in why
+    assert not unsaid(why, "by 0.0599 m, limit 0.06 m, but … own error of 0.0001 m")
     assert "nor decided: max_penetration" in why
     endless = metric("replay_error", None, value=0.01, error=math.inf)
     assert "the replay has no error estimate" in told(endless, verdict=Verdict.UNDECIDED)
     accused = told(BELOW, UNWELL, verdict=Verdict.UNDECIDED)
-    assert accused.startswith("the judge is not well, so nothing is said of the plan: the replay is 0.07 tolerances off")
+    assert not unsaid(accused, "the judge is not well … the replay is 0.07 tolerances off")
 
 
 def test_what_holds_shows_the_metric_closest_to_its_limit():
@@ -298,15 +291,13 @@ def test_what_holds_shows_the_metric_closest_to_its_limit():
         "0.03 m from the goal, limit 0.06 m",
         "discretisation error is 0.079 m",
     )
-    assert [part for part in parts if part not in why] == []
+    assert not unsaid(why, *parts)
 
 
 def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took():
     why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
-    assert why.startswith(
-        "not for the inputs alone: driven by its inputs the motion ends 0.07 m from the goal, limit 0.06 m, unstable in the open loop"
-    )
-    assert "RMS effort 7 % of the half-range and 7 % of the plan's own inputs" in why
+    assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m, unstable")
+    assert not unsaid(why, "RMS effort 7 % … and 7 % of the plan's own")
     assert "it holds: with feedback" in why
 
 
