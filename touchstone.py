@@ -16,15 +16,11 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Mapping, Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from importlib.machinery import ModuleSpec
-
     from formulations.solution import Outcome
     from models.scene import Scene
     from models.trajectory import Trajectory
@@ -69,8 +65,6 @@ __all__ = [
     "scenes",
     "solve",
 ]
-# Name of the Pyomo solver -> where its class is.
-_SOLVERS = {"touchstone_ipopt": ("formulations.ipopt", "TouchstoneIpopt"), "mpec_ipopt": ("formulations.mpec", "MpecIpopt")}
 _PACKAGES = ("models", "formulations", "validate", "reports")
 
 
@@ -349,45 +343,7 @@ def __dir__() -> list[str]:
     return list(__all__)
 
 
-class _AfterPyomo:
-    """Registers both solvers when somebody imports pyomo.environ. Pyomo has no entry points for solvers, and importing it here would cost 0.5 s.
-
-    A finder of modules by its method; the class of `importlib.abc` for it would cost 10 ms.
-    """
-
-    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        if name != "pyomo.environ":
-            return None
-        sys.meta_path.remove(self)
-        spec = find_spec(name)
-        if spec is not None and spec.loader is not None:
-            inner = spec.loader.exec_module
-
-            def exec_module(module: ModuleType) -> None:
-                inner(module)
-                _register()
-
-            spec.loader.exec_module = exec_module  # type: ignore[method-assign] - of this one module
-        return spec
-
-
-def _register() -> None:
-    """Both names, so that using one imports its solver: importing them here would meet ours that are being imported, and cost 0.3 s."""
-    from pyomo.opt import SolverFactory
-
-    for solver, (home, name) in _SOLVERS.items():
-        if solver not in SolverFactory:
-            SolverFactory.register(solver)(partial(_made, home, name))
-
-
-def _made(home: str, name: str, **options: Any) -> Any:
-    return getattr(importlib.import_module(home), name)(**options)
-
-
 _clash = name_clash()
 if _clash is not None:
     raise ImportError(_clash)
-if "pyomo.environ" in sys.modules:
-    _register()
-else:
-    sys.meta_path.insert(0, _AfterPyomo())
+importlib.import_module("formulations")  # registers the Pyomo solvers; not above, where a clash is not yet told

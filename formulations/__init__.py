@@ -4,13 +4,15 @@
     model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
     pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver; "mpec_ipopt" for complementarity
 
-Pyomo is imported when a model is built, PyTorch when a rollout is asked for as its function: importing this package costs neither.
+Importing this package registers both solvers with both of Pyomo's factories, and imports neither Pyomo, which comes when a model is built, nor PyTorch.
 """
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from formulations.registration import register
 
 if TYPE_CHECKING:
     from formulations.transcription.build import build_block, build_model, load_plan, read_plan
@@ -45,6 +47,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    importlib.import_module("formulations.ipopt")  # whoever builds a model may solve it: registers SolverFactory("touchstone_ipopt"),
-    importlib.import_module("formulations.mpec")  # and SolverFactory("mpec_ipopt") for one with complementarity
     return getattr(importlib.import_module(f"formulations.transcription.{_HOME[name]}"), name)
+
+
+register()

@@ -31,9 +31,13 @@ def test_importing_it_imports_neither_solvers_nor_simulators(tmp_path: Path):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("first", ["import touchstone; import pyomo.environ as pyo", "import pyomo.environ as pyo; import touchstone"])
-def test_it_registers_both_solvers_before_and_after_pyomo(first: str, tmp_path: Path):
-    code = f"""{first}
+@pytest.mark.parametrize("package", ["touchstone", "formulations"])
+@pytest.mark.parametrize("first", ["import {}; import pyomo.environ as pyo", "import pyomo.environ as pyo; import {}"])
+def test_it_registers_both_solvers_before_and_after_pyomo(first: str, package: str, tmp_path: Path):
+    code = f"""{first.format(package)}
+import sys
+from pyomo.contrib.solver.common.factory import SolverFactory
+assert "cyipopt" not in sys.modules, "a solver is imported when it is asked for"
 from pyomo.mpec import Complementarity, complements
 model = pyo.ConcreteModel()
 model.x, model.y = pyo.Var(initialize=1.0), pyo.Var(initialize=1.0)
@@ -43,9 +47,10 @@ print(round(model.x.value, 6), round(model.y.value, 6))
 model.contact = Complementarity(expr=complements(model.x >= 0, model.y >= 0))
 pyo.SolverFactory("mpec_ipopt").solve(model)
 print(round(abs(model.x.value), 6), round(model.y.value, 6))
+print(SolverFactory("mpec_ipopt").name, SolverFactory("touchstone_ipopt").name)
 """
     found = python(code, tmp_path)
-    assert found.stdout == "1.0 2.0\n0.0 2.0\n", found.stderr
+    assert found.stdout == "1.0 2.0\n0.0 2.0\nmpec_ipopt touchstone_ipopt\n", found.stderr
 
 
 def test_every_name_is_there_and_says_what_it_is():

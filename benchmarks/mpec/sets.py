@@ -3,6 +3,7 @@
     python -m benchmarks mpec-sets --from DIR --optima optima.csv
 
 DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a CSV of `name, .., published_optimum`.
+Where models are abstract, `--problems` is a CSV of `name, model, data`: which file with which data is which problem.
 With `--peer`, CasADi and Ipopt are given each problem too (Scholtes, `benchmarks.mpec.solvers`), and a performance profile stands beside the table.
 The child's own answer is not believed: rows, bounds, pairs and stationarity are recomputed from the values of the model's variables, and where rows are
 linear and the objective is convex a tree of convex programs bounds the global optimum (`benchmarks.mpec.proved`).
@@ -19,6 +20,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +44,8 @@ _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "pub
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
 
-def load(path: Path) -> Any:
-    """The Pyomo model of a file. Raises NlError, ImportError, or whatever the file raises."""
+def load(path: Path, data: Path | None = None) -> Any:
+    """The Pyomo model of a file, and of its data where it is abstract. Raises NlError, ImportError, or whatever the file raises."""
     if path.suffix == ".nl":
         from formulations.ampl import read_nl
 
@@ -54,10 +56,12 @@ def load(path: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     found = getattr(module, "model", None)
-    return found() if callable(found) and not hasattr(found, "component_data_objects") else found
+    if not hasattr(found, "component_data_objects"):
+        return found() if callable(found) else found
+    return found if data is None and found.is_constructed() else found.create_instance(None if data is None else str(data))
 
 
-def solve_one(path: Path, limit: float, proof_seconds: float) -> dict[str, Any]:
+def solve_one(model: Any, limit: float, proof_seconds: float) -> dict[str, Any]:
     """What is found of one problem, as JSON data."""
     import pyomo.environ as pyo
     from pyomo.mpec import Complementarity
@@ -65,7 +69,6 @@ def solve_one(path: Path, limit: float, proof_seconds: float) -> dict[str, Any]:
     from formulations.mpec import certify, solve_mpec
     from formulations.mpec import load as take
 
-    model = load(path)
     sizes = {
         "variables": len(list(model.component_data_objects(pyo.Var))),
         "rows": len(list(model.component_data_objects(pyo.Constraint, active=True))),
@@ -90,7 +93,7 @@ def solve_one(path: Path, limit: float, proof_seconds: float) -> dict[str, Any]:
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in told.items()}
 
 
-def solve_by_peer(path: Path) -> dict[str, Any]:
+def solve_by_peer(model: Any) -> dict[str, Any]:
     """What CasADi and Ipopt find of one problem, judged by the same certificate, as JSON data."""
     import numpy as np
     import pyomo.environ as pyo
@@ -99,7 +102,6 @@ def solve_by_peer(path: Path) -> dict[str, Any]:
     from benchmarks.mpec.solvers import casadi_scholtes
     from formulations.mpec import certify
 
-    model = load(path)
     began = time.process_time()
     try:
         program, variables = of_pyomo(model)
@@ -175,19 +177,44 @@ def _against(row: dict[str, Any], published: float | None) -> str:
     return "better" if difference < 0 else f"worse by {difference:.2g}"
 
 
-def _run(path: Path, limit: float, proof: float, with_peer: bool, folder: Path) -> dict[str, Any]:
-    told, reason = _child(path, folder, (f"{limit:g}", f"{proof:g}"), limit + proof + _BESIDE)
-    row = {"problem": path.stem, **told} if told else {"problem": path.stem, "status": "no answer", "sense": 1, "message": reason}
+@dataclass(frozen=True)
+class Problem:
+    """name; path of its model; path of the data of an abstract model."""
+
+    name: str
+    path: Path
+    data: Path | None = None
+
+
+def _problems(folder: Path, listed: Path | None) -> list[Problem]:
+    """Those of a list, else each file of the folder."""
+    if listed is None:
+        return [Problem(path.stem, path) for path in sorted(folder.iterdir()) if path.suffix in (".nl", ".py")]
+    with listed.open(encoding="utf-8", newline="") as lines:
+        rows = [{name: (value or "").strip() for name, value in row.items() if name} for row in csv.DictReader(lines)]
+    if not rows or not all(row.get("name") and row.get("model") for row in rows):
+        raise click.UsageError(
+            f"{listed} is no list of problems: it has the columns name, model, data, and a name and a model in every row."
+        )
+    files = {name for row in rows for name in (row["model"], row.get("data", "")) if name and not (folder / name).is_file()}
+    if files:
+        raise click.UsageError(f"{listed} names files that {folder} does not hold: {', '.join(sorted(files)[:5])}.")
+    return [Problem(row["name"], folder / row["model"], folder / row["data"] if row.get("data") else None) for row in rows]
+
+
+def _run(problem: Problem, limit: float, proof: float, with_peer: bool, folder: Path) -> dict[str, Any]:
+    told, reason = _child(problem, folder, (f"{limit:g}", f"{proof:g}"), limit + proof + _BESIDE)
+    row = {"problem": problem.name, **told} if told else {"problem": problem.name, "status": "no answer", "sense": 1, "message": reason}
     if with_peer:
-        told, reason = _child(path, folder, (), limit + _BESIDE)
+        told, reason = _child(problem, folder, (), limit + _BESIDE)
         row |= told or {"peer_reason": reason}
     return row
 
 
-def _child(path: Path, folder: Path, limits: tuple[str, ...], cpu_limit: float) -> tuple[dict[str, Any], str]:
+def _child(problem: Problem, folder: Path, limits: tuple[str, ...], cpu_limit: float) -> tuple[dict[str, Any], str]:
     """What a child wrote, or nothing and why."""
-    target = folder / f"{path.stem}-{len(limits)}.json"
-    done = run_child("benchmarks.mpec.sets", str(path), str(target), *limits, cpu_limit=cpu_limit)
+    target, data = folder / f"{problem.name}-{len(limits)}.json", "" if problem.data is None else str(problem.data)
+    done = run_child("benchmarks.mpec.sets", str(problem.path), data, str(target), *limits, cpu_limit=cpu_limit)
     if target.exists():
         return json.loads(target.read_text(encoding="utf-8")), ""
     last = (done.stderr.strip().splitlines() or ["no word"])[-1]
@@ -223,6 +250,9 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     "--from", "folder", type=click.Path(path_type=Path, exists=True, file_okay=False), required=True, metavar="DIR", help="The problems."
 )
 @click.option("--optima", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CSV", help="Their published optima.")
+@click.option(
+    "--problems", "listed", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CSV", help="Which model with which data."
+)
 @click.option("--limit", type=POSITIVE, default=120.0, show_default=True, metavar="SECONDS", help="Of one problem.")
 @click.option(
     "--proof", type=FiniteRange(min=0.0), default=10.0, show_default=True, metavar="SECONDS", help="Of the proof of one global bound."
@@ -231,15 +261,17 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
 @click.option("-k", "part", default="", metavar="TEXT", help="Only problems whose name holds this.")
 @click.option("-j", "jobs", type=COUNT, default=os.cpu_count() or 1, show_default=True, help="So many at a time.")
 @out_option
-def command(folder: Path, optima: Path | None, limit: float, proof: float, with_peer: bool, part: str, jobs: int, out: Path) -> int:
+def command(
+    folder: Path, optima: Path | None, listed: Path | None, limit: float, proof: float, with_peer: bool, part: str, jobs: int, out: Path
+) -> int:
     """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
-    files = sorted(path for path in folder.iterdir() if path.suffix in (".nl", ".py") and part in path.stem)
-    if not files:
-        raise click.UsageError(f"{folder} holds no .nl or .py file whose name holds '{part}'.")
+    problems = [problem for problem in _problems(folder, listed) if part in problem.name]
+    if not problems:
+        raise click.UsageError(f"{folder if listed is None else listed} holds no problem whose name holds '{part}'.")
     published = _published(optima) if optima is not None else {}
     with temporary_folder("touchstone-sets-") as work, ThreadPoolExecutor(jobs) as pool:
         rows = []
-        for row in pool.map(lambda path: _run(path, limit, proof, with_peer, work), files):
+        for row in pool.map(lambda problem: _run(problem, limit, proof, with_peer, work), problems):
             click.echo(
                 "  ".join(
                     str(word)
@@ -262,5 +294,7 @@ def command(folder: Path, optima: Path | None, limit: float, proof: float, with_
 
 
 if __name__ == "__main__":
-    told = solve_one(Path(sys.argv[1]), *map(float, sys.argv[3:])) if sys.argv[3:] else solve_by_peer(Path(sys.argv[1]))
-    Path(sys.argv[2]).write_text(json.dumps(told), encoding="utf-8")
+    source, data, target, *limits = sys.argv[1:]
+    given = load(Path(source), Path(data) if data else None)
+    told = solve_one(given, *map(float, limits)) if limits else solve_by_peer(given)
+    Path(target).write_text(json.dumps(told), encoding="utf-8")

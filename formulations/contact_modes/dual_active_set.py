@@ -166,23 +166,24 @@ class DualActiveSet:
         if not np.abs(kkt.product(x) - right).max() <= 1e-8 * max(1.0, np.abs(right).max()):
             return "infeasible"
         imposed: list[tuple[int, int, int]] = []
-        columns: list[np.ndarray] = []
+        columns = np.zeros((_MOST, lin.steps * (lin.nc + lin.nu)))
         gram, force = np.zeros((0, 0)), np.zeros(0)
+        cost, values = self._cost(kkt.point(x), goal, softness), self._moved(x, sign)
+        values[: sign.size] += np.vstack([np.zeros((1, lin.nc)), sign[1:] * lin.p]).ravel()
         for _ in range(_MOST):
-            point = kkt.point(x)
-            cost = self._cost(point, goal, softness)
-            condition, violation = self._worst(point, sign, imposed)
+            condition, violation = self._worst(values, imposed)
             if condition is None or cost >= ceiling:
                 side, touching = np.zeros((lin.steps, lin.nu), dtype=int), none_c.copy()
                 for kind, t, column in imposed:
                     (touching if kind == 0 else side)[t, column] = kind or 1
                 return DualAnswer(cost, condition is not None, WorkingSet(side=side, touching=touching))
-            column = kkt.solve(self._right(condition, sign))
-            own, own_force = self._value(column, condition, sign), 0.0
-            cross = np.array([self._value(column, other, sign) for other in imposed])
+            column = self._moved(kkt.solve(self._right(condition, sign), refine=False), sign)
+            own, own_force = self._value(column, condition), 0.0
+            cross = np.array([self._value(column, other) for other in imposed])
             while True:
+                held = len(imposed)
                 try:
-                    share = np.linalg.solve(gram, cross) if imposed else np.zeros(0)
+                    share = np.linalg.solve(gram, cross) if held else np.zeros(0)
                 except np.linalg.LinAlgError:  # conditions that depend on each other: left to the interior point
                     return "unfinished"
                 slope = own - float(cross @ share)
@@ -194,39 +195,45 @@ class DualActiveSet:
                 if not np.isfinite(step):
                     return "infeasible"
                 if np.isfinite(full):
-                    x = x + step * (column - share @ np.array(columns) if columns else column)
+                    values += step * (column - share @ columns[:held])
+                    cost += step * slope * (0.5 * step + own_force)
                     violation += step * slope
                 force, own_force = force - step * share, own_force + step
                 if full <= partial:
                     break
                 imposed.pop(drop)
-                columns.pop(drop)
-                keep = np.arange(len(force)) != drop
+                columns[drop : held - 1] = columns[drop + 1 : held]
+                keep = np.arange(held) != drop
                 force, cross, gram = force[keep], cross[keep], gram[np.ix_(keep, keep)]
             gram = np.block([[gram, cross[:, None]], [cross[None], np.array([[own]])]])
             force = np.append(force, own_force)
+            columns[len(imposed)] = column
             imposed.append(condition)
-            columns.append(column)
         return "unfinished"
 
     def _cost(self, point: Point, goal: np.ndarray, softness: float) -> float:
         cost = self._linear.cost(point.z[:-1], point.u)
         return cost if softness == 0.0 else cost + 0.5 / softness * float((miss(point.z[-1], goal) ** 2).sum())
 
-    def _worst(self, point: Point, sign: np.ndarray, imposed: list[tuple[int, int, int]]) -> tuple[tuple[int, int, int] | None, float]:
+    def _moved(self, x: np.ndarray, sign: np.ndarray) -> np.ndarray:
+        """All that conditions ask of a solution: its phi without p, with their signs (0 at the start), then its u: (steps * (nc + nu),)."""
+        phi = np.zeros(sign.shape)
+        phi[1:] = sign[1:] * (x[self._kkt.rows_z[:-1]] @ self._linear.P.T)
+        return np.concatenate([phi.ravel(), x[self._kkt.rows_u].ravel()])
+
+    def _worst(self, values: np.ndarray, imposed: list[tuple[int, int, int]]) -> tuple[tuple[int, int, int] | None, float]:
         """The most violated condition (phi weighted with its stiffness: newtons against newtons) and its value, negative."""
         lin = self._linear
-        phi = sign * lin.penetration(point.z[:-1])
-        phi[0] = 0.0
+        phi, u = values[: lin.steps * lin.nc].reshape(lin.steps, lin.nc), values[lin.steps * lin.nc :].reshape(lin.steps, lin.nu)
         found: tuple[float, tuple[int, int, int] | None, float] = (0.0, None, 0.0)
-        for kind, values, weight in ((0, phi, lin.k), (-1, point.u - lin.lower, 1.0), (1, lin.upper - point.u, 1.0)):
-            short = np.where(values < -_VIOLATED, values * weight, 0.0)
+        for kind, slack, weight in ((0, phi, lin.k), (-1, u - lin.lower, 1.0), (1, lin.upper - u, 1.0)):
+            short = np.where(slack < -_VIOLATED, slack * weight, 0.0)
             for other in imposed:
                 if other[0] == kind:
                     short[other[1:]] = 0.0
             if short.size and short.min() < found[0]:
                 t, column = (int(i) for i in np.unravel_index(int(short.argmin()), short.shape))
-                found = (float(short.min()), (kind, t, column), float(values[t, column]))
+                found = (float(short.min()), (kind, t, column), float(slack[t, column]))
         return found[1], found[2]
 
     def _right(self, condition: tuple[int, int, int], sign: np.ndarray) -> np.ndarray:
@@ -238,9 +245,8 @@ class DualActiveSet:
             right[self._kkt.rows_u[t, column]] = -float(kind)
         return right
 
-    def _value(self, x: np.ndarray, condition: tuple[int, int, int], sign: np.ndarray) -> float:
-        """How much the condition's value changes along x."""
+    def _value(self, moved: np.ndarray, condition: tuple[int, int, int]) -> float:
+        """How much the condition's value changes along what `_moved` gave."""
         kind, t, column = condition
-        if kind == 0:
-            return float(sign[t, column] * (self._linear.P[column] @ x[self._kkt.rows_z[t - 1]]))
-        return -float(kind * x[self._kkt.rows_u[t, column]])
+        lin = self._linear
+        return float(moved[t * lin.nc + column] if kind == 0 else -kind * moved[lin.steps * lin.nc + t * lin.nu + column])

@@ -72,10 +72,10 @@ class BandedLU:
         self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
         return self._library.band_factor(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data) == 0
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]. Raises nothing: the size is not checked here."""
+    def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
+        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual or not; the same shape [-]. Raises nothing: the size is not checked here."""
         found = self._back(right)
-        return found + self._back(right - self.product(found))
+        return found + self._back(right - self.product(found)) if refine else found
 
     def product(self, x: np.ndarray) -> np.ndarray:
         """Multiply by the matrix of the last factorisation: x (size,) or (size, m) [-] -> the same shape [-]. Raises nothing: the size is not checked here."""
@@ -390,9 +390,9 @@ class BandedKKT:
         columns[rows, np.arange(len(rows))] = 1.0
         return columns
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]. Raises nothing: the size is not checked here."""
-        return self._lu.solve(right)
+    def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
+        """As `BandedLU.solve`, of the optimality system. Raises nothing: the size is not checked here."""
+        return self._lu.solve(right, refine=refine)
 
     def product(self, x: np.ndarray) -> np.ndarray:
         """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]. Raises nothing: the size is not checked here."""

@@ -14,12 +14,11 @@
 L = f + lagrange' g - zl' x + zu' x, for the minimised objective `problem.sense * f`. Positions: `problem.variables[j]` is x[j],
 `problem.equations[i]` is lagrange[i].
 
-Importing this package also registers `SolverFactory("touchstone_ipopt")`, which works like any Pyomo solver.
+`SolverFactory("touchstone_ipopt")` works like any Pyomo solver; importing `formulations` registers it.
 """
 
 from __future__ import annotations
 
-from formulations.ipopt import contrib_solver as contrib_solver  # registers with Pyomo's second factory
 from formulations.ipopt.model import MissingValueError, ModelRefusedError, StructureChangedError
 from formulations.ipopt.options import UnknownOptionError, known_options
 from formulations.ipopt.problem import IpoptProblem, compile_model

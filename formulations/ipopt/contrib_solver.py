@@ -17,10 +17,8 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
-from pyomo.common.factory import Factory
 from pyomo.common.tee import TeeStream, capture_output
 from pyomo.contrib.solver.common.base import Availability, SolverBase
-from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import Results, SolutionStatus, TerminationCondition
 from pyomo.contrib.solver.common.solution_loader import SolutionLoader
 from pyomo.contrib.solver.common.util import (
@@ -32,7 +30,7 @@ from pyomo.contrib.solver.common.util import (
 )
 from pyomo.core.base.suffix import Suffix
 
-from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, TouchstoneIpopt
+from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin
 from formulations.solution import Outcome
 
 # Infeasible only near the start: a local solver proves nothing.
@@ -86,13 +84,12 @@ def _chosen(pairs: Any, wanted: Sequence[Any] | None) -> Any:
     return found if wanted is None else ComponentMap((item, found[item]) for item in wanted)
 
 
-class _ContribSolver(SolverBase):
+class ContribSolver(SolverBase):
     """A plugin of the first interface, asked in the words of the second."""
 
-    plugin: type[PyomoPlugin]
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(name=self.plugin.title, **settings)
+    def __init__(self, plugin: type[PyomoPlugin], **settings: Any) -> None:
+        super().__init__(name=plugin.title, **settings)
+        self.plugin = plugin
         self.last_result: Any = None
 
     def available(self) -> Availability:
@@ -147,13 +144,3 @@ def _status(answer: PyomoAnswer) -> SolutionStatus:
     if answer.outcome is Outcome.SOLVED:
         return SolutionStatus.optimal
     return SolutionStatus.feasible if answer.is_feasible else SolutionStatus.infeasible
-
-
-def register(plugin: type[PyomoPlugin]) -> None:
-    """Register a plugin of the first interface with the second, by the same name."""
-    solver = type(f"Contrib{plugin.__name__}", (_ContribSolver,), {"plugin": plugin, "__doc__": plugin.__doc__})
-    # The second factory's own `register` would put a wrapper of this one in the place of the plugin in the first factory.
-    Factory.register(SolverFactory, plugin.title, doc=(plugin.__doc__ or "").split("\n")[0])(solver)
-
-
-register(TouchstoneIpopt)

@@ -1,6 +1,6 @@
 """SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
 
-    import formulations.ipopt
+    import formulations
     solver = pyo.SolverFactory("touchstone_ipopt")
     solver.options["tol"] = 1e-9
     results = solver.solve(model, tee=True, timelimit=60)
@@ -44,7 +44,7 @@ from pyomo.common.tee import TeeStream, capture_output
 from pyomo.core.base import Block, Suffix
 from pyomo.core.base.label import NumericLabeler
 from pyomo.core.base.symbol_map import SymbolMap
-from pyomo.opt import ProblemSense, SolverFactory, SolverResults, SolverStatus, TerminationCondition
+from pyomo.opt import ProblemSense, SolverResults, SolverStatus, TerminationCondition
 from pyomo.opt.results.solution import Solution, SolutionStatus
 
 from formulations.ipopt.problem import IpoptProblem, compile_model
@@ -343,7 +343,6 @@ def _options_of_text(text: str) -> dict[str, str]:
 _AGAIN = "once more with perturb_always_cd='yes', because constraints may repeat each other"
 
 
-@SolverFactory.register("touchstone_ipopt", doc="Ipopt through cyipopt, without AMPL executables")
 class TouchstoneIpopt(PyomoPlugin):
     """A Pyomo solver object. `options` holds Ipopt options; `last_result` is the IpoptResult of the last solve."""
 

@@ -1,6 +1,6 @@
 """MPECs written with pyomo.mpec: solved by relaxation, polished to exact complementarity, and certified.
 
-import formulations.mpec                                     # registers SolverFactory("mpec_ipopt")
+import formulations                                          # registers SolverFactory("mpec_ipopt")
 pyo.SolverFactory("mpec_ipopt").solve(model)                 # any model with Complementarity components
 
 from formulations.mpec import MpecSettings, certify, load, solve_mpec

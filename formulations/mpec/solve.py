@@ -5,7 +5,7 @@ load(result)                                      # writes the variables
 
 The same behind Pyomo's own solver interface:
 
-    import formulations.mpec
+    import formulations
     solver = pyo.SolverFactory("mpec_ipopt")
     solver.options["strategy"] = "scholtes"           # its own options; others go to Ipopt
     results = solver.solve(model)
@@ -26,9 +26,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pyomo.opt import SolverFactory, SolverResults
+from pyomo.opt import SolverResults
 
-from formulations.ipopt.contrib_solver import register
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
 from formulations.mpec.branching import BETTER, Branch, Branching
@@ -275,7 +274,6 @@ def _rank(result: MpecResult) -> tuple[int, float]:
     return order, result.residual if result.residual == result.residual else float("inf")
 
 
-@SolverFactory.register("mpec_ipopt", doc="MPECs (pyomo.mpec) by relaxation, active-set polish and certificate, on Ipopt")
 class MpecIpopt(PyomoPlugin):
     """A Pyomo solver object; `last_result` is the MpecResult of the last solve. A start is always taken from the model's values.
 
@@ -303,6 +301,3 @@ class MpecIpopt(PyomoPlugin):
             pair_multipliers=result.pair_multipliers,
         )
         return answer.results(self.title, model), answer
-
-
-register(MpecIpopt)

@@ -98,10 +98,47 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     assert "by proof: 2" in result.output
 
 
-def test_a_folder_without_problems_is_refused(tmp_path):
-    result = CliRunner().invoke(command, ["--from", str(tmp_path)])
+ABSTRACT = """from pyomo.environ import *
+from pyomo.mpec import *
+
+model = AbstractModel()
+model.far = Param()
+model.x, model.y = Var(initialize=1), Var(initialize=1)
+model.cost = Objective(rule=lambda m: (m.x - m.far)**2 + (m.y - 2)**2)
+model.pair = Complementarity(rule=lambda m: complements(m.x >= 0, m.y >= 0))
+"""
+
+
+def test_a_list_says_which_abstract_model_is_solved_with_which_data(tmp_path):
+    """The nearer axis of (far, 2): cost far^2 while that is below 4."""
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "point.py").write_text(ABSTRACT)
+    for far in (1, 3):
+        (tmp_path / "set" / f"{far}.dat").write_text(f"param far := {far};\n")
+    listed = tmp_path / "problems.csv"
+    listed.write_text("name,model,data\nnear,point.py,1.dat\nfar,point.py,3.dat\nalone,point.py,\n")
+    asked = ["--from", str(tmp_path / "set"), "--problems", str(listed), "-j", "1", "-o", str(tmp_path / "out")]
+    result = CliRunner().invoke(command, asked)
+    assert result.exit_code == 0, result.output
+    with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
+        rows = {row["problem"]: row for row in csv.DictReader(lines)}
+    assert float(rows["near"]["objective"]) == pytest.approx(1, abs=1e-8)
+    assert float(rows["far"]["objective"]) == pytest.approx(4, abs=1e-8)
+    assert rows["alone"]["status"] == "no answer"
+    assert "ended with code 1" in rows["alone"]["remark"]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"), [(None, "holds no problem"), ("name,model\n,a.py\n", "name, model, data"), ("name,model\na,b.py\n", "b.py")]
+)
+def test_no_problems_and_lists_of_none_are_refused(tmp_path, text, named):
+    (tmp_path / "set").mkdir()
+    listed = [] if text is None else ["--problems", str(tmp_path / "list.csv")]
+    if text is not None:
+        (tmp_path / "list.csv").write_text(text)
+    result = CliRunner().invoke(command, ["--from", str(tmp_path / "set"), *listed])
     assert result.exit_code == 2
-    assert "no .nl or .py file" in result.output
+    assert named in " ".join(result.output.split())
 
 
 def test_the_profile_counts_who_has_the_better_answer_and_how_soon():

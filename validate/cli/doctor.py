@@ -242,7 +242,7 @@ def ipopt(request: Any, arrays: Any) -> str:
     """Solve problem 71 of Hock and Schittkowski through Pyomo."""
     import pyomo.environ as pyo
 
-    import formulations.ipopt  # noqa: F401 - registers the solver
+    import formulations  # noqa: F401 - registers the solver
     from formulations.ipopt.linear_solver import linear_solver
     from formulations.ipopt.solve import version
 

@@ -9,7 +9,7 @@ from pyomo.contrib.solver.common.results import SolutionStatus, TerminationCondi
 from pyomo.contrib.solver.common.util import NoDualsError, NoFeasibleSolutionError, NoOptimalSolutionError
 from pyomo.mpec import Complementarity, complements
 
-import formulations.mpec  # noqa: F401 - registers the solvers
+import formulations  # noqa: F401 - registers the solvers
 from formulations.ipopt import ModelRefusedError, UnknownOptionError
 
 
