@@ -75,6 +75,10 @@ def command(
         raise click.UsageError("give either a scene or --mjcf ROBOT.xml.")
     if mjcf is not None and (coupled or platforms):
         raise click.UsageError("--mjcf writes one FMU for this machine; leave out --coupled and --platform.")
+    if mjcf is not None and output.suffix.lower() != ".fmu":
+        raise click.UsageError(
+            f"{output}: with --mjcf it is an FMU, beside which its map is written; call it {output.with_suffix('.fmu').name}."
+        )
     if mjcf is None and (contacts or keyframe):
         raise click.UsageError("--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start.")
     if coupled and (version != "2" or platforms):

@@ -176,7 +176,9 @@ def judge_fmu(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
     foreign, trajectory = wire(package, table, given, hold, where)
-    return _judged(foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits(), own_step=own_step), feedback)
+    return _judged(
+        foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits(), own_step=own_step), feedback
+    )
 
 
 def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:

@@ -347,7 +347,7 @@ static inline void evaluate(Model *m)
         const int q = model->jnt_qposadr[joint];
         memcpy(m->rates + q, v, lines * sizeof *v);
         /* dq/dt = q (0, w) / 2, w in the axes of the body */
-        if (turns) mju_derivQuat(m->rates + q + lines, m->state + 1 + q + lines, v + lines);
+        if (HAS_QUATERNIONS && turns) mju_derivQuat(m->rates + q + lines, m->state + 1 + q + lines, v + lines);
     }
 }
 

@@ -8,7 +8,7 @@ Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -160,13 +160,17 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
     if not path.is_file():
         raise RobotError(f"{path}: there is no such file; give an MJCF or URDF (.xml, .urdf) or a compiled model (.mjb).")
     load = package.MjModel.from_binary_path if path.suffix.lower() == ".mjb" else package.MjModel.from_xml_path
+    warnings, before = list[str](), package.get_mju_user_warning()
+    package.set_mju_user_warning(warnings.append)  # which MuJoCo would write to a file here, and to stderr
     try:
         model = load(str(path))
     except (ValueError, package.FatalError, package.UnexpectedError) as error:
-        said = " ".join(str(error).split()).rstrip(".")
+        said = "; ".join(" ".join(text.split()).rstrip(".") for text in (str(error), *warnings))
         raise RobotError(
             f"{path}: MuJoCo {package.__version__} does not read it ({said}); correct it, or, if it was made for another version, install that one."
         ) from error
+    finally:
+        package.set_mju_user_warning(before)
     _check_carried(package, path, model)
     start, key = package.MjData(model), -1
     if keyframe is not None:
@@ -226,18 +230,18 @@ def _contact(package: Any, path: Path, model: Any, text: str) -> Contact:
     raise RobotError(f"{path}: the contact {text!r} is not of two geoms or bodies, written A:B; {advice}.")
 
 
-def _named(count: int, name_of: Any, fallback: Any) -> list[str]:
-    """A name for each, those without one by a fallback, with a number where that is taken."""
-    names = [_plain(name_of(number)) for number in range(count)]
-    for number, name in enumerate(names):
+def _named(count: int, name_of: Callable[[int], str], fallback: Callable[[int], str]) -> list[tuple[str, str]]:
+    """Of each its name in those of variables, and as it is written; of one without a name a fallback, with its number where that is taken."""
+    said = [name_of(number) for number in range(count)]
+    for number, name in enumerate(said):
         if not name:
-            wanted = _plain(fallback(number))
-            names[number] = wanted if wanted and wanted not in names else f"{wanted}{number}"
-    return names
+            wanted = fallback(number)
+            said[number] = wanted if wanted and wanted not in said else f"{wanted}{number}"
+    return [(_plain(name), name) for name in said]
 
 
-def joint_names(model: Any) -> list[str]:
-    """Names of the joints in those of variables; of one without a name that of its body."""
+def joint_names(model: Any) -> list[tuple[str, str]]:
+    """Of each joint its name in those of variables, and as it is written; of one without a name that of its body."""
     return _named(
         model.njnt, lambda number: model.joint(number).name, lambda number: model.body(int(model.jnt_bodyid[number])).name or "joint"
     )
@@ -248,20 +252,20 @@ def _states(robot: Robot) -> list[Variable]:
     model, data = robot.model, robot.start
     positions: list[tuple[str, str, str]] = []
     velocities: list[tuple[str, str, str]] = []
-    for name, kind in zip(joint_names(model), model.jnt_type, strict=True):
+    for (name, said), kind in zip(joint_names(model), model.jnt_type, strict=True):
         if kind in (_FREE, _BALL):
             moves = GRAVITY_AXES if kind == _FREE else ()
-            positions += [(f"q_{name}_{axis}", "m", f"position {axis} of joint {name}") for axis in moves]
-            positions += [(f"q_{name}_{part}", "1", f"orientation {part} of joint {name} (quaternion)") for part in _QUATERNION]
-            velocities += [(f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {name}") for axis in moves]
-            velocities += [(f"v_{name}_{axis}", "rad/s", f"angular velocity {axis} of joint {name}, in the body's axes") for axis in _TURNS]
+            positions += [(f"q_{name}_{axis}", "m", f"position {axis} of joint {said}") for axis in moves]
+            positions += [(f"q_{name}_{part}", "1", f"orientation {part} of joint {said} (quaternion)") for part in _QUATERNION]
+            velocities += [(f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {said}") for axis in moves]
+            velocities += [(f"v_{name}_{axis}", "rad/s", f"angular velocity {axis} of joint {said}, in the body's axes") for axis in _TURNS]
         else:
             unit = "m" if kind == _SLIDE else "rad"
-            positions.append((f"q_{name}", unit, f"position of joint {name}"))
-            velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {name}"))
-    for actuator, name in enumerate(_actuator_names(robot)):
+            positions.append((f"q_{name}", unit, f"position of joint {said}"))
+            velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {said}"))
+    for actuator, (name, said) in enumerate(_actuator_names(robot)):
         count = int(model.actuator_actnum[actuator])
-        velocities += [(f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {name}") for k in range(count)]
+        velocities += [(f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}") for k in range(count)]
     starts = [*data.qpos, *data.qvel, *data.act]
     kinds = [VariableKind.POSITION] * model.nq + [VariableKind.VELOCITY] * (model.nv + model.na)
     return [
@@ -283,13 +287,13 @@ def _target(robot: Robot, actuator: int) -> tuple[str, str | None]:
     kind, number = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
     if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
         unit = {_SLIDE: "m"}.get(int(model.jnt_type[number]), "rad" if model.jnt_type[number] > _SLIDE else None)
-        return joint_names(model)[number], unit
+        return joint_names(model)[number][1], unit
     if kind == int(kinds.mjTRN_TENDON):
         return model.tendon(number).name, None
     return "actuator", None
 
 
-def _actuator_names(robot: Robot) -> list[str]:
+def _actuator_names(robot: Robot) -> list[tuple[str, str]]:
     model = robot.model
     return _named(model.nactuator, lambda number: model.actuator(number).name, lambda number: _target(robot, number)[0])
 
@@ -311,7 +315,7 @@ def _input_unit(robot: Robot, actuator: int) -> str:
 
 def _inputs(robot: Robot) -> list[Variable]:
     model, package, found = robot.model, mujoco(), []
-    for actuator, name in enumerate(_actuator_names(robot)):
+    for actuator, (name, said) in enumerate(_actuator_names(robot)):
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         for part in range(count):
             at = first + part
@@ -327,7 +331,7 @@ def _inputs(robot: Robot) -> list[Variable]:
                     lower=lower,
                     upper=upper,
                     start=float(robot.start.ctrl[at]),
-                    description=f"control of actuator {name}{', cut at its range' if limited else ''}",
+                    description=f"control of actuator {said}{', cut at its range' if limited else ''}",
                 )
             )
     return found
@@ -338,13 +342,13 @@ def _outputs(robot: Robot) -> list[Variable]:
     model, package = robot.model, mujoco()
     names = _named(model.nsensor, lambda number: model.sensor(number).name, lambda number: f"sensor{number}")
     rows: list[tuple[str, str, str]] = []
-    for sensor, name in enumerate(names):
+    for sensor, (name, said) in enumerate(names):
         kind = package.mjtSensor(int(model.sensor_type[sensor])).name.removeprefix("mjSENS_")
         size, unit = int(model.sensor_dim[sensor]), _SENSOR_UNITS.get(kind, "1")
         if kind in ("JOINTPOS", "JOINTVEL"):
             length = "m" if model.jnt_type[int(model.sensor_objid[sensor])] == _SLIDE else "rad"
             unit = length if kind == "JOINTPOS" else f"{length}/s"
-        rows += [(f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {name} ({kind.lower()})") for part in range(size)]
+        rows += [(f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {said} ({kind.lower()})") for part in range(size)]
     sides = [" and ".join(contact.names) for contact in robot.contacts]
     rows += [
         (f"lam_{item.name}", "N", f"sum of the normal forces between {text}") for item, text in zip(robot.contacts, sides, strict=True)
@@ -364,7 +368,7 @@ def _settings(robot: Robot) -> list[Variable]:
     given = [
         *((f"gravity_{axis}", "m/s^2", float(value), f"gravity along {axis}", float("-inf")) for axis, value in zip(GRAVITY_AXES, model.opt.gravity, strict=True)),
         *((name, "1", 1.0, text, 0.0 if name == "friction_scale" else 1e-12) for name, text in SCALES),
-        *((f"mass_{bodies[body]}", "kg", float(model.body_mass[body]), f"mass of body {bodies[body]}, with its inertia in proportion", 1e-12) for body in robot.masses),
+        *((f"mass_{bodies[body][0]}", "kg", float(model.body_mass[body]), f"mass of body {bodies[body][1]}, with its inertia in proportion", 1e-12) for body in robot.masses),
     ]  # fmt: skip
     tunable = [
         Variable(name=name, kind=VariableKind.TUNABLE, index=number, unit=unit, start=value, lower=lower, description=text)

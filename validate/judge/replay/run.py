@@ -173,7 +173,9 @@ def replay_foreign(
     )  # fmt: skip
     if own_step:
         if trajectory.hold is Hold.LINEAR:
-            raise FmuError(f"FMU {package.path}: with --own-step inputs are held over a step of the plan, but here they are lines; leave it out.")
+            raise FmuError(
+                f"FMU {package.path}: with --own-step inputs are held over a step of the plan, but here they are lines; leave it out."
+            )
         if package.cosimulation is None:
             raise FmuError(f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step.")
         variables = replace(foreign.variables, internal_step=None)
