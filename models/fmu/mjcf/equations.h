@@ -346,8 +346,9 @@ static inline void evaluate(Model *m)
         const double *v = m->state + 1 + NQ + model->jnt_dofadr[joint];
         const int q = model->jnt_qposadr[joint];
         memcpy(m->rates + q, v, lines * sizeof *v);
-        /* dq/dt = q (0, w) / 2, w in the axes of the body */
-        if (HAS_QUATERNIONS && turns) mju_derivQuat(m->rates + q + lines, m->state + 1 + q + lines, v + lines);
+        if (!HAS_QUATERNIONS || !turns) continue;
+        mju_mulQuatAxis(m->rates + q + lines, m->state + 1 + q + lines, v + lines); /* dq/dt = q (0, w) / 2, w in the axes of the body */
+        for (int k = 0; k < 4; k++) m->rates[q + lines + k] *= 0.5;
     }
 }
 

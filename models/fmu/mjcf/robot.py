@@ -445,8 +445,8 @@ class Recorder:
         rates = {}
         for at, (_, turn) in zip(self._quaternions, self._turns[::3], strict=True):
             rate = np.zeros(4)
-            self._package.mju_derivQuat(rate, data.qpos[at : at + 4], data.qvel[turn : turn + 3])
-            rates |= {at + part: value for part, value in enumerate(rate)}
+            self._package.mju_mulQuatAxis(rate, data.qpos[at : at + 4], data.qvel[turn : turn + 3])  # dq/dt = q (0, w) / 2
+            rates |= {at + part: value / 2.0 for part, value in enumerate(rate)}
         velocities = [rates[at] if at in rates else data.qvel[self._of_velocity[name]] for at, name in enumerate(self._rates)]
         turns = [data.qvel[at] for _, at in self._turns]
         self.rows.append([float(value) for value in (data.time, *data.ctrl, *data.qpos, *velocities, *turns)])
