@@ -176,6 +176,10 @@ def judge_fmu(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
     foreign, trajectory = wire(package, table, given, hold, where)
+    if own_step and trajectory.hold is Hold.LINEAR:
+        raise TrajectoryError(
+            f"{table.where}: its inputs are lines between its rows, but --own-step is for inputs that are held; leave it out."
+        )
     return _judged(
         foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits(), own_step=own_step), feedback
     )

@@ -160,6 +160,7 @@ def replay_foreign(
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
     own_step: judged is Co-Simulation with one doStep a step of the plan, whatever else the FMU offers; its error is what four change.
+    A plan whose inputs are lines is replayed as without.
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
@@ -171,11 +172,7 @@ def replay_foreign(
         package=package, variables=foreign.variables, plan=driven, start=foreign.start, limits=limits,
         tolerances=tolerances, fineness=fineness, event_budget=event_budget,
     )  # fmt: skip
-    if own_step:
-        if trajectory.hold is Hold.LINEAR:
-            raise FmuError(
-                f"FMU {package.path}: with --own-step inputs are held over a step of the plan, but here they are lines; leave it out."
-            )
+    if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
         if package.cosimulation is None:
             raise FmuError(f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step.")
         variables = replace(foreign.variables, internal_step=None)
