@@ -15,7 +15,7 @@ from validate.cli.group import run
 DOCS = Path(__file__).parents[1] / "docs"
 TEXTS = {
     name: (DOCS / f"{name}.md").read_text(encoding="utf-8")
-    for name in ("campaigns", "tutorial", "extending", "equations", "verdict", "robustness", "cosimulation", "mpec")
+    for name in ("campaigns", "tutorial", "extending", "equations", "verdict", "robustness", "cosimulation", "mpec", "mjcf")
 }
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[^>\n]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```", re.DOTALL)
 

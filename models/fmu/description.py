@@ -16,7 +16,7 @@ import hashlib
 import importlib.util
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -231,11 +231,21 @@ def generation_date() -> str:
 
 @dataclass(frozen=True)
 class Unknown:
-    """A row of the ModelStructure: numbers of variables as the standard counts them."""
+    """A row of the ModelStructure: numbers of variables as the standard counts them; without dependencies it may depend on every known."""
 
     index: int
-    dependencies: tuple[int, ...]
-    kinds: tuple[str, ...]
+    dependencies: tuple[int, ...] | None = None
+    kinds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Offers:
+    """What an FMU offers beside Co-Simulation with saved states: Model Exchange; derivatives of unknowns; inputs that slope; event mode and intermediate update."""
+
+    exchange: bool = True
+    derivatives: bool = True
+    slopes: bool = True
+    events: bool = True
 
 
 def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]]:
@@ -267,6 +277,15 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
 def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
     """Every unit of the variables -> exponents of its base units, sorted by name."""
     return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variables if variable.unit})}
+
+
+def stamped(content: Mapping[str, str], marked: Callable[[str], tuple[str, str]]) -> tuple[str, str, str]:
+    """The GUID, which is a hash of all content, and the two texts that carry it: C configuration and model description."""
+    config, xml = marked("")
+    found = hashlib.sha256()
+    for name, text in sorted({**content, "model_config.h": config, "modelDescription.xml": xml}.items()):
+        found.update(f"{name}\0{text}\0".encode())
+    return found.hexdigest(), *marked(found.hexdigest())
 
 
 @dataclass(frozen=True)
@@ -301,7 +320,11 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
         )
         xml = render(
             f"modelDescription_{standard.prefix}.xml.j2",
-            scene=scene,
+            title=scene.title,
+            license="MIT",
+            offers=Offers(),
+            stop=scene.task.horizon,
+            step=scene.task.step,
             identifier=identifier,
             guid=guid,
             date=generation_date(),
@@ -315,12 +338,7 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
         )
         return config, xml
 
-    config, xml = marked("")
-    content = hashlib.sha256()
-    for name, text in sorted({**sources, "model_config.h": config, "modelDescription.xml": xml}.items()):
-        content.update(f"{name}\0{text}\0".encode())
-    guid = content.hexdigest()
-    config, xml = marked(guid)
+    guid, config, xml = stamped(sources, marked)
     shared = {"identifier": identifier, "standard": standard}
     return Description(
         guid=guid,

@@ -155,7 +155,7 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
     sources = {
-        path.name: for_scene(scene, path.read_text(encoding="utf-8")) for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)
+        path.name: for_scene(scene, path.read_text(encoding="utf-8")) for path in sorted(_SHELL.iterdir()) if belongs(path, standard)
     }
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
     laws = force_sources(scene)
@@ -173,7 +173,7 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     }
 
 
-def _belongs(path: Path, standard: Standard) -> bool:
+def belongs(path: Path, standard: Standard) -> bool:
     """Whether a file of the shell is C of this version, or of all of them."""
     return path.suffix in (".c", ".h") and (not path.name.startswith("fmi") or path.name.startswith(standard.prefix))
 
@@ -186,7 +186,12 @@ def icons(standard: Standard) -> dict[str, bytes]:
 
 
 def binaries(
-    files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler], place: Path
+    files: Mapping[str, str],
+    standard: Standard,
+    identifier: str,
+    compilers: Mapping[Platform, Compiler],
+    place: Path,
+    extra_flags: Sequence[str] = (),
 ) -> dict[str, bytes]:
     """The FMU's libraries, by their paths inside, compiled in a folder below `place`, which goes with it if we are killed."""
     sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
@@ -194,6 +199,6 @@ def binaries(
     with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=place) as temporary:
         for platform, compiler in compilers.items():
             library = Path(temporary) / f"{platform.name}{platform.suffix}"
-            compile_shared(compiler, sources, library, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
+            compile_shared(compiler, sources, library, extra_flags, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
             libraries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
     return libraries

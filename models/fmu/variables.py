@@ -51,6 +51,8 @@ class VariableKind(Enum):
     DISSIPATED_POWER = "KIND_DISSIPATED_POWER"
     INTERNAL_STEP = "KIND_INTERNAL_STEP"
     INTEGRATOR = "KIND_INTEGRATOR"
+    TUNABLE = "KIND_TUNABLE"
+    OUTPUT = "KIND_OUTPUT"
 
 
 # Kind -> (causality, variability, initial) in the words of FMI.
@@ -62,6 +64,7 @@ _ROLES: dict[VariableKind, tuple[str, str, str | None]] = {
     VariableKind.VELOCITY_RATE: ("local", "continuous", "calculated"),
     VariableKind.INPUT: ("input", "continuous", None),
     VariableKind.PARAMETER: ("parameter", "fixed", "exact"),
+    VariableKind.TUNABLE: ("parameter", "tunable", "exact"),
     VariableKind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
     VariableKind.INTEGRATOR: ("parameter", "tunable", "exact"),
 }

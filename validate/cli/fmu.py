@@ -1,4 +1,4 @@
-"""`fmu`: export a scene."""
+"""`fmu`: export a scene, or a robot of MuJoCo."""
 
 from __future__ import annotations
 
@@ -19,12 +19,27 @@ Examples:
   python -m validate fmu three_cart -o three_cart.fmu
   python -m validate fmu my_scene.py -o my.fmu --fmi 3 --platform win64
   python -m validate fmu three_cart --coupled -o three_cart.ssp
+  python -m validate fmu --mjcf robot.xml --contact foot:floor -o robot.fmu
 
-Exit codes: 0 written; 2 usage, or a scene that no FMU can carry; 3 no compiler,
-or it cannot be written.
+Exit codes: 0 written; 2 usage, or a scene or robot that no FMU can carry; 3 no
+compiler or no MuJoCo, or it cannot be written.
 """
 )
-@click.argument("scene", metavar="NAME|FILE.py", shell_complete=scenes)
+@click.argument("scene", metavar="NAME|FILE.py", required=False, shell_complete=scenes)
+@click.option(
+    "--mjcf",
+    type=click.Path(path_type=Path),
+    metavar="ROBOT.xml",
+    help="A robot instead of a scene: MuJoCo's XML, a URDF that MuJoCo reads, or a compiled .mjb. Beside ROBOT.fmu the map ROBOT.toml is written, for replay.",
+)
+@click.option(
+    "--contact",
+    "contacts",
+    multiple=True,
+    metavar="A:B",
+    help="With --mjcf: force and gap between two geoms or bodies as outputs; may be repeated.",
+)
+@click.option("--keyframe", metavar="NAME", help="With --mjcf: start there instead of at the model's default.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
 )
@@ -41,21 +56,64 @@ or it cannot be written.
     is_flag=True,
     help="Write an .ssp instead: an FMU for each body and each contact, and how they are connected (FMI 2.0, this machine's platform).",
 )
-def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], coupled: bool) -> int:
-    """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
+def command(
+    scene: str | None,
+    mjcf: Path | None,
+    contacts: tuple[str, ...],
+    keyframe: str | None,
+    output: Path,
+    version: str,
+    platforms: tuple[str, ...],
+    coupled: bool,
+) -> int:
+    """Export a scene, or a robot of MuJoCo, as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.fmu import build_fmu
     from models.fmu.coupled import build_ssp
     from validate.plan.warnings import warnings_of
 
+    if (scene is None) == (mjcf is None):
+        raise click.UsageError("give either a scene or --mjcf ROBOT.xml.")
+    if mjcf is not None and (coupled or platforms):
+        raise click.UsageError("--mjcf writes one FMU for this machine; leave out --coupled and --platform.")
+    if mjcf is not None and output.suffix.lower() != ".fmu":
+        raise click.UsageError(
+            f"{output}: with --mjcf it is an FMU, beside which its map is written; call it {output.with_suffix('.fmu').name}."
+        )
+    if mjcf is None and (contacts or keyframe):
+        raise click.UsageError("--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start.")
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
     if output.suffix.lower() == (".fmu" if coupled else ".ssp"):
         raise click.UsageError(
             f"{output}: {'--coupled writes an .ssp' if coupled else 'this is an FMU, and only --coupled writes an .ssp'}; call it {output.with_suffix('.ssp' if coupled else '.fmu').name}."
         )
-    loaded = load_scene(scene)
+    if mjcf is not None:
+        return _robot(mjcf, contacts, keyframe, output, f"{version}.0")
+    loaded = load_scene(str(scene))
     warn(warnings_of([loaded]))
     built = build_ssp(loaded) if coupled else build_fmu(loaded, version=f"{version}.0", platforms=platforms)
+    _copy(built, output)
+    return 0
+
+
+def _robot(mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: Path, version: str) -> int:
+    """A robot's FMU, and its map beside it: one that is there already may be somebody's work, and stays."""
+    from models.fmu.mjcf import build_robot, read_robot
+
+    robot = read_robot(mjcf, contacts, keyframe)
+    built = build_robot(robot, version)
+    warn(robot.notes)
+    _copy(built, output)
+    map_file = output.with_suffix(".toml")
+    if not map_file.exists():
+        write_durably(map_file, robot.map_text)
+        click.echo(str(map_file))
+    elif not map_file.is_file() or map_file.read_text(encoding="utf-8", errors="replace") != robot.map_text:
+        warn([f"{map_file} is there already and was kept; where it does not fit this FMU, remove it and export again."])
+    return 0
+
+
+def _copy(built: Path, output: Path) -> None:
     make_folder(output.parent)
     if output.is_file() or not output.exists():
         write_durably(output, built.read_bytes())
@@ -65,4 +123,3 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
         except OSError as error:
             raise disk_error(output, error) from error
     click.echo(str(output))
-    return 0

@@ -71,6 +71,11 @@ or FMU; 3 a system requirement is missing.
     show_default=True,
     help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
 )
+@click.option(
+    "--own-step",
+    is_flag=True,
+    help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
+)
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
@@ -87,6 +92,7 @@ def command(
     memory_limit: float,
     track: bool,
     require: str,
+    own_step: bool,
     as_json: bool,
     html_file: Path | None,
     out: Path | None,
@@ -101,13 +107,15 @@ def command(
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
+    if own_step and fmu is None:
+        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
     # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.fork).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import judge_fmu
 
-        judgement, warnings = judge_fmu(fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits), []
+        judgement, warnings = judge_fmu(fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits, own_step=own_step), []
     else:
         judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
     told = _told(judgement, warnings)

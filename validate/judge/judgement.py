@@ -139,6 +139,7 @@ def judge_fmu(
     hold: str | None = None,
     feedback: bool = False,
     limits: Limits | None = None,
+    own_step: bool = False,
 ) -> Judgement:
     """Replay a plan on somebody's FMU, in a child process, and judge it.
 
@@ -150,6 +151,7 @@ def judge_fmu(
     hold : "zero" or "linear", the inputs within a step; None: as the plan or the map says.
     feedback : replay with feedback too.
     limits : of the child; None for the usual ones.
+    own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it.
 
     Raises
     ------
@@ -174,7 +176,13 @@ def judge_fmu(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
     foreign, trajectory = wire(package, table, given, hold, where)
-    return _judged(foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits()), feedback)
+    if own_step and trajectory.hold is Hold.LINEAR:
+        raise TrajectoryError(
+            f"{table.where}: its inputs are lines between its rows, but --own-step is for inputs that are held; leave it out."
+        )
+    return _judged(
+        foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits(), own_step=own_step), feedback
+    )
 
 
 def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:

@@ -4,25 +4,27 @@
 
 #include "instance.h"
 
-/* The integer variables; all others are real. */
-static inline int is_integer(const Variable *variable)
-{
-    return variable->kind == KIND_INTEGRATOR;
-}
-
 /* As variable_of, and the variable must be an integer or a real one. */
 static inline const Variable *typed_variable(const Instance *self, const char *function, unsigned int reference, int integer)
 {
     const Variable *variable = variable_of(self, function, reference);
-    if (variable && is_integer(variable) != integer) {
+    if (variable && is_integer(variable->kind) != integer) {
         FAIL(self, "%s: %s is %s.", function, variable->name, integer ? "a real variable" : "a whole number (an enumeration)");
         return NULL;
     }
     return variable;
 }
 
+/* Whether one of these variables needs the model's results; a reference to none is refused where it is read. */
+static inline int any_calculated(const unsigned int *references, size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        if (references[i] < VARIABLE_COUNT && is_calculated(MODEL_VARIABLES[references[i]].kind)) return 1;
+    return 0;
+}
+
 /* The instance, if its variables may be read now and there is a place for them. */
-static inline Instance *readable(void *instance, const char *function, const void *references, const void *values, size_t count)
+static inline Instance *readable(void *instance, const char *function, const unsigned int *references, const void *values, size_t count)
 {
     Instance *self = allowed(instance, function, PHASES_READABLE | PHASE_OUTPUT_UPDATE);
     if (!self) return NULL;
@@ -30,7 +32,7 @@ static inline Instance *readable(void *instance, const char *function, const voi
         FAIL(self, "%s: the value references or the place for the values are missing.", function);
         return NULL;
     }
-    return count > 0 && evaluated(self) != STATUS_OK ? NULL : self;
+    return any_calculated(references, count) && evaluated(self) != STATUS_OK ? NULL : self;
 }
 
 /* The instance, if variables may be set now and there are values. */
@@ -43,16 +45,6 @@ static inline Instance *writable(void *instance, const char *function, const voi
         return NULL;
     }
     return self;
-}
-
-static inline int is_state(VariableKind kind)
-{
-    return kind == KIND_POSITION || kind == KIND_VELOCITY;
-}
-
-static inline int is_setting(VariableKind kind)
-{
-    return kind == KIND_INTERNAL_STEP || kind == KIND_INTEGRATOR;
 }
 
 /* A sentence is logged and an error returned unless `reference` may be given `value` now. */
@@ -175,7 +167,7 @@ static inline Status directional_derivative(void *instance, const char *function
     Tangent tangent;
     memset(&tangent, 0, sizeof tangent);
     for (size_t i = 0; i < knowns.count; i++) *known_entry(&MODEL_VARIABLES[knowns.references[i]], &tangent) += product->seed[i];
-    if (model_tangent(&self->model, &tangent)) return FAIL(self, "%s: the mass matrix is not positive definite.", function);
+    if (model_tangent(&self->model, &tangent)) return FAIL(self, "%s: %s.", function, model_trouble(&self->model));
     for (size_t i = 0; i < unknowns.count; i++)
         product->result[i] = model_value_tangent(&self->model, &tangent, &MODEL_VARIABLES[unknowns.references[i]]);
     return STATUS_OK;
@@ -191,7 +183,7 @@ static inline Status adjoint_derivative(void *instance, const char *function, co
     memset(&adjoint, 0, sizeof adjoint);
     for (size_t i = 0; i < unknowns.count; i++)
         model_value_adjoint(&self->model, product->seed[i], &MODEL_VARIABLES[unknowns.references[i]], &adjoint);
-    if (model_adjoint(&self->model, &adjoint)) return FAIL(self, "%s: the mass matrix is not positive definite.", function);
+    if (model_adjoint(&self->model, &adjoint)) return FAIL(self, "%s: %s.", function, model_trouble(&self->model));
     for (size_t i = 0; i < knowns.count; i++) product->result[i] = *known_entry(&MODEL_VARIABLES[knowns.references[i]], &adjoint);
     return STATUS_OK;
 }
@@ -207,9 +199,8 @@ static inline Status output_derivatives(void *instance, const char *function, Re
     if (of.count > 0 && evaluated(self) != STATUS_OK) return STATUS_ERROR;
     Tangent tangent; /* the direction in which time moves everything */
     memset(&tangent, 0, sizeof tangent);
-    memcpy(tangent.q, self->model.v, sizeof tangent.q);
-    memcpy(tangent.v, self->model.a, sizeof tangent.v);
-    if (model_tangent(&self->model, &tangent)) return FAIL(self, "%s: the mass matrix is not positive definite.", function);
+    time_direction(&self->model, &tangent);
+    if (model_tangent(&self->model, &tangent)) return FAIL(self, "%s: %s.", function, model_trouble(&self->model));
     for (size_t i = 0; i < of.count; i++) {
         const Variable *variable = typed_variable(self, function, of.references[i], 0);
         if (!variable) return STATUS_ERROR;

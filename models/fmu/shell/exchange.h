@@ -5,7 +5,6 @@
 
 #include "instance.h"
 
-#define STATE_COUNT (2 * NQ)
 #define PHASES_STATES (PHASE_INITIALIZATION | PHASE_EVENT | PHASE_CONTINUOUS | PHASE_TERMINATED | PHASE_ERROR)
 
 /* As allowed_type, and an array of the right length must be there. */
@@ -48,9 +47,7 @@ static inline Status set_states(void *instance, const char *function, const doub
     if (!self) return STATUS_ERROR;
     for (int i = 0; i < STATE_COUNT; i++)
         if (!isfinite(x[i])) return FAIL(self, "%s: state %d is not a finite number at t = %g s.", function, i, self->model.time);
-    memcpy(self->model.q, x, sizeof self->model.q);
-    memcpy(self->model.v, x + NQ, sizeof self->model.v);
-    self->model.evaluated = 0;
+    model_set_states(&self->model, x);
     return STATUS_OK;
 }
 
@@ -58,8 +55,7 @@ static inline Status get_states(void *instance, const char *function, double *x,
 {
     Instance *self = allowed_array(instance, function, PHASES_STATES, x, count, STATE_COUNT);
     if (!self) return STATUS_ERROR;
-    memcpy(x, self->model.q, sizeof self->model.q);
-    memcpy(x + NQ, self->model.v, sizeof self->model.v);
+    model_states(&self->model, x);
     return STATUS_OK;
 }
 
@@ -67,8 +63,7 @@ static inline Status get_rates(void *instance, const char *function, double *rat
 {
     Instance *self = allowed_array(instance, function, PHASES_STATES, rates, count, STATE_COUNT);
     if (!self || evaluated(self) != STATUS_OK) return STATUS_ERROR;
-    memcpy(rates, self->model.v, sizeof self->model.v);
-    memcpy(rates + NQ, self->model.a, sizeof self->model.a);
+    model_rates(&self->model, rates);
     return STATUS_OK;
 }
 

@@ -42,11 +42,12 @@ static void write_log(const Instance *self, int status, const char *category, co
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
 {
-    (void)fmuResourceLocation, (void)visible;
+    (void)visible;
     if (!functions || !functions->logger) return NULL; /* without a logger nothing can be told */
     Instance draft = {.type = fmuType == fmi2ModelExchange ? MODEL_EXCHANGE : CO_SIMULATION, .log_events = loggingOn};
     draft.logger = (Callback)functions->logger;
     draft.environment = functions->componentEnvironment;
+    draft.resources = fmuResourceLocation;
     draft.write = write_log;
     draft.name = (char *)"?";
     if (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation) {

@@ -47,8 +47,9 @@ static Instance draft_of(InterfaceType type, fmi3Boolean loggingOn, fmi3Instance
 fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
     fmi3Boolean loggingOn, fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage)
 {
-    (void)resourcePath, (void)visible;
-    const Instance draft = draft_of(MODEL_EXCHANGE, loggingOn, instanceEnvironment, logMessage);
+    (void)visible;
+    Instance draft = draft_of(MODEL_EXCHANGE, loggingOn, instanceEnvironment, logMessage);
+    draft.resources = resourcePath;
     return new_instance(&draft, "fmi3InstantiateModelExchange", instanceName, instantiationToken, "instantiation token");
 }
 
@@ -58,11 +59,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     fmi3IntermediateUpdateCallback intermediateUpdate)
 {
     const char *function = "fmi3InstantiateCoSimulation";
-    (void)resourcePath, (void)visible;
+    (void)visible;
     Instance draft = draft_of(CO_SIMULATION, loggingOn, instanceEnvironment, logMessage);
     draft.event_mode_used = eventModeUsed;
     draft.early_return_allowed = earlyReturnAllowed;
     draft.update = (Callback)intermediateUpdate;
+    draft.resources = resourcePath;
     for (size_t i = 0; requiredIntermediateVariables && i < nRequiredIntermediateVariables; i++) {
         const Variable *variable = typed_variable(&draft, function, requiredIntermediateVariables[i], 0);
         if (!variable) return NULL;

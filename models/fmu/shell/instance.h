@@ -45,6 +45,7 @@ typedef struct Instance {
     int sets_inputs; /* the importer wants to set inputs within a step */
     Callback logger, update;
     void *environment;
+    const char *resources; /* where the FMU's resources lie, as the importer says it: while the instance is made */
     void (*write)(const struct Instance *self, int status, const char *category, const char *text);
     char *name;
 } Instance;
@@ -105,7 +106,7 @@ static inline Instance *allowed_type(void *instance, const char *function, int p
 /* Make the model's results current. */
 static inline Status evaluated(Instance *self)
 {
-    if (model_evaluate(&self->model)) return FAIL(self, "at t = %g s the mass matrix is not positive definite; check the masses and lengths.", self->model.time);
+    if (model_evaluate(&self->model)) return FAIL(self, "at t = %g s %s.", self->model.time, model_trouble(&self->model));
     return STATUS_OK;
 }
 
@@ -115,6 +116,15 @@ static inline const Variable *variable_of(const Instance *self, const char *func
     if (reference < VARIABLE_COUNT) return &MODEL_VARIABLES[reference];
     FAIL(self, "%s: there is no variable with value reference %u; the model has %d.", function, reference, VARIABLE_COUNT);
     return NULL;
+}
+
+static inline void free_instance(void *instance)
+{
+    Instance *self = instance;
+    if (!self) return;
+    model_close(&self->model);
+    free(self->name);
+    free(self);
 }
 
 /* An instance with the settings of `draft` (its name is copied), or NULL and a logged sentence. token_word: what the standard calls
@@ -143,17 +153,15 @@ static inline Instance *new_instance(const Instance *draft, const char *function
     *self = *draft;
     memcpy(copy, name, length);
     self->name = copy;
+    const char *trouble = model_open(&self->model, draft->resources);
+    if (trouble) {
+        FAIL(self, "%s: %s.", function, trouble);
+        free_instance(self);
+        return NULL;
+    }
     model_start(&self->model);
     self->model.phase = PHASE_INSTANTIATED;
     return self;
-}
-
-static inline void free_instance(void *instance)
-{
-    Instance *self = instance;
-    if (!self) return;
-    free(self->name);
-    free(self);
 }
 
 static inline Status set_logging(void *instance, const char *function, int on, size_t count, const char *const categories[])
@@ -234,7 +242,7 @@ static inline Status save_state(void *instance, const char *function, void **sta
     memcpy(saved->guid, MODEL_GUID, sizeof MODEL_GUID);
     saved->type = (int)self->type;
     saved->event_mode_used = self->event_mode_used;
-    memcpy(&saved->model, &self->model, sizeof self->model);
+    model_copy(&saved->model, &self->model);
     return STATUS_OK;
 }
 
@@ -247,7 +255,7 @@ static inline Status restore_state(void *instance, const char *function, const v
     if (saved->type != (int)self->type) return FAIL(self, "%s: the state was saved by an instance of the other FMU type.", function);
     if (saved->event_mode_used != self->event_mode_used)
         return FAIL(self, "%s: the state was saved by an instance that was made %s event mode.", function, saved->event_mode_used ? "with" : "without");
-    memcpy(&self->model, &saved->model, sizeof self->model);
+    model_copy(&self->model, &saved->model);
     return STATUS_OK;
 }
 

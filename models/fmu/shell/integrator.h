@@ -13,6 +13,13 @@
 
 typedef enum { STEP_OK, STEP_EVENT, STEP_MASS, STEP_NOT_FINITE } StepResult;
 
+/* What failed, in the middle of a sentence. */
+static inline const char *step_trouble(const Model *m, StepResult result)
+{
+    (void)m;
+    return result == STEP_MASS ? "the mass matrix lost its definiteness" : "a state became infinite or not a number (internal_step too large?)";
+}
+
 /* Mode changes that are located within one internal step; a step with more is finished with the true law instead. */
 #define EVENTS_PER_STEP (8 * ROOM(NL) + 8)
 

@@ -18,6 +18,7 @@
 #include "scene_sensitivity.h"
 
 #define ROOM(n) ((n) > 0 ? (n) : 1)
+#define INPUTS_SLOPE 1 /* whether they may follow a derivative over a communication step */
 
 /* Rows of lam hold the contact forces, then the friction forces; rows of modes and event indicators likewise. */
 #ifdef DAMPING
@@ -91,6 +92,79 @@ typedef struct {
 typedef struct {
     double q[NQ], v[NQ];
 } Point;
+
+static inline int is_integer(VariableKind kind)
+{
+    return kind == KIND_INTEGRATOR;
+}
+
+static inline int is_state(VariableKind kind)
+{
+    return kind == KIND_POSITION || kind == KIND_VELOCITY;
+}
+
+static inline int is_setting(VariableKind kind)
+{
+    return kind == KIND_INTERNAL_STEP || kind == KIND_INTEGRATOR;
+}
+
+/* Whether reading it needs an evaluated Model: here all do, as modes follow from the state. */
+static inline int is_calculated(VariableKind kind)
+{
+    return (void)kind, 1;
+}
+
+/* A scene needs nothing but its bytes: there is nothing to open, and nothing that belongs to one instance alone. */
+static inline const char *model_open(Model *m, const char *resources)
+{
+    return (void)m, (void)resources, NULL;
+}
+
+static inline void model_close(Model *m)
+{
+    (void)m;
+}
+
+static inline void model_copy(Model *to, const Model *from)
+{
+    memcpy(to, from, sizeof *to);
+}
+
+/* Why an evaluation failed, in the middle of a sentence. */
+static inline const char *model_trouble(const Model *m)
+{
+    return (void)m, "the mass matrix is not positive definite; check the masses and lengths";
+}
+
+/* Continuous states: positions, then velocities. */
+#define STATE_COUNT (2 * NQ)
+
+static inline void model_states(const Model *m, double *x)
+{
+    memcpy(x, m->q, sizeof m->q);
+    memcpy(x + NQ, m->v, sizeof m->v);
+}
+
+static inline void model_set_states(Model *m, const double *x)
+{
+    memcpy(m->q, x, sizeof m->q);
+    memcpy(m->v, x + NQ, sizeof m->v);
+    m->evaluated = 0;
+}
+
+/* Their derivatives, of an evaluated Model. */
+static inline void model_rates(const Model *m, double *rates)
+{
+    memcpy(rates, m->v, sizeof m->v);
+    memcpy(rates + NQ, m->a, sizeof m->a);
+}
+
+/* The direction in which time moves an evaluated Model. */
+static inline void time_direction(const Model *m, Tangent *tangent)
+{
+    memcpy(tangent->q, m->v, sizeof m->v);
+    memcpy(tangent->v, m->a, sizeof m->a);
+}
 
 /* All values at their starts; equal bytes for every fresh or reset instance. */
 static inline void model_start(Model *m)

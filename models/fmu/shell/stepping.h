@@ -46,7 +46,7 @@ static inline Status do_step(Instance *self, const char *function, double t, dou
     if (result == STEP_MASS || result == STEP_NOT_FINITE) {
         m->phase = PHASE_ERROR;
         return FAIL(self, "%s: between %.12g s and %.12g s %s; the state is that of the last good step.", function, t, t + wanted,
-            result == STEP_MASS ? "the mass matrix lost its definiteness" : "a state became infinite or not a number (internal_step too large?)");
+            step_trouble(m, result));
     }
     if (result == STEP_EVENT && !self->event_mode_used) model_update_modes(m);
     *event = result == STEP_EVENT && self->event_mode_used;
@@ -58,6 +58,7 @@ static inline Status set_input_rates(void *instance, const char *function, Refer
 {
     Instance *self = allowed_type(instance, function, PHASES_STARTING | PHASE_STEP_COMPLETE, CO_SIMULATION);
     if (!self) return STATUS_ERROR;
+    if (!INPUTS_SLOPE) return FAIL(self, "%s: inputs are held over a step; derivatives of them are not offered.", function);
     if (of.count > 0 && (!of.references || !orders || !values)) return FAIL(self, "%s: value references, orders or values are missing.", function);
     for (size_t i = 0; i < of.count; i++) {
         const Variable *variable = variable_of(self, function, of.references[i]);

@@ -25,7 +25,7 @@ from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
-_FINENESS_OF_A_CALL = 50
+FINENESS_OF_A_CALL = 50
 _SHORTEST = 0.1
 # Outputs after the state is restored and those before it was left are the same within this share of their size.
 SAME = 1e-9
@@ -141,7 +141,7 @@ def simulate(
             fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
             slopes = inputs.linear and _takes_slopes(package)
-            parts = 1 if has_own else max(1, fineness // _FINENESS_OF_A_CALL)
+            parts = 1 if has_own else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
             parts = 2 * ((parts + 1) // 2) if rolls_back and not has_own else parts
             stepping = Stepping(

@@ -151,7 +151,8 @@ class Job:
     start: (n,) start values [unit of each variable], in the order of Variables.start; limits: of the child, None: in this process; ours: whether the FMU
     is one that we made.
     tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
-    parts, max_step: of the reference (validate.judge.replay.reference.integrate).
+    parts, max_step: of the reference (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves its steps, where
+    the FMU can.
     """
 
     package: Package
@@ -165,6 +166,7 @@ class Job:
     ours: bool = False
     parts: int = PARTS
     max_step: float = math.inf
+    rolls_back: bool = True
 
     def run(self, feedback: Feedback | None = None) -> Simulated:
         """Run all simulations, here or in a child; what ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
@@ -181,7 +183,7 @@ class Job:
             "event_budget": self.event_budget,
             "parts": self.parts,
             "max_step": self.max_step if math.isfinite(self.max_step) else None,
-            "rolls_back": True,
+            "rolls_back": self.rolls_back,
         }
         given = {"t": plan.t, "u": plan.u, "start": self.start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
         if feedback is not None:
@@ -194,7 +196,7 @@ class Job:
         if _only_once(package):  # one instance a process: every run has a process of its own
             requests = [{**request, "tolerances": [rtol], "fineness": []} for rtol in self.tolerances if package.exchange is not None]
             requests += [
-                {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == self.fineness[-1]}
+                {**request, "tolerances": [], "fineness": [fineness], "rolls_back": self.rolls_back and fineness == self.fineness[-1]}
                 for fineness in self.fineness
                 if package.cosimulation is not None
             ]

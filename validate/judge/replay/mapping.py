@@ -202,6 +202,7 @@ class _Wiring:
                     f"{table.where}: the column {name!r} is missing{map_schema.hint(name, table.names)}; it has {', '.join(table.names)}."
                 )
         known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
+        known |= {value for value in given.start.values() if isinstance(value, str)}
         for name in table.names:
             if name not in known:
                 raise TrajectoryError(

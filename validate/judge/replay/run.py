@@ -11,9 +11,9 @@ import numpy as np
 
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
-from models.trajectory import Trajectory
+from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Limits
-from validate.fmi.description import Package, read_package, unpacked
+from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay.error_estimate import (
     difference,
     estimate,
@@ -28,6 +28,7 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
     without_estimate,
 )
+from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome, Run
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
@@ -38,6 +39,8 @@ from validate.judge.replay.wiring import Feedback, Variables, measure_effort
 LOOSE, TIGHT = 1e-11, 1e-13
 # Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
 FINENESS = (50, 100, 200)
+# Four calls of doStep a step of the plan, and then one, which is judged: of a method of first order the difference is three quarters of its error.
+_OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
 _CLOSER_LOOKS = 6
 # Whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
@@ -152,10 +155,13 @@ def replay_foreign(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     track: Track = False,
+    own_step: bool = False,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
-    Raises TrackingError if track is True and cannot be.
+    own_step: judged is Co-Simulation with one doStep a step of the plan, whatever else the FMU offers; its error is what four change.
+    A plan whose inputs are lines is replayed as without.
+    Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     nx = len(foreign.variables.q) + len(foreign.variables.v)
@@ -166,7 +172,13 @@ def replay_foreign(
         package=package, variables=foreign.variables, plan=driven, start=foreign.start, limits=limits,
         tolerances=tolerances, fineness=fineness, event_budget=event_budget,
     )  # fmt: skip
-    job = with_steps_of(foreign.model, job)
+    if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
+        if package.cosimulation is None:
+            raise FmuError(f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step.")
+        variables = replace(foreign.variables, internal_step=None)
+        job = replace(job, variables=variables, tolerances=(), fineness=_OWN_STEP, rolls_back=False)
+    else:
+        job = with_steps_of(foreign.model, job)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
         """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
@@ -217,7 +229,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     return Replay(
         scene=subject.name,
         outcome=judged.outcome,
-        message=" ".join(_notes(subject, simulated, error, is_known)),
+        message=" ".join(_notes(subject, job, simulated, error, is_known)),
         method="reference" if reference else "everyday",
         t=np.array(judged.t, dtype=float),
         q=out.q,
@@ -244,7 +256,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     )
 
 
-def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
+def _notes(subject: Subject, job: Job, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
     """What else is to be said of a replay; is_known: whether the error of the everyday replay's step is."""
     reference, everyday, refusal, judged = simulated.reference, simulated.everyday, simulated.refusal, simulated.judged
     if refusal is None and reference:
@@ -253,7 +265,8 @@ def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known:
     if refusal is not None:
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not reference:
-        notes.append("No reference replay: the FMU offers no Model Exchange.")
+        no_exchange = "No reference replay: the FMU offers no Model Exchange."
+        notes.append(no_exchange if job.tolerances else "Judged is Co-Simulation with one doStep a step of the plan.")
         if not is_known:
             notes.append(
                 "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "

@@ -1,0 +1,138 @@
+"""Robot -> FMU file: MuJoCo's library and the compiled model go in beside our shell, which is compiled here.
+
+    build_robot(read_robot(Path("robot.xml")))          ->  .../a1b2....robot.fmu
+
+The library lies beside the binary, which looks for it there ($ORIGIN). Equal robots give equal bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from models.codegen.cache import cached
+from models.codegen.compiler import find_compiler
+from models.errors import MachineError
+from models.fmu.description import Offers, Standard, Unknown, find_standard, generation_date, render, stamped, standard_headers, unit_table
+from models.fmu.mjcf.robot import FARTHEST, INTEGRATORS, Robot, RobotError, mujoco, unknowns_of
+from models.fmu.package import belongs, binaries, find_platforms, pack
+from models.fmu.variables import VariableKind
+
+_HERE = Path(__file__).parent
+_SHELL = _HERE.parent / "shell"
+_OURS = ("equations.h", "integrator.h")
+# Of the shell, what is of scenes alone.
+_OF_SCENES = (*_OURS, "model.h", "damping_modes.h", "friction_modes.h")
+# The experiment that an importer is proposed lasts this long [s].
+_STOP = 1.0
+_TOLERANCE = 1e-6
+
+
+def build_robot(robot: Robot, version: str = "2.0") -> Path:
+    """The FMU of a robot, for this machine; found in the cache or built there.
+
+    Raises UnknownNameError for an FMI version that is not offered, RobotError for names that collide, MachineError without a compiler, a library of
+    MuJoCo that can be shipped, or a cache that can be written.
+    """
+    standard, package = find_standard(version), mujoco()
+    folder = Path(package.__file__).parent
+    libraries = sorted(folder.glob("libmujoco.so.*"))
+    if not sys.platform.startswith("linux") or len(libraries) != 1:
+        raise MachineError(
+            "an MJCF is exported on Linux alone, where the wheel of MuJoCo has a library that can be shipped with the FMU; do it there."
+        )
+    compiler, (platform,) = find_compiler(), find_platforms(())
+    library, model = libraries[0].read_bytes(), _compiled(robot)
+    texts, sources = _texts(robot, standard, {"resources/model.mjb": model, libraries[0].name: library})
+    flags = ["-isystem", str(folder / "include"), "-Wl,--no-as-needed", str(libraries[0]), "-Wl,-rpath,$ORIGIN"]
+
+    def build(path: Path) -> None:
+        code = {f"sources/{name}": text for name, text in sources.items()}
+        content = {name: text.encode() for name, text in texts.items()} | _licenses()
+        content |= {"resources/model.mjb": model, f"binaries/{platform.folder(standard)}/{libraries[0].name}": library}
+        content |= binaries(code, standard, robot.identifier, {platform: compiler}, path.parent, flags)
+        pack(path, content, first="modelDescription.xml")
+
+    key = [compiler.version, platform.name, *flags, *(f"{name}\n{text}" for name, text in sorted({**texts, **sources}.items()))]
+    return cached("\n".join(key), f".{robot.identifier}.fmu", build)
+
+
+def _compiled(robot: Robot) -> bytes:
+    """The model as MuJoCo's binary, meshes inside. Raises RobotError for what it cannot write."""
+    package = mujoco()
+    try:
+        buffer = np.zeros(package.mj_sizeModel(robot.model), dtype=np.uint8)
+        package.mj_saveModel(robot.model, None, buffer)
+    except (ValueError, TypeError, package.FatalError) as error:
+        raise RobotError(f"{robot.path}: MuJoCo cannot write it as a binary ({error}).") from error
+    return buffer.tobytes()
+
+
+def _licenses() -> dict[str, bytes]:
+    """Ours, and MuJoCo's with those of what is in its library."""
+    found = {}
+    for name in ("mujoco-core", "mujoco"):
+        try:
+            files = metadata.files(name) or []
+        except metadata.PackageNotFoundError:
+            continue
+        found |= {f"documentation/licenses/mujoco/{file.name}": file.read_binary() for file in files if file.name.startswith("LICENSE")}
+    return found
+
+
+def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple[dict[str, str], dict[str, str]]:
+    """Every text file of the FMU, and the sources that its binary is made of; shipped: what decides the GUID beside the texts."""
+    package, model, table = mujoco(), robot.model, robot.table
+    sources = {
+        path.name: path.read_text(encoding="utf-8")
+        for path in sorted(_SHELL.iterdir())
+        if belongs(path, standard) and path.name not in _OF_SCENES
+    }
+    sources |= {name: (_HERE / name).read_text(encoding="utf-8") for name in _OURS}
+    sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
+    kinds, first = VariableKind, standard.first_index
+    states = unknowns_of(table, [kinds.POSITION, kinds.VELOCITY])
+    rates = unknowns_of(table, [kinds.POSITION_RATE, kinds.VELOCITY_RATE])
+    calculated = unknowns_of(table, [kinds.OUTPUT])
+    offers = Offers(exchange=robot.no_exchange is None, derivatives=False, slopes=False, events=False)
+    moved = [
+        Unknown(place + first, (place + first,) if offers.exchange else (), ("constant",) if offers.exchange else ()) for place in states
+    ]
+    shared = {
+        "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "table": table, "integrators": INTEGRATORS,
+        "offers": offers, "model": model, "robot": robot, "version": package.__version__,
+    }  # fmt: skip
+
+    def marked(guid: str) -> tuple[str, str]:
+        config = render(
+            "mjcf.j2", "config", guid=guid, farthest=FARTHEST,
+            rest=int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION)) - 1 - model.nq - model.nv - model.na,
+            tunables=len(unknowns_of(table, [kinds.TUNABLE])), **shared,
+        )  # fmt: skip
+        xml = render(
+            f"modelDescription_{standard.prefix}.xml.j2", guid=guid, license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep),
+            tolerance=_TOLERANCE, date=generation_date(), source_files=[], units=unit_table(table),
+            state_of={table[rate].name: state + first for rate, state in zip(rates, states, strict=True)},
+            structure={
+                "outputs": [*moved, *(Unknown(place + first) for place in calculated)],
+                "derivatives": [Unknown(place + first) for place in rates] if offers.exchange else [],
+                "initial": [Unknown(place + first) for place in sorted([*(rates if offers.exchange else []), *calculated])],
+                "indicators": [],
+            },
+            **shared,
+        )  # fmt: skip
+        return config, xml
+
+    decided = {name: hashlib.sha256(content).hexdigest() for name, content in shipped.items()}
+    _, config, xml = stamped(sources | decided, marked)
+    texts = {
+        "modelDescription.xml": xml,
+        "documentation/index.html": render("mjcf.j2", "page", **shared),
+        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers)
+        + f"\nbinaries/*/libmujoco.so.* is MuJoCo {package.__version__}, under the licenses in mujoco/.\nresources/model.mjb is {robot.path.name}, whose license is its author's.\n",
+    }
+    return texts, sources | {"model_config.h": config}

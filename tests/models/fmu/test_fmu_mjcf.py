@@ -1,0 +1,482 @@
+"""Robots of MuJoCo as FMUs: the motion is mj_step's to the bit, outputs and parameters are what closed forms say, and reading changes nothing."""
+
+import math
+from collections.abc import Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+
+from models.fmu.mjcf import Recorder, RobotError, build_robot, read_robot
+from validate.fmi.description import FmuError, read_package, unpacked
+from validate.fmi.instance import References, load_instance
+
+mujoco = pytest.importorskip("mujoco")
+
+VERSIONS = ("2.0", "3.0")
+H = 0.002
+# A leg on a free trunk that falls on its foot, with a servo that has a state, a motor and three kinds of sensors.
+LEG = f"""
+<mujoco>
+  <option timestep="{H}"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1"/>
+    <body name="trunk" pos="0 0 .55">
+      <freejoint name="root"/>
+      <geom name="hull" type="box" size=".1 .1 .05" mass="2"/>
+      <site name="imu"/>
+      <body name="thigh" pos="0 0 -.1">
+        <joint name="hip" axis="0 1 0" damping=".1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".03"/>
+        <body name="shank" pos="0 0 -.2">
+          <joint name="knee" axis="0 1 0" range="-90 90" damping=".1"/>
+          <geom name="foot" type="capsule" fromto="0 0 0 0 0 -.15" size=".02"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="hip" joint="hip" ctrlrange="-8 8"/>
+    <general name="knee" joint="knee" dyntype="filter" dynprm=".05" gainprm="20" biastype="affine" biasprm="0 -20 0"/>
+  </actuator>
+  <sensor>
+    <jointpos name="hip angle" joint="hip"/>
+    <accelerometer name="imu" site="imu"/>
+    <touch name="trunk" site="imu"/>
+  </sensor>
+  <keyframe><key name="bent" qpos="0 0 .5 1 0 0 0 .4 -.8" ctrl="1 -.8" act="-.8"/></keyframe>
+</mujoco>
+"""
+# A block that lies, or slides along x, on a floor.
+BLOCK = """
+<mujoco>
+  <option timestep="0.001" cone="elliptic" impratio="100" iterations="200" tolerance="1e-14"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="50 50 .1" friction=".5"/>
+    <body name="block" pos="0 0 .1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+      <geom name="block" type="box" size=".2 .2 .1" mass="3" friction=".5"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="x"/></actuator>
+</mujoco>
+"""
+PENDULUM = """
+<mujoco>
+  <option gravity="0 0 -9.81" timestep="0.01"/>
+  <worldbody>
+    <body><joint name="swing" axis="0 1 0"/><inertial pos="0 0 -.7" mass="1.3" diaginertia="1e-9 1e-9 1e-9"/></body>
+    <body pos="3 0 0" name="top"><joint name="ball" type="ball"/><geom type="box" size=".3 .2 .1" contype="0" conaffinity="0"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+class Slave:
+    """An instance by names of variables."""
+
+    def __init__(self, package, kind: str) -> None:
+        self.references = {variable.name: int(variable.valueReference) for variable in package.description.modelVariables}
+        self.fmu = load_instance(package, kind)
+        self.time = 0.0
+
+    def of(self, names: Sequence[str]) -> References:
+        return References([self.references[name] for name in names])
+
+    def begin(self, start: float = 0.0, **settings: float) -> "Slave":
+        self.time = start
+        self.fmu.initialise(start, [(self.references[name], value) for name, value in settings.items()], References([]), np.zeros(0))
+        return self
+
+    def get(self, *names: str) -> np.ndarray:
+        return self.fmu.read(self.of(names)).copy()
+
+    def set(self, **values: float) -> None:
+        self.fmu.write(self.of(list(values)), list(values.values()))
+
+    def step(self, length: float, count: int = 1) -> None:
+        for _ in range(count):
+            self.fmu.do_step(self.time, length)
+            self.time += length
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """robot(text, *contacts, keyframe=..) reads a robot from a text."""
+    folder, count = tmp_path_factory.mktemp("robots"), 0
+
+    def made(text: str, *contacts: str, keyframe: str | None = None, suffix: str = ".xml"):
+        nonlocal count
+        count += 1
+        path = folder / f"robot{count}{suffix}"
+        path.write_text(text, encoding="utf-8")
+        return read_robot(path, contacts, keyframe)
+
+    return made
+
+
+@contextmanager
+def instance(robot, kind: str = "CS", version: str = "2.0"):
+    with unpacked(read_package(build_robot(robot, version))) as package:
+        slave = Slave(package, kind)
+        try:
+            yield slave
+        finally:
+            slave.fmu.unload()
+
+
+def states_of(robot) -> list[str]:
+    return [variable.name for variable in robot.table if variable.kind.name in ("POSITION", "VELOCITY")]
+
+
+def state_of(data) -> np.ndarray:
+    return np.concatenate([data.qpos, data.qvel, data.act])
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_motion_is_that_of_mj_step_to_the_bit(robot, version: str):
+    leg = robot(LEG, "foot:floor")
+    data, rng, touched = mujoco.MjData(leg.model), np.random.default_rng(0), 0
+    with instance(leg, version=version) as fmu:
+        fmu.begin()
+        for step in range(1000):
+            u = rng.uniform([-8.0, -1.0], [8.0, 1.0])
+            calls = 1 + step % 3
+            data.ctrl[:] = u
+            for _ in range(calls):
+                mujoco.mj_step(leg.model, data)
+                touched += data.ncon > 0
+            fmu.set(u_hip=u[0], u_knee=u[1])
+            fmu.step(calls * H)
+            assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
+            if step % 7 == 0:  # what is read between steps changes nothing
+                fmu.get("s_imu_0", "lam_foot_floor", "gap_foot_floor", "der(v_knee)")
+    assert touched > 300
+
+
+@pytest.mark.parametrize(("length", "own"), [(2.5 * H, 2.5 * H / 3), (0.4 * H, 0.4 * H), (H * (1 + 1e-12), H)])
+def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(robot, length: float, own: float):
+    leg = robot(LEG)
+    leg.model.opt.timestep = own
+    data = mujoco.MjData(leg.model)
+    with instance(robot(LEG)) as fmu:
+        fmu.begin()
+        fmu.step(length, 20)
+        mujoco.mj_step(leg.model, data, 20 * round(length / own))
+        assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
+
+
+def test_a_robot_starts_at_its_keyframe(robot):
+    leg = robot(LEG, keyframe="bent")
+    data = mujoco.MjData(leg.model)
+    mujoco.mj_resetDataKeyframe(leg.model, data, 0)
+    with instance(leg) as fmu:
+        fmu.begin()
+        assert fmu.get("q_root_z", "q_hip", "q_knee", "act_knee", "u_hip", "u_knee").tolist() == [0.5, 0.4, -0.8, -0.8, 1.0, -0.8]
+        fmu.step(H, 100)
+        mujoco.mj_step(leg.model, data, 100)
+        assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
+
+
+def test_outputs_are_those_of_the_state_that_is_reached(robot):
+    leg = robot(LEG, "foot:floor", "trunk:floor")
+    data = mujoco.MjData(leg.model)
+    with instance(leg) as fmu:
+        fmu.begin()
+        fmu.step(H, 300)
+        mujoco.mj_step(leg.model, data, 300)
+        mujoco.mj_forward(leg.model, data)  # mj_step leaves what belongs to the step's beginning
+        assert fmu.get("s_hip_angle", "s_imu_0", "s_imu_1", "s_imu_2", "s_trunk").tolist() == data.sensordata.tolist()
+        assert fmu.get("der(v_hip)").tolist() == data.qacc[6:7].tolist()
+        hull, floor = (leg.model.geom(name).id for name in ("hull", "floor"))
+        assert fmu.get("gap_trunk_floor") == pytest.approx(mujoco.mj_geomDistance(leg.model, data, hull, floor, 10.0, None), abs=1e-12)
+
+
+@pytest.mark.parametrize("mass", [3.0, 0.5])
+def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
+    block = robot(BLOCK, "block:floor")
+    with instance(block) as fmu:
+        fmu.begin(mass_block=mass)
+        fmu.step(0.001, 3000)
+        force, gap, height = fmu.get("lam_block_floor", "gap_block_floor", "q_z")
+        assert force == pytest.approx(mass * 9.81, rel=1e-6)
+        assert -1e-2 < gap == pytest.approx(height, abs=1e-12)
+        assert gap < 0.0
+
+
+def test_without_gravity_nothing_presses(robot):
+    with instance(robot(BLOCK, "block:floor")) as fmu:
+        fmu.begin(gravity_z=0.0, q_z=0.25)
+        fmu.step(0.001, 100)
+        assert fmu.get("lam_block_floor", "gap_block_floor", "q_z") == pytest.approx([0.0, 0.25, 0.25], abs=1e-15)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.4, 0.0])
+def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
+    """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s. MuJoCo's smallest coefficient is 1e-5."""
+    with instance(robot(BLOCK)) as fmu:
+        fmu.begin()
+        fmu.step(0.001, 2000)  # it settles
+        with pytest.raises(FMICallException):
+            fmu.set(v_x=2.0)  # a state is set at the start alone
+    with instance(robot(BLOCK)) as fmu:
+        fmu.begin(v_x=2.0, friction_scale=scale, q_z=-1e-4)
+        fmu.step(0.001, 200)
+        assert fmu.get("v_x")[0] == pytest.approx(2.0 - max(scale * 0.5, 1e-5) * 9.81 * 0.2, abs=2e-2 * scale + 1e-8)
+
+
+def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
+    """The depth at rest goes as 1 / stiffness; a constraint that gives way by half as much lets a heavy block in by less."""
+
+    def depth(**parameters: float) -> float:
+        with instance(robot(BLOCK, "block:floor")) as fmu:
+            fmu.begin(timestep=1e-4, **parameters)
+            fmu.step(0.01, 150)
+            return -fmu.get("gap_block_floor")[0]
+
+    own = depth()
+    assert depth(contact_stiffness_scale=4.0) == pytest.approx(own / 4.0, rel=0.05)
+    assert 0.2 * own < depth(contact_give_scale=0.5) < 0.9 * own
+
+
+def test_parameters_may_change_between_steps_and_back(robot):
+    leg = robot(LEG)
+    with instance(leg) as fmu:
+        fmu.begin()
+        fmu.step(H, 10)
+        saved = fmu.fmu.save()
+        fmu.step(H, 10)
+        plain, after = fmu.get(*states_of(leg)), fmu.time
+        fmu.fmu.restore(saved)
+        fmu.time = after - 10 * H
+        fmu.set(mass_trunk=9.0, gravity_x=1.0, contact_stiffness_scale=2.0, timestep=H / 2)
+        fmu.set(mass_trunk=2.0, gravity_x=0.0, contact_stiffness_scale=1.0, timestep=H)
+        fmu.step(H, 10)
+        assert fmu.get(*states_of(leg)).tolist() == plain.tolist()
+        fmu.fmu.restore(saved)
+        fmu.time = after - 10 * H
+        fmu.set(gravity_x=1.0)
+        fmu.step(H, 10)
+        assert fmu.get("v_root_x")[0] - plain[states_of(leg).index("v_root_x")] == pytest.approx(10 * H, rel=0.2)
+        fmu.fmu.forget(saved)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_model_exchange_is_the_equations_of_motion(robot, version: str):
+    """A point at the end of a rod: dw/dt = -g/l sin(angle); a quaternion turns as q (0, w) / 2."""
+    pendulum = robot(PENDULUM)
+    with instance(pendulum, "ME", version) as fmu:
+        q, w = np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7]), np.array([0.3, -2.0, 1.1])
+        names = dict(zip(("q_ball_qw", "q_ball_qx", "q_ball_qy", "q_ball_qz"), q, strict=True))
+        fmu.begin(q_swing=0.8, v_swing=-0.4, v_ball_wx=w[0], v_ball_wy=w[1], v_ball_wz=w[2], **names)
+        fmu.fmu.settle()
+        assert fmu.get("der(q_swing)", "der(v_swing)") == pytest.approx([-0.4, -9.81 / 0.7 * math.sin(0.8)], rel=1e-6)
+        moved = fmu.get("q_swing", *names)
+        mujoco.mj_integratePos(pendulum.model, moved, np.array([-0.4, *w]), 1e-6)
+        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx((moved[1:] - q) / 1e-6, abs=1e-5)
+        scalar, vector = -(q[1:] @ w) / 2, (q[0] * w + np.cross(q[1:], w)) / 2
+        assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx([scalar, *vector], rel=1e-14)
+
+
+def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robot):
+    leg = robot(LEG)
+    with instance(leg) as fmu:
+        fmu.begin()
+        fmu.step(H, 5)
+        before = fmu.get(*states_of(leg))
+        fmu.set(u_hip=8.0, mass_trunk=1e-12, gravity_z=-1e14)
+        with pytest.raises(FMICallException):
+            fmu.step(H, 50)
+        assert "infinite" in fmu.fmu.quote()
+        assert "timestep" in fmu.fmu.quote()
+        assert np.isfinite(fmu.get(*states_of(leg))).all()
+        assert fmu.get("time")[0] < 55 * H
+        fmu.fmu.fmu.reset()
+        fmu.begin()
+        fmu.step(H, 5)
+        assert fmu.get(*states_of(leg)).tolist() == before.tolist()
+
+
+def test_equal_robots_give_equal_bytes(robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    bytes_of = []
+    for number in range(2):
+        monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / str(number)))
+        bytes_of.append(build_robot(read_robot(robot(LEG).path.rename(tmp_path / "leg.xml"))).read_bytes())
+    assert bytes_of[0] == bytes_of[1]
+
+
+def test_a_damaged_fmu_is_refused_when_it_is_instantiated(robot):
+    with unpacked(read_package(build_robot(robot(LEG)))) as package:
+        model = Path(str(package.folder)) / "resources" / "model.mjb"
+        model.write_bytes(model.read_bytes()[:2000])
+        with pytest.raises(FmuError, match=r"model\.mjb cannot be loaded.*damaged.*[Tt]runcated"):
+            load_instance(package, "CS")
+        model.unlink()
+        with pytest.raises(FmuError, match=r"model\.mjb cannot be loaded"):
+            load_instance(package, "CS")
+
+
+def test_the_library_travels_with_its_licenses(robot):
+    with unpacked(read_package(build_robot(robot(LEG)))) as package:
+        assert list(Path(str(package.folder)).glob("binaries/*/libmujoco.so.*"))
+    import zipfile
+
+    with zipfile.ZipFile(build_robot(robot(LEG))) as archive:
+        assert b"Apache License" in archive.read("documentation/licenses/mujoco/LICENSE")
+        assert mujoco.__version__ in archive.read("documentation/licenses/license.txt").decode()
+        assert str(Path.cwd()).encode() not in b"".join(archive.read(name) for name in archive.namelist())
+
+
+@pytest.mark.parametrize(
+    ("actuator", "unit"),
+    [
+        ('<motor joint="j"/>', "N m"), ('<motor joint="s"/>', "N"), ('<motor joint="j" gear="3"/>', "1"), ('<position joint="j" kp="7"/>', "rad"),
+        ('<position joint="s" kp="7" kv="1"/>', "m"), ('<velocity joint="s" kv="3"/>', "m/s"), ('<general joint="j" gainprm="2"/>', "1"),
+    ],
+)  # fmt: skip
+def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
+    text = f"""<mujoco><worldbody><body><joint name="j"/><joint name="s" type="slide"/><geom size=".1"/></body></worldbody>
+    <actuator>{actuator}</actuator></mujoco>"""
+    (found,) = [variable for variable in robot(text).table if variable.causality == "input"]
+    assert found.unit == unit
+    assert found.name in ("u_j", "u_s")
+
+
+def _body(inside: str, outside: str = "", option: str = "") -> str:
+    return f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1"/>{inside}</body></worldbody>{outside}</mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hello", ("MuJoCo", "does not read it", "correct it")),
+        (_body('<joint name="j" apirate="1"/>'), ("apirate", "line 1", "another version")),
+        (_body('<geom type="mesh" mesh="no"/>', '<asset><mesh name="no" file="no.stl"/></asset>'), ("no.stl", "does not read it")),
+        (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'), ("actuator", "user", "take them out")),
+        (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'), ("sensor", "user", "take them out")),
+        (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'), ("sleep", "take the flag out")),
+        (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'), ("a:b", "a_b", "q_a_b", "rename")),
+    ],
+)
+def test_what_no_fmu_can_carry_is_refused_in_a_sentence(robot, text: str, said: tuple[str, ...]):
+    with pytest.raises(RobotError) as refused:
+        build_robot(robot(text))
+    assert all(part in str(refused.value) for part in (*said, ".xml")), str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("contact", "said"),
+    [("foot", ("foot", "A:B")), ("foot:flor", ("foot:flor", "floor")), ("foot:foot", ("foot:foot", "two")), (":", ("A:B",))],
+)
+def test_a_contact_of_nothing_is_refused(robot, contact: str, said: tuple[str, ...]):
+    with pytest.raises(RobotError) as refused:
+        robot(LEG, contact)
+    assert all(part in str(refused.value) for part in said), str(refused.value)
+
+
+def test_names_with_colons_are_found_as_sides_of_a_contact(robot):
+    text = LEG.replace('name="foot"', 'name="left:foot"').replace('name="floor"', 'name="a:floor"')
+    leg = robot(text, "left:foot:a:floor")
+    assert leg.contacts[0].names == ("left:foot", "a:floor")
+    assert "lam_left_foot_a_floor" in [variable.name for variable in leg.table]
+
+
+def test_a_cut_binary_and_a_missing_file_are_refused(robot, tmp_path: Path):
+    path = tmp_path / "leg.mjb"
+    mujoco.mj_saveModel(robot(LEG).model, str(path), None)
+    assert read_robot(path).model.nq == 9
+    path.write_bytes(path.read_bytes()[:-500])
+    with pytest.raises(RobotError, match=r"leg\.mjb.*does not read it.*runcated"):
+        read_robot(path)
+    with pytest.raises(RobotError, match=r"none\.xml.*no such file"):
+        read_robot(tmp_path / "none.xml")
+    with pytest.raises(RobotError, match=r"'bend'.*did you mean bent"):
+        robot(LEG, keyframe="bend")
+    assert not list(tmp_path.glob("MUJOCO*"))
+
+
+def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
+    assert robot(_body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes == []
+    (bounds,) = robot(_body('<joint name="j"/>', '<actuator><motor joint="j"/></actuator>')).notes
+    assert "ctrlrange" in bounds
+    assert "u_j" in bounds
+    (idle,) = robot(_body('<joint name="j"/>')).notes
+    assert "no actuators" in idle
+    delayed = robot(_body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1" delay=".01" nsample="8"/></actuator>'))
+    assert "no Model Exchange" in delayed.notes[0]
+    assert "delay" in delayed.notes[0]
+    assert read_package(build_robot(delayed)).exchange is None
+
+
+def test_a_urdf_is_a_robot(robot):
+    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    found = robot(f'<robot name="r"><link name="a">{link}</link><link name="b">{link}</link>{joint}</robot>', suffix=".urdf")
+    assert [variable.name for variable in found.table[:3]] == ["time", "q_j", "v_j"]
+
+
+def test_a_recorded_row_has_the_columns_of_the_map(robot):
+    leg = robot(LEG)
+    data, recorder = mujoco.MjData(leg.model), Recorder(leg.model)
+    data.qvel[3:6] = 0.3, -0.2, 0.1
+    recorder.record(data)
+    row = dict(zip(recorder.columns, recorder.rows[0], strict=True))
+    assert row["q_root_z"] == 0.55
+    assert row["v_root_wy"] == -0.2
+    assert [row[f"v_root_{part}"] for part in ("qw", "qx", "qy", "qz")] == pytest.approx([0.0, 0.15, -0.1, 0.05])
+    assert all(
+        f'column = "{name}"' in leg.map_text for name in recorder.columns if name.startswith("v_") and not name.startswith("v_root_w")
+    )
+
+
+def _three_cart() -> str:
+    """The scene as bodies on slides; a contact is a spring between two of them with a dead band, k max(d - distance, 0)."""
+    carts = "".join(
+        f'<body><joint name="q{number}" type="slide" axis="1 0 0" damping="2"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+        for number in (1, 2, 3)
+    )
+    springs = "".join(
+        f'<fixed stiffness="30" springlength="0.5 1e6"><joint joint="q{right}" coef="1"/><joint joint="q{left}" coef="-1"/></fixed>'
+        for left, right in ((1, 2), (2, 3))
+    )
+    motors = "".join(f'<motor name="{number}" joint="q{number}" ctrlrange="-10 10"/>' for number in (1, 3))
+    return (
+        f'<mujoco><option integrator="RK4" gravity="0 0 0" timestep="0.01"/><worldbody>{carts}</worldbody><tendon>{springs}</tendon>'
+        f"<actuator>{motors}</actuator></mujoco>"
+    )
+
+
+@pytest.mark.slow
+def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(robot):
+    """Runge-Kutta 4 over contacts that it does not locate: the force bends there, so it is of second order at least."""
+    from models.catalog import load_scene
+    from models.fmu import build_fmu
+
+    scene, times = load_scene("three_cart"), 0.01 * np.arange(201)
+    force = np.column_stack([8.0 * np.cos(3.0 * times), -8.0 * np.cos(2.0 * times)])
+    starts = dict(zip(("q1", "q2", "q3"), scene.task.start[:3], strict=True))
+
+    def motion(slave: Slave, inputs: tuple[str, str], outputs: Sequence[str]) -> np.ndarray:
+        rows = []
+        for u in force[:-1]:
+            slave.set(**dict(zip(inputs, u, strict=True)))
+            slave.step(0.01)
+            rows.append(slave.get(*outputs))
+        return np.array(rows)
+
+    with unpacked(read_package(build_fmu(scene, results=False))) as package:
+        own = Slave(package, "CS")
+        truth = motion(own.begin(internal_step=1e-5, **starts), ("u1", "u3"), ("q1", "q2", "q3"))
+        own.fmu.unload()
+    assert (truth[:, 1] - truth[:, 0]).min() < 0.45 < 0.6 < (truth[:, 1] - truth[:, 0]).max()
+    errors = {}
+    for step in (1e-2, 5e-3, 2.5e-3, 1.25e-3):
+        with instance(robot(_three_cart())) as fmu:
+            fmu.begin(timestep=step, **{f"q_{name}": value for name, value in starts.items()})
+            errors[step] = np.abs(motion(fmu, ("u_1", "u_3"), ("q_q1", "q_q2", "q_q3")) - truth).max()
+    # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s wrong, which the damper stops within m / c = 0.5 s.
+    assert all(error < 7.5 * step**2 for step, error in errors.items())
+    assert errors[1.25e-3] < errors[1e-2] / 10.0
