@@ -26,7 +26,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, states, values
+from validate.fmu_check import communication, derivatives, exchange, files, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -63,6 +63,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.adjoint,
     derivatives.dependencies,
     exchange.agree,
+    reference.stored,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 _TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}

@@ -200,10 +200,12 @@ def run(
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode."""
+    """CVODE over an instance in Continuous-Time Mode. drive: called after each change of the time [s], to set inputs that move with it."""
 
-    def __init__(self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF) -> None:
-        self.instance = instance
+    def __init__(
+        self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF, drive: Callable[[float], None] | None = None
+    ) -> None:
+        self.instance, self._drive = instance, drive
         self.record = Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
@@ -282,7 +284,7 @@ class Exchange:
             self.update_unannounced()
         events.append((self.time, crossed, indicators))
         length = self.instance.subject.step
-        if len(events) >= _MOST_EVENTS or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
+        if len(events) >= self.record.most or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
             self.record.crowded = self.time
         self.renew(self.time)
 
@@ -306,6 +308,8 @@ class Exchange:
 
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
+        if self._drive is not None:
+            self._drive(time)
 
     def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
         """What CVODE calls for rates, or indicators, at a time and states; in_vector: whether into a vector of its own, not an array."""
@@ -319,6 +323,8 @@ class Exchange:
                 self.instance.set_time(time)
                 if self.count:
                     self.instance.fmu.setContinuousStates(states.from_address(array_of(y)), self.count)
+                if self._drive is not None:
+                    self._drive(time)
                 call(values.from_address(place), size)
             except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
                 self.problem = error
