@@ -110,6 +110,7 @@ def command(
             if ending != files.INPUT or not (there.inputs and input_file == there.inputs):
                 write_durably(targets[ending], text)
     else:
+        texts[files.EXPERIMENT] = files.experiment_text(file.stem, settings, inputs is not None)
         make_folder(output.parent)
         write_durably(output, files.with_references(file, file.stem, texts))
     size = np.maximum(np.abs(numbers["values"]).max(axis=0), 1e-300)

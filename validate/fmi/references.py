@@ -30,13 +30,14 @@ FOLDER, MANIFEST = "extra/org.fmi-standard.fmi-ls-ref", "fmi-ls-manifest.xml"
 _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 _DESCRIPTION = "Layered Standard providing information on related files included in an FMU."
 _ATTRIBUTES = {"fmi-ls-name": "org.fmi-standard.fmi-ls-ref", "fmi-ls-version": "1.0.0-alpha.1", "fmi-ls-description": _DESCRIPTION}
-RESULT, ERROR, SETTINGS, INPUT, CHECKED = "_ref.csv", "_ref_error.csv", "_ref.opt", "_in.csv", "_cc.csv"
+RESULT, ERROR, SETTINGS, INPUT, CHECKED, EXPERIMENT = "_ref.csv", "_ref_error.csv", "_ref.opt", "_in.csv", "_cc.csv", ".exp"
 # What each of our files is, for the manifest: MIME type, role, words.
 _FILES = {
     RESULT: ("text/csv", "result", "Reference solution of the experiment, with the settings of the .opt file and, where there is one, the input of the _in.csv file"),
     ERROR: ("text/csv", "result", "Error bar of each number of the reference solution"),
     SETTINGS: ("text/plain", "configuration", "Start, stop, step and tolerance of the reference solution"),
     INPUT: ("text/csv", "other", "Input of the reference solution"),
+    EXPERIMENT: ("application/x-ma-ls-experiments", "experiment/validation", "The experiment of the reference solution"),
 }  # fmt: skip
 # Settings that there must be, as the FMI cross-check named them.
 _SETTINGS = ("StartTime", "StopTime", "StepSize", "RelTol")
@@ -53,13 +54,18 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredResult:
-    """A result that an FMU carries, or that lies beside it: where, and the files that belong to it (None: there is none)."""
+    """A result that an FMU carries, or that lies beside it: where, and what belongs to it (None: there is none). experiment: what the .exp file says, else `settings` is the .opt file."""
 
     where: str
     result: Path
     error: Path | None
     settings: Path | None
     inputs: Path | None
+    experiment: dict[str, float] | None = None
+
+    def read_settings(self) -> dict[str, float] | None:
+        """Of the experiment, as `read_settings` gives them; None where nothing says. Raises FmuError."""
+        return read_settings(self.settings.name, read_text(self.settings)) if self.settings else self.experiment
 
 
 def read_table(where: str, text: str, leave_out: Container[str] = ()) -> Table:
@@ -149,48 +155,83 @@ def read_text(path: Path) -> str:
 
 def beside(path: Path) -> StoredResult:
     """What lies, or would lie, beside a file `NAME.fmu` as the cross-check names it."""
-    return _result(path.parent, path.stem, path.with_name(path.stem + RESULT).name, path.parent / (path.stem + RESULT))
+    return _result(path.with_name(path.stem + RESULT), path.stem + RESULT)
 
 
-def _result(folder: Path, stem: str, where: str, result: Path) -> StoredResult:
-    found = {ending: folder / f"{stem}{ending}" for ending in (ERROR, SETTINGS, INPUT)}
-    error, settings, inputs = (path if path.is_file() else None for path in found.values())
-    return StoredResult(where, result, error, settings, inputs)
+def _result(result: Path, where: str) -> StoredResult:
+    stem = result.stem.removesuffix("_ref").removesuffix("_out")
+    found = [result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}")]
+    return StoredResult(where, result, *(path if path.is_file() else None for path in found))
 
 
 def stored_results(folder: Path, path: Path) -> Iterator[StoredResult | FmuError]:
-    """Results of an FMU: those of its LS-REF manifest, and `NAME_ref.csv` beside it; an FmuError where something that is named cannot be had.
+    """Results of an FMU: of experiments in its LS-REF manifest, others there, and `NAME_ref.csv` beside it; an FmuError where one that is named cannot be had.
 
-    folder: the unpacked FMU; path: its file.
+    folder: the unpacked FMU; path: its file. Raises FmuError for a manifest that cannot be read.
     """
-    place = folder / FOLDER
-    for related in _related(place / MANIFEST) if (place / MANIFEST).is_file() else ():
-        source = related.get("source", "")
-        if related.get("role") != "result" or not source.endswith(".csv") or source.endswith(ERROR):
-            continue
-        named = (place / unquote(source)).resolve()
-        if not named.is_relative_to(folder.resolve()) or not named.is_file():
-            yield FmuError(f"{FOLDER}/{MANIFEST} names the result {source!r}, which is not in the FMU")
-            continue
-        stem = named.stem.removesuffix("_ref").removesuffix("_out")
-        yield _result(named.parent, stem, named.relative_to(folder.resolve()).as_posix(), named)
+    manifest = folder / FOLDER / MANIFEST
+    related = [dict(item.attrib) for item in _parsed(manifest).iter("Related")] if manifest.is_file() else []
+    tried: set[Path] = set()
+    for item in related:
+        if item.get("role", "").startswith("experiment") and item.get("source", "").endswith(EXPERIMENT):
+            try:
+                for result in _experiments(folder, item["source"]):
+                    tried.add(result.result)
+                    yield result
+            except FmuError as error:
+                yield error
+    for item in related:
+        source = item.get("source", "")
+        if item.get("role") == "result" and source.endswith(".csv") and not source.endswith("_error.csv"):
+            try:
+                named = _named(folder, manifest, "result", source)
+            except FmuError as error:
+                yield error
+                continue
+            if named not in tried:
+                yield _result(named, _where(folder, named))
     if beside(path).result.is_file():
         yield beside(path)
 
 
-def _related(manifest: Path) -> list[dict[str, str]]:
-    """Attributes of each <Related>. Raises FmuError."""
-    return [dict(item.attrib) for item in _parsed(manifest.read_bytes()).iter("Related")]
+def _experiments(folder: Path, source: str) -> Iterator[StoredResult]:
+    """Those of a file that name results. Raises FmuError."""
+    place = _named(folder, folder / FOLDER / MANIFEST, "experiment", source)
+    for item in _parsed(place, "Experiments").iter("Experiment"):
+        where = f"{_where(folder, place)}, {item.get('name', 'an experiment')!r}"
+        stimuli, references = item.find("Stimuli"), item.find("References")
+        if references is None:
+            continue
+        result = _named(folder, place, "reference", references.get("source", ""))
+        text = {name: item.get(name[0].lower() + name[1:], "0") for name in _SETTINGS[:3]} | {"RelTol": item.get("tolerance", "1e-4")}
+        settings = read_settings(where, "".join(f"{name}, {value}\n" for name, value in text.items()))
+        inputs = None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
+        error = result.with_name(f"{result.stem}_error.csv")
+        yield StoredResult(_where(folder, result), result, error if error.is_file() else None, None, inputs, settings)
 
 
-def _parsed(text: bytes) -> ElementTree.Element:
+def _named(folder: Path, by: Path, what: str, source: str) -> Path:
+    """The file that a file of an unpacked FMU names. Raises FmuError where it is not there."""
+    named = (by.parent / unquote(source)).resolve()
+    if not named.is_relative_to(folder.resolve()) or not named.is_file():
+        raise FmuError(f"{_where(folder, by)} names the {what} {source!r}, which is not in the FMU")
+    return named
+
+
+def _where(folder: Path, path: Path) -> str:
+    return path.resolve().relative_to(folder.resolve()).as_posix()
+
+
+def _parsed(path: Path, root_name: str = "fmiReferences", text: bytes | None = None) -> ElementTree.Element:
+    """The root of an XML file, or of its text. Raises FmuError."""
+    text = path.read_bytes() if text is None else text
     try:
         XmlReader(False).read(text)  # no DOCTYPE
         root = ElementTree.fromstring(text)
     except Exception as error:  # of expat, of an encoding, HasDoctype
-        raise FmuError(f"{FOLDER}/{MANIFEST} is no XML that can be read ({error or 'it has a DOCTYPE'})") from error
-    if root.tag != "fmiReferences":
-        raise FmuError(f"{FOLDER}/{MANIFEST} begins with <{root.tag}> instead of <fmiReferences>")
+        raise FmuError(f"{FOLDER}/{path.name} is no XML that can be read ({error or 'it has a DOCTYPE'})") from error
+    if root.tag != root_name:
+        raise FmuError(f"{FOLDER}/{path.name} begins with <{root.tag}> instead of <{root_name}>")
     return root
 
 
@@ -199,7 +240,7 @@ def missing_attributes(folder: Path) -> list[str]:
     manifest = folder / FOLDER / MANIFEST
     if not manifest.is_file():
         return []
-    root = _parsed(manifest.read_bytes())
+    root = _parsed(manifest)
     return [name for name in _ATTRIBUTES if not root.get(f"{{{_NAMESPACE}}}{name}")]
 
 
@@ -213,7 +254,7 @@ def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
     with zipfile.ZipFile(fmu) as packed, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as out:
         items = {item.filename: item for item in packed.infolist()}
         manifest = f"{FOLDER}/{MANIFEST}"
-        root = _parsed(packed.read(manifest)) if manifest in items else ElementTree.Element("fmiReferences")
+        root = _parsed(Path(manifest), text=packed.read(manifest)) if manifest in items else ElementTree.Element("fmiReferences")
         for name, value in _ATTRIBUTES.items():
             root.set(f"{{{_NAMESPACE}}}{name}", value)
         sources = [f"{stem}{ending}" for ending in _FILES]
@@ -233,6 +274,18 @@ def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
         for name, data in new.items():
             out.writestr(name, data)
     return made.getvalue()
+
+
+def experiment_text(stem: str, settings: Mapping[str, float], with_inputs: bool) -> str:
+    """The experiment as LS-REF's .exp files have it."""
+    root = ElementTree.Element("Experiments", name=stem)
+    names = {"StartTime": "startTime", "StopTime": "stopTime", "StepSize": "stepSize", "RelTol": "tolerance"}
+    item = ElementTree.SubElement(root, "Experiment", name=stem, **{names[name]: repr(value) for name, value in settings.items()})
+    if with_inputs:
+        ElementTree.SubElement(item, "Stimuli", source=f"{stem}{INPUT}", type="text/csv")
+    ElementTree.SubElement(item, "References", source=f"{stem}{RESULT}", type="text/csv")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
 
 def columns_of(names: Sequence[str], sizes: Sequence[int], values: np.ndarray) -> dict[str, np.ndarray]:

@@ -26,7 +26,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, reference, states, values
+from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -54,6 +54,8 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.resets,
     states.independent,
     states.leaks,
+    host_process.surrounded,
+    host_process.token,
     states.restores,
     states.serialises,
     exchange.arrays,
@@ -62,6 +64,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.directional,
     derivatives.adjoint,
     derivatives.dependencies,
+    derivatives.rates,
     exchange.agree,
     reference.stored,
 )

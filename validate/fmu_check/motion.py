@@ -111,7 +111,7 @@ TOLERANCE = 1e-6
 # Internal steps to the next communication point before the integrator is given up.
 _STEP_LIMIT = 200_000
 # More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball that comes to rest).
-_MOST_EVENTS = 300
+_MOST_EVENTS = 2000
 _CROWDED = 1e-7
 # What changes by more than this share of its size at an event update jumps.
 _JUMP = 1e-8
@@ -124,12 +124,13 @@ class Record:
     """What a run of Model Exchange noted.
 
     events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; crowded: from when on
-    events crowd.
+    events crowd; most: events after which the run ends.
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
     crowded: float = math.inf
+    most: int = _MOST_EVENTS
 
 
 def _still(rates: Any, _size: int) -> None:

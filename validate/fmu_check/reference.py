@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import fmpy
 import numpy as np
@@ -27,12 +27,12 @@ from validate.fmi.references import (
     StoredResult,
     Table,
     missing_attributes,
-    read_settings,
     read_table,
     read_text,
     stored_results,
 )  # fmt: skip
-from validate.fmu_check.check import Finding, Scope, advice, check, failed, listed, not_offered, passed
+from validate.fmi.surroundings import listed
+from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange
 from validate.fmu_check.subject import RUN_SECONDS, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
@@ -59,9 +59,9 @@ class Signals:
     variables: list[FmuVariable]
     values: list[np.ndarray]
 
-    def at(self, time: float) -> np.ndarray:
-        """(entries,) [unit of each variable], at a time where a value jumps the later one. Raises nothing."""
-        last = max(int(np.searchsorted(self.times, time, side="right")) - 1, 0)
+    def at(self, time: float, *, early: bool = False) -> np.ndarray:
+        """(entries,) [unit of each variable], at a time where a value jumps the later one, or the `early` one. Raises nothing."""
+        last = max(int(np.searchsorted(self.times, time, side="left" if early else "right")) - 1, 0)
         after = min(last + 1, len(self.times) - 1)
         length = self.times[after] - self.times[last]
         share = (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
@@ -82,9 +82,13 @@ class Signals:
 
 @dataclass(frozen=True)
 class Solution:
-    """values, bars: (rows, entries) of the watched variables [unit of each]; events: times [s]; how: by what it was found, in words."""
+    """values, bars: (rows, entries) of the watched variables [unit of each]; before: the same where an input jumps, just before that; events: times [s].
+
+    how: by what it was found, in words.
+    """
 
     values: np.ndarray
+    before: np.ndarray
     bars: np.ndarray
     events: np.ndarray
     how: str
@@ -130,7 +134,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
     ------
     FmuError : if the FMU refuses or misbehaves, or where nothing tells how large the error is.
     """
-    runs, events, how = [], np.empty(0), ""
+    runs: list[_Run]
     if kind == "ME":
         method = ADAMS
         try:
@@ -138,25 +142,31 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
         except Misbehaviour:
             method = BDF
             runs = [_exchanged(subject, times, signals, watched, rtol, method) for rtol in _RTOLS]
-        events = runs[-1][1]
         how = f"CVODE ({'Adams' if method is ADAMS else 'BDF'}) at the tolerances {', '.join(f'{rtol:g}' for rtol in _RTOLS)}"
     else:
         parts = _PARTS if subject.can(kind, "canHandleVariableCommunicationStepSize") else _PARTS[:1]
         runs = [_stepped(subject, times, signals, watched, number, None) for number in parts]
         how = f"communication steps h/1 .. h/{parts[-1]}, h = {subject.step:g} s"
-        if _same([run for run, _ in runs]):
+        if _same([run.rows for run in runs]):
             runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
-        moves = (np.ptp(runs[-1][0], axis=0) != 0.0) & [
+        moves = (np.ptp(runs[-1].rows, axis=0) != 0.0) & [
             item.is_float and item.variability == "continuous" for item in watched for _ in range(item.size)
         ]
-        if _same([run for run, _ in runs]) and moves.any():
+        if _same([run.rows for run in runs]) and moves.any():
             raise FmuError(
                 "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
                 f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
             )
-    values = [run for run, _ in runs]
-    return Solution(values[-1], bars(values), events, how)
+    return Solution(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
+
+
+class _Run(NamedTuple):
+    """rows, before: (rows, entries) [unit of each]; events: times [s]."""
+
+    rows: np.ndarray
+    before: np.ndarray
+    events: np.ndarray
 
 
 def _same(runs: Sequence[np.ndarray]) -> bool:
@@ -196,29 +206,39 @@ def _nearby(rows: np.ndarray) -> np.ndarray:
 
 def _exchanged(
     subject: Subject, times: np.ndarray, signals: Signals, watched: list[FmuVariable], rtol: float, method: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """By CVODE: values at the times, and times of events."""
+) -> _Run:
+    """By CVODE."""
     with CheckedInstance(subject, "ME", "reference") as instance:
         moving = [place for place, item in enumerate(signals.variables) if item.is_float and item.variability == "continuous"]
         lines = Signals(signals.times, [signals.variables[place] for place in moving], [signals.values[place] for place in moving])
 
+        begun = [subject.start_time]  # times at which inputs have jumped
+
         def drive(time: float) -> None:
-            instance.set(lines.variables, lines.at(time))
+            instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
         instance.begin(during=dict(zip(signals.variables, (value[0] for value in signals.values), strict=True)))
         mover = Exchange(instance, rtol, method, drive if moving else None)
         mover.record.most = _EVENTS
-        jumps, rows = signals.jumps(), []
+
+        def jump(time: float) -> None:
+            instance.fmu.enterEventMode()
+            instance.set(signals.variables, signals.at(time))
+            instance.settle()
+            begun.append(time)
+            mover.renew(time)
+
+        jumps, rows, before = signals.jumps(), [], []
         try:
             mover.renew(subject.start_time)
             for time in times:
-                for at in [*jumps[(jumps > mover.time) & (jumps <= time)]]:
+                for at in [*jumps[(jumps > mover.time) & (jumps < time)]]:
                     mover.advance(float(at))
-                    instance.fmu.enterEventMode()
-                    instance.set(signals.variables, signals.at(float(at)))
-                    instance.settle()
-                    mover.renew(float(at))
+                    jump(float(at))
                 mover.advance(float(time))
+                before.append(instance.get(watched))
+                if time in jumps and time > subject.start_time:
+                    jump(float(time))
                 rows.append(instance.get(watched))
         except Crowded:
             raise FmuError(
@@ -226,17 +246,17 @@ def _exchanged(
             ) from None
         finally:
             mover.close()
-        return np.array(rows), np.array([event[0] for event in mover.record.events])
+        return _Run(np.array(rows), np.array(before), np.array([event[0] for event in mover.record.events]))
 
 
 def _stepped(
     subject: Subject, times: np.ndarray, signals: Signals, watched: list[FmuVariable], parts: int, tolerance: float | None
-) -> tuple[np.ndarray, np.ndarray]:
+) -> _Run:
     """By communication steps: the inputs of the middle of each during it, those of its end after it."""
     with CheckedInstance(subject, "CS", "reference") as instance:
         instance.tolerance = tolerance
         instance.begin(during=dict(zip(signals.variables, (value[0] for value in signals.values), strict=True)))
-        time, rows = subject.start_time, []
+        time, rows, before = subject.start_time, [], []
         for goal in times:
             count = max(1, round((goal - time) / subject.step)) * parts if goal > time else 0
             begin = time
@@ -244,10 +264,13 @@ def _stepped(
                 end = begin + (goal - begin) * part / count
                 instance.set(signals.variables, signals.at(0.5 * (time + end)))
                 instance.do_step(time, end - time)
-                instance.set(signals.variables, signals.at(end))
                 time = end
+            if time > subject.start_time:
+                instance.set(signals.variables, signals.at(time, early=True))
+            before.append(instance.get(watched))
+            instance.set(signals.variables, signals.at(time))
             rows.append(instance.get(watched))
-        return np.array(rows), np.empty(0)
+        return _Run(np.array(rows), np.array(before), np.empty(0))
 
 
 @contextlib.contextmanager
@@ -329,7 +352,7 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     others = {item.name for item in subject.description.modelVariables} - set(subject.by_name)
     table = read_table(where, read_text(result.result), others)
     watched = [named(subject, where, name, column) for name, column in table.columns.items()]
-    settings = read_settings(result.settings.name, read_text(result.settings)) if result.settings else None
+    settings = result.read_settings()
     claims = read_table(result.error.name, read_text(result.error)) if result.error else None
     inputs = (
         signals_of(subject, result.inputs.name, read_table(result.inputs.name, read_text(result.inputs)))
@@ -353,7 +376,7 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * entry_scales(watched))
     apart = _apart(watched, theirs, found, table.times[:rows])
     stated = np.hstack(list(claims.columns.values()))[:rows] if claims else (settings["RelTol"] if settings else subject.tolerance) * size
-    excess = apart - stated - found.bars - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None)
+    excess = apart - stated - found.bars - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None and settings is None)
     row, column = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess / size, np.inf))), excess.shape)
     names, worst = entry_names(watched), apart / size
     shown = f"{where}: {len(names)} values at {rows} times, off by up to {np.nanmax(worst):.2g} of their size"
@@ -389,9 +412,9 @@ def _apart(watched: list[FmuVariable], theirs: np.ndarray, found: Solution, time
         first, last = max(row - 1, 0), min(row + 1, len(times) - 1)
         eventful = ((found.events >= times[first]) & (found.events <= times[last])).any()
         either = discrete | eventful
-        low, high = found.values[first : last + 1].min(axis=0), found.values[first : last + 1].max(axis=0)
-        outside = np.maximum(np.maximum(low - theirs[row], theirs[row] - high), 0.0)
-        apart[row] = np.where(either, outside, apart[row])
+        near = np.vstack([found.values[first : last + 1], found.before[row]])
+        outside = np.maximum(np.maximum(near.min(axis=0) - theirs[row], theirs[row] - near.max(axis=0)), 0.0)
+        apart[row] = np.where(either, outside, np.minimum(apart[row], np.abs(theirs[row] - found.before[row])))
     return apart
 
 
@@ -401,7 +424,7 @@ def _again(subject: Subject, watched: list[FmuVariable], times: np.ndarray, inpu
         return "nothing of it is what the FMU gives"
     try:
         with _in_words():
-            plain, _ = _stepped(subject, times, inputs, watched, 1, None)
+            plain = _stepped(subject, times, inputs, watched, 1, None).rows
     except FmuError:
         return "nothing of it is what the FMU gives"
     off = float((np.abs(plain - theirs) / size).max())

@@ -247,8 +247,13 @@ def leaks(subject: Subject, kind: str) -> Finding:
                 raise Misbehaviour(f"{error}, after {made} others were freed") from error
         instance.begin()
         if kind == "CS":
-            for step in range(3):
+            for step in range(subject.before_end(kind, 3)):
                 instance.do_step(subject.time(step), subject.step)
+        elif instance.state_count:
+            for step in range(subject.before_end(kind, 3)):
+                instance.move(subject.time(step), instance.states())
+                instance.rates()
+                instance.completed()
         if saves:
             saved = instance.save()
             instance.restore(saved)

@@ -6,7 +6,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmi.surroundings import listed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import fresh_run, require_equal, run
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 

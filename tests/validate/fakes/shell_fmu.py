@@ -180,9 +180,10 @@ def _description(model: Foreign) -> str:
 """
 
 
-def build_shell(model: Foreign, folder: Path) -> Path:
-    """The model's FMU in a folder; compiled there."""
-    shell = f'#define IDENTIFIER "{model.name}"\n{model.macros}{_SHELL.read_text(encoding="utf-8")}'
+def build_shell(model: Foreign, folder: Path, edit: tuple[str, str] = ("", "")) -> Path:
+    """The model's FMU in a folder; compiled there. edit: a text of shell.c, and what stands there instead."""
+    assert edit[0] in _SHELL.read_text(encoding="utf-8")
+    shell = f'#define IDENTIFIER "{model.name}"\n{model.macros}{_SHELL.read_text(encoding="utf-8").replace(*edit, 1)}'
     sources = {"shell.c": shell, "model.h": model.code, **standard_headers(find_standard("2.0"))}
     library = folder / f"{model.name}.so"
     compile_shared(find_compiler(), sources, library)

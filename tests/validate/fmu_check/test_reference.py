@@ -207,7 +207,13 @@ def test_other_readers_read_what_is_written(tmp_path: Path):
     with zipfile.ZipFile(fmu) as archive:
         root = ElementTree.fromstring(archive.read(f"{FOLDER}/{MANIFEST}"))
         assert len(archive.namelist()) == len(set(archive.namelist()))
-    assert [item.get("source") for item in root] == ["model.mo", "dahlquist_ref.csv", "dahlquist_ref_error.csv", "dahlquist_ref.opt"]
+    assert [item.get("source") for item in root] == [
+        "model.mo",
+        "dahlquist_ref.csv",
+        "dahlquist_ref_error.csv",
+        "dahlquist_ref.opt",
+        "dahlquist.exp",
+    ]
     assert root.get("{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
 
 

@@ -22,6 +22,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.fmi.loops import adopt, library_path
+from validate.fmi.surroundings import changes, listed, surroundings
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
@@ -101,6 +102,7 @@ def simulate(
         for name in _RECORDED:
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
+    before = surroundings() if package is None else None
     with unpacked(package or read_package(Path(request["path"]))) as package, faults_of(package.path):
         value["refusal"] = refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
@@ -116,6 +118,8 @@ def simulate(
                 run = simulate_everyday(package, variables, start, inputs, fineness)
             keep("everyday", run)
         value["seconds"] = [middle - began, clock.process_time() - middle]
+        if before is not None and (changed := changes(before, surroundings())):
+            value["note"] += f" The FMU's code changed the process it runs in: {listed(changed)}."
     return value, found
 
 
