@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import os
 import signal
 import sys
@@ -25,6 +26,8 @@ _LC_ALL = 6  # of glibc
 _MASKS = {0: "to nearest", 0x400: "downward", 0x800: "upward", 0xC00: "toward zero"}
 # Room for struct sigaction, which begins with the handler's address.
 _SIGACTION = 256
+# How a file is called, and how many of them are looked at.
+_FILE, _MOST_FILES = "the file here ", 1000
 
 
 @lru_cache(maxsize=1)
@@ -43,6 +46,7 @@ def surroundings() -> dict[str, Any]:
         "what becomes of denormal numbers": "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero",
     }
     found |= {f"the environment variable {name}": value for name, value in _environment().items()}
+    found |= {f"{_FILE}{name}": changed for name, changed in _files()}
     for number, place in enumerate(_descriptors()):
         if place is not None:
             found[f"file descriptor {number}"] = place
@@ -69,14 +73,17 @@ def surroundings() -> dict[str, Any]:
 def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True) -> list[str]:
     """What is not as it was, in words. more: also what was not there before, but for file descriptors, which may stay open while an FMU lives."""
     said = []
+    moved = before["the working folder"] != after["the working folder"]
     for name in [*before, *(name for name in after if name not in before)]:
         one, two = before.get(name), after.get(name)
-        if one == two or (one is None and (not more or name.startswith("file descriptor"))):
+        if one == two or (moved and name.startswith(_FILE)) or (one is None and (not more or name.startswith("file descriptor"))):
             continue
         if name.startswith("file descriptor"):
             said.append(f"{name} is {'closed' if two is None else 'another file'}")
         elif name.startswith("the handler"):
             said.append(f"{name} is another one")
+        elif name.startswith(_FILE):
+            said.append(f"{name} is {'gone' if two is None else 'new or changed'}")
         elif name.startswith("the environment"):
             said.append(f"{name} is {'gone' if two is None else 'new' if one is None else 'another one'}")
         else:
@@ -95,6 +102,16 @@ def _folder() -> str:
         return os.getcwd()
     except OSError:
         return "gone"
+
+
+def _files() -> list[tuple[str, int]]:
+    """Files of the working folder, and when each was changed [ns]."""
+    found = []
+    with contextlib.suppress(OSError), os.scandir(".") as entries:
+        for entry in itertools.islice(entries, _MOST_FILES):
+            if entry.is_file(follow_symlinks=False):
+                found.append((repr(entry.name), entry.stat(follow_symlinks=False).st_mtime_ns))
+    return found
 
 
 def _environment() -> dict[str, bytes]:

@@ -200,6 +200,9 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
     if child == 0:
         _answer(function, path, own_group)
     problem = _wait(child, seconds, own_group)
+    if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
+        path.unlink(missing_ok=True)
+        raise Misbehaviour(problem)
     try:
         answer = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:

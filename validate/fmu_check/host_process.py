@@ -23,7 +23,7 @@ from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_
 from validate.fmu_check.subject import CheckedInstance, Subject
 
 # Communication steps, or evaluations, of one life of an instance; and how long what it started may take to end [s].
-_STEPS, _GRACE = 5, 0.2
+_STEPS, _GRACE = 20, 0.2
 # Of prctl: what a process leaves behind becomes a child of ours.
 _CHILD_SUBREAPER = 36
 # How much of what was printed is quoted.
@@ -53,7 +53,7 @@ def surrounded(subject: Subject, kind: str) -> Finding:
         if children := _children():
             wrong.append(f"it leaves {_count(children, 'process')} behind")
         if new := sorted({name for name, _ in _files(subject) - files}):
-            wrong.append(f"it writes {listed(new)}, and leaves that there")
+            wrong.append(f"it changes its own files: {listed(new)}")
     if said:
         wrong.append(f"it prints on the standard output: {''.join(said)[:_QUOTED]!r}")
     if wrong:
@@ -82,18 +82,18 @@ def _printed() -> Iterator[list[str]]:
     """What is printed on the standard output meanwhile, also by C, is in the list afterwards."""
     said: list[str] = []
     sys.stdout.flush()
-    with tempfile.TemporaryFile() as file:
+    with contextlib.suppress(OSError), tempfile.TemporaryFile() as file:
         kept = os.dup(1)
         os.dup2(file.fileno(), 1)
         try:
             yield said
         finally:
             ctypes.CDLL(None).fflush(None)
-            os.dup2(kept, 1)
-            os.close(kept)
-        file.seek(0)
-        if text := file.read(10 * _QUOTED).decode(errors="replace"):
-            said.append(text)
+            with contextlib.suppress(OSError):  # it may have closed them, which is told
+                os.dup2(kept, 1)
+                os.close(kept)
+                file.seek(0)
+                said += filter(None, [file.read(10 * _QUOTED).decode(errors="replace")])
 
 
 def _threads() -> set[str]:
@@ -124,15 +124,9 @@ def _lasting(before: set[str]) -> set[str]:
 
 
 def _files(subject: Subject) -> set[tuple[str, int]]:
-    """Files in the working folder, in that for temporary files and in the FMU's own, and when each was changed [ns]."""
-    found: set[tuple[str, int]] = set()
-    own = [(Path(folder), name, " in the FMU") for folder, _, names in os.walk(subject.folder) for name in names]
-    places = {Path(tempfile.gettempdir()), Path.cwd()}
-    for folder, name, words in [*own, *((place, name, "") for place in places for name in os.listdir(place))]:
-        with contextlib.suppress(OSError):
-            shown = os.path.relpath(folder / name, subject.folder) if words else name
-            found.add((f"{shown}{words}", (folder / name).stat().st_mtime_ns))
-    return found
+    """Files of the FMU's own folder, and when each was changed [ns]."""
+    paths = [Path(folder, name) for folder, _, names in os.walk(subject.folder) for name in names]
+    return {(str(path.relative_to(subject.folder)), path.stat().st_mtime_ns) for path in paths}
 
 
 def _count(items: object, what: str) -> str:

@@ -65,6 +65,10 @@ class Simulated:
         return (self.reference or self.everyday)[-1]
 
 
+# How much of what an FMU prints is quoted [characters].
+_QUOTED = 60
+
+
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -119,7 +123,7 @@ def simulate(
             keep("everyday", run)
         value["seconds"] = [middle - began, clock.process_time() - middle]
         if before is not None and (changed := changes(before, surroundings())):
-            value["note"] += f" The FMU's code changed the process it runs in: {listed(changed)}."
+            value["note"] = f"{value['note']} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
     return value, found
 
 
@@ -225,7 +229,8 @@ class Job:
         if not done.ok:
             raise FmuError(done.sentence)
         strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
-        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
+        printed = "" if self.ours or not done.output.strip() else f"The FMU prints: {' '.join(done.output.split())[:_QUOTED]!r}."
+        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays, printed) if text))
 
 
 def _only_once(package: Package) -> bool:
