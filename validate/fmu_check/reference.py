@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
@@ -21,6 +20,7 @@ from models.errors import did_you_mean
 from validate.execution.isolated import Limits, run_isolated
 from validate.fmi.archive import FmuError
 from validate.fmi.cvode import ADAMS, BDF
+from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
 from validate.fmi.references import (
     LS_REF,
@@ -289,7 +289,7 @@ def _in_words() -> Iterator[None]:
 def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """In the isolated child: request and answer of `reference_solution`, arrays (rows, entries) [unit of each]. Raises FmuError."""
     folder = Path(request["folder"])
-    subject = Subject(Path(request["path"]), folder, fmpy.read_model_description(str(folder), validate=False))
+    subject = Subject(Path(request["path"]), folder, read_description(folder))
     times = arrays.pop("times")
     subject.start_time = float(times[0])
     table = (
