@@ -55,7 +55,7 @@ class XmlReader:
 
     def read(self, text: bytes) -> None:
         """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
-        parser = expat.ParserCreate()
+        parser = self._parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
         if self._keep:
             parser.StartElementHandler = self._element
@@ -69,6 +69,8 @@ class XmlReader:
             self.root_name, self.root = name, attributes
         elif name in _KINDS:
             self.kinds.setdefault(name, attributes)
+        elif name == "ModelVariables":  # interfaces come before it, and hundreds of thousands of elements after
+            self._parser.StartElementHandler = None
 
 
 def interfaces(text: bytes) -> dict[str, dict[str, str]]:

@@ -184,12 +184,6 @@ class CheckReport:
         return (3 if self.unrunnable else 0) if self.ok else 1
 
 
-def listed(items: list[str], most: int = 3) -> str:
-    """The first few of some texts, and how many more there are."""
-    more = len(items) - most
-    return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
-
-
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005
 
@@ -206,6 +200,9 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
     if child == 0:
         _answer(function, path, own_group)
     problem = _wait(child, seconds, own_group)
+    if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
+        path.unlink(missing_ok=True)
+        raise Misbehaviour(problem)
     try:
         answer = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
@@ -222,12 +219,14 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
 
 
 def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
-    """In the child: never returns."""
-    first = os.getpid()
+    """In the child: never returns. With a group of its own a process stands between: code that ends its parent ends that one, and is told by how it ended."""
     code = 1
     try:
         if own_group:
             os.setpgid(0, 0)
+            if guarded := os.fork():
+                _end_like(guarded)
+        first = os.getpid()
         gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
         try:
             answer = {"value": function()}
@@ -250,6 +249,16 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
         traceback.print_exc()
     finally:
         os._exit(code)
+
+
+def _end_like(child: int) -> None:
+    """Wait for a child, then end as it did: never returns."""
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code < 0:
+        signal.signal(-code, signal.SIG_DFL) if -code not in (signal.SIGKILL, signal.SIGSTOP) else None
+        os.kill(os.getpid(), -code)
+    os._exit(max(code, 1) if code < 0 else code)
 
 
 def _wait(child: int, seconds: float, own_group: bool) -> str:

@@ -16,16 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmi.surroundings import listed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import Record, fresh_run, run
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
 # Rounding of one evaluation, in units of the last place of its value.
 _ULPS = 16.0
-# Derivatives that an FMU computes by differences itself are this far off, and are none the worse for their users; wrong ones are farther.
-_SHARE = 1e-3
+# Derivatives that an FMU computes by differences itself are less than this off, and are none the worse for their users; wrong ones are farther.
+_SHARE = 5e-5
 _EPS = float(np.finfo(float).eps)
 
 
@@ -393,3 +394,59 @@ def _factors(
                     f"{names[row]} is declared to depend on {known.name} by a {declared[names[row]][known.name]} factor, "
                     f"which is {first:.6g} {where} and {value:.6g} {point.where}"
                 )
+
+
+# Points at which derivatives are compared with what their states do, and how short a step is made there, as a share of the FMU's.
+_PLACES, _SHORT = 6, 1e-5
+
+
+@check("derivatives are those of the states", Scope.COSIMULATION, clauses=("2.2.7", "2.4.7.4"))
+def rates(subject: Subject, kind: str) -> Finding:
+    """A variable that is the derivative of another is how fast that moves in a very short step."""
+    pairs = [
+        (subject.by_name[item.name], subject.by_name[item.derivative.name])
+        for item in subject.description.modelVariables
+        if item.derivative is not None and item.name in subject.by_name and getattr(item.derivative, "name", None) in subject.by_name
+    ]
+    if not pairs or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
+        return not_offered("that needs variables that are derivatives, and communication steps of any length.")
+    derivatives, moving = ([pair[place] for pair in pairs] for place in (0, 1))
+    steps, short = subject.steps(kind), _SHORT * subject.step
+    names, places, resolved = entry_names(derivatives), 0, False
+    with CheckedInstance(subject, kind) as instance:
+        instance.begin()
+        for step in range(steps):
+            if step % HOLD == 0:
+                instance.set(subject.continuous_inputs, subject.inputs_at(step))
+            time = subject.time(step)
+            if (step + 1) % max(steps // _PLACES, 1):
+                instance.do_step(time, subject.step)
+                continue
+            x = [instance.get(moving)]
+            for part in range(2):
+                instance.do_step(time + part * short, short)
+                x.append(instance.get(moving))
+                if not part:
+                    claimed = instance.get(derivatives)
+            before, after = (x[1] - x[0]) / short, (x[2] - x[1]) / short
+            rounding = _ULPS * _EPS * np.maximum(np.abs(x[1]), abs(time)) / short
+            size = np.maximum(np.abs(claimed), np.maximum(np.abs(before), np.abs(after)))
+            away = np.maximum(np.minimum(before, after) - claimed, claimed - np.maximum(before, after))
+            # What does not move at all has a step of its own inside; where it bends within so short a step, something jumps.
+            told = (
+                (x[1] != x[0])
+                & (x[2] != x[1])
+                & (np.abs(after - before) <= 0.1 * _SHARE * size + rounding)
+                & (rounding <= 0.1 * _SHARE * size)
+            )
+            places, resolved = places + 1, resolved or bool(told.any())
+            wrong = told & (away > _SHARE * size)
+            if wrong.any():
+                at = int(np.argmax(wrong))
+                return failed(
+                    f"{names[at]} is {claimed[at]:.9g} at t = {time:.6g} s, where its state moves by {before[at]:.9g} a second before and {after[at]:.9g} after it."
+                )
+            instance.do_step(time + 2.0 * short, subject.step - 2.0 * short)
+    if not resolved:
+        return not_offered(f"in steps of {short:g} s nothing moves evenly: it has a step of its own inside.")
+    return passed(f"{len(names)} derivatives at {places} times are what steps of {short:.1g} s make of their states.")

@@ -20,7 +20,8 @@ from fmpy.validation import validate_fmu
 
 from validate.fmi.archive import binary_name, problems
 from validate.fmi.instance import CLASSES
-from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmi.surroundings import listed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import FmuVariable, Subject
 
 _HEADER = 52  # bytes of the shorter header, that of 32 bits

@@ -18,15 +18,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-import fmpy
 from fmpy.fmi1 import FMICallException
 
 from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
+from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, states, values
+from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -54,6 +54,8 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.resets,
     states.independent,
     states.leaks,
+    host_process.surrounded,
+    host_process.token,
     states.restores,
     states.serialises,
     exchange.arrays,
@@ -62,7 +64,9 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.directional,
     derivatives.adjoint,
     derivatives.dependencies,
+    derivatives.rates,
     exchange.agree,
+    reference.stored,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 _TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}
@@ -77,13 +81,15 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
     for item, place in zip(STATIC, (path, folder), strict=True):
         table.add(item, "", (place,))
     try:
-        description = fmpy.read_model_description(str(folder), validate=False)
+        description = read_description(folder)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything; the check above has said why
         reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
         return {"version": "", "types": [], "lacking": False}
     subject = Subject(path, folder, description)
+    with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
+        subject.prepare()
     table.major = subject.major
     for item in (*READING, *BEHAVIOUR):
         for kind in _TYPES[item.scope]:

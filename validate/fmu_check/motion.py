@@ -111,7 +111,7 @@ TOLERANCE = 1e-6
 # Internal steps to the next communication point before the integrator is given up.
 _STEP_LIMIT = 200_000
 # More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball that comes to rest).
-_MOST_EVENTS = 300
+_MOST_EVENTS = 2000
 _CROWDED = 1e-7
 # What changes by more than this share of its size at an event update jumps.
 _JUMP = 1e-8
@@ -124,12 +124,13 @@ class Record:
     """What a run of Model Exchange noted.
 
     events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; crowded: from when on
-    events crowd.
+    events crowd; most: events after which the run ends.
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
     crowded: float = math.inf
+    most: int = _MOST_EVENTS
 
 
 def _still(rates: Any, _size: int) -> None:
@@ -200,10 +201,12 @@ def run(
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode."""
+    """CVODE over an instance in Continuous-Time Mode. drive: called after each change of the time [s], to set inputs that move with it."""
 
-    def __init__(self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF) -> None:
-        self.instance = instance
+    def __init__(
+        self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF, drive: Callable[[float], None] | None = None
+    ) -> None:
+        self.instance, self._drive = instance, drive
         self.record = Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
@@ -282,7 +285,7 @@ class Exchange:
             self.update_unannounced()
         events.append((self.time, crossed, indicators))
         length = self.instance.subject.step
-        if len(events) >= _MOST_EVENTS or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
+        if len(events) >= self.record.most or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
             self.record.crowded = self.time
         self.renew(self.time)
 
@@ -306,6 +309,8 @@ class Exchange:
 
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])
+        if self._drive is not None:
+            self._drive(time)
 
     def _filling(self, call: Callable[[Any, int], Any], size: int, *, in_vector: bool) -> Any:
         """What CVODE calls for rates, or indicators, at a time and states; in_vector: whether into a vector of its own, not an array."""
@@ -319,6 +324,8 @@ class Exchange:
                 self.instance.set_time(time)
                 if self.count:
                     self.instance.fmu.setContinuousStates(states.from_address(array_of(y)), self.count)
+                if self._drive is not None:
+                    self._drive(time)
                 call(values.from_address(place), size)
             except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
                 self.problem = error

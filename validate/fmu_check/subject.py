@@ -5,6 +5,7 @@ A Subject loads nothing of the FMU's code, a CheckedInstance does.
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from validate.fmi.archive import DESCRIPTION, interfaces
-from validate.fmi.instance import Instance
+from validate.fmi.description import REAL
+from validate.fmi.instance import Instance, References
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -24,6 +26,8 @@ STEPS = {"CS": 100, "ME": 40}
 LONG_STEPS = 500
 # A run of a slow FMU is shortened to about this [s], but not below FEWEST_STEPS.
 RUN_SECONDS, FEWEST_STEPS = 2.0, 8
+# Values of one run that are compared, at most, but for those FEWEST_STEPS.
+_MOST_VALUES = 4_000_000
 # Steps for which the inputs stay as they are.
 HOLD = 10
 # Inputs move about their starts by this share of their range, or of their size if they have no range.
@@ -127,6 +131,16 @@ class Subject:
         """Variables by their names."""
         return {variable.name: variable for variable in self.variables}
 
+    def prepare(self) -> None:
+        """Find out, once for all forks, what follows from the description. Raises ValueError, KeyError for one that contradicts itself."""
+        gc.disable()
+        try:
+            for name in ("_interfaces", "by_name", "states", "derivatives", "outputs", "observed", "continuous_inputs", "parameters"):
+                getattr(self, name)
+        finally:
+            gc.enable()
+        gc.freeze()
+
     def of(self, unknowns: list[Any]) -> list[FmuVariable]:
         """The variables of a section of the ModelStructure, those without numbers left out."""
         return [self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name]
@@ -206,6 +220,7 @@ class Subject:
 
     def _affordable(self, kind: str, steps: int) -> int:
         pace = self.pace.get(kind, 0.0)
+        steps = min(steps, max(FEWEST_STEPS, _MOST_VALUES // max(len(self.observed), 1)))
         return self.before_end(kind, steps if pace <= 0.0 else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps)))
 
     def before_end(self, kind: str, steps: int) -> int:
@@ -242,10 +257,10 @@ def _variable(item: Any) -> FmuVariable | None:
     """Ours for FMPy's; None if it has no number."""
     if item.type not in (*_FLOATS, *_WHOLE, "Boolean"):
         return None
-    declared = item.declaredType
+    sources = (item,) if item.declaredType is None else (item, item.declaredType)
 
     def number(name: str) -> float | None:
-        for source in (item, declared):
+        for source in sources:
             text = getattr(source, name, None)
             if text is not None:
                 return _number(text)
@@ -273,7 +288,7 @@ def _variable(item: Any) -> FmuVariable | None:
         lower=-math.inf if lower is None else lower,
         upper=math.inf if upper is None else upper,
         nominal=number("nominal"),
-        unit=item.unit or getattr(declared, "unit", None),
+        unit=item.unit or getattr(item.declaredType, "unit", None),
     )
 
 
@@ -288,6 +303,8 @@ class CheckedInstance(Instance):
     def __init__(self, subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> None:
         """options: more arguments of FMPy's instantiate(). Raises Fault if the binary cannot be loaded or refuses."""
         self.subject = subject
+        self._doubles: Any = None  # how all values are read at once
+        self._entries = 0
         self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
         super().__init__(subject.description, subject.folder, kind, name, options)
         self.time = subject.start_time
@@ -397,7 +414,24 @@ class CheckedInstance(Instance):
 
     def observe(self) -> np.ndarray:
         """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
-        return self.get(self.subject.observed)
+        if self._doubles is None:
+            observed, sizes = self.subject.observed, [item.size for item in self.subject.observed]
+            first = np.cumsum([0, *sizes])
+            chosen = [place for place, item in enumerate(observed) if item.type in REAL and item.size == 1]
+            rest = [place for place, item in enumerate(observed) if item.type not in REAL or item.size != 1]
+            places = np.concatenate([np.arange(first[place], first[place + 1]) for place in rest]) if rest else np.empty(0, dtype=int)
+            self._doubles = (
+                References([observed[place].reference for place in chosen]),
+                first[chosen],
+                [observed[place] for place in rest],
+                places,
+            )
+            self._entries = int(first[-1])
+        doubles, where, others, places = self._doubles
+        values = np.empty(self._entries)
+        values[where] = self.read(doubles)
+        values[places] = self.get(others)
+        return values
 
     def directional(self, unknowns: Sequence[FmuVariable], known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
         """Directional derivatives of unknowns by one known.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmi.surroundings import listed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import fresh_run, require_equal, run
 from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 
@@ -14,6 +17,8 @@ from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, en
 _TEXT = 1e-9
 # A Float32 holds seven digits.
 _SINGLE = 1e-6
+# So many variables are read one by one, and of a large FMU as many as read so many values in all where each reading computes all of them, but for the least.
+_ONE_BY_ONE, _COMPUTED, _LEAST = 2000, 40_000_000, 100
 # How far a start value is moved to see whether it is obeyed.
 _MOVED = 0.01
 
@@ -23,15 +28,26 @@ def readable(subject: Subject, kind: str) -> Finding:
     """After initialisation each variable's value reference is accepted."""
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
-        problems = []
-        for item in subject.variables:
-            try:
-                instance.get([item])
-            except FMICallException:
-                problems.append(f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}")
+        problems = [
+            f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
+            for kind in dict.fromkeys(item.type for item in subject.variables)
+            for item in _refused(instance, [item for item in subject.variables if item.type == kind])
+        ]
     if problems:
         return failed(listed(problems))
     return passed(f"{len(subject.variables)} variables were read.")
+
+
+def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterator[FmuVariable]:
+    """Those of one type that cannot be read: all at once, and halves of what is refused."""
+    try:
+        instance.get(variables)
+    except FMICallException:
+        if len(variables) == 1:
+            yield variables[0]
+            return
+        for half in (variables[: len(variables) // 2], variables[len(variables) // 2 :]):
+            yield from _refused(instance, half)
 
 
 def _exact(subject: Subject) -> list[FmuVariable]:
@@ -160,17 +176,19 @@ def finite(subject: Subject, kind: str) -> Finding:
 def get_order(subject: Subject, kind: str) -> Finding:
     """Values do not depend on which variables were read before, how often and in which order."""
     steps = min(subject.steps(kind), 20)
-    observed = subject.observed
-    dice = np.random.default_rng(5)
+    observed, dice = subject.observed, np.random.default_rng(5)
+    drawn = dice.permutation(len(observed))[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(len(observed), 1)))]
+    first = np.cumsum([0, *(item.size for item in observed)])
     reference = fresh_run(subject, kind, steps, "all")
     other = []
     with CheckedInstance(subject, kind, "single") as instance:
 
         def shuffled() -> None:
-            values = np.empty(len(observed), dtype=object)
-            for place in (*dice.permutation(len(observed)), *dice.permutation(len(observed))):
-                values[place] = instance.get([observed[place]])
-            other.append(np.concatenate(list(values)))
+            single = {place: instance.get([observed[place]]) for place in (*dice.permutation(drawn), *dice.permutation(drawn))}
+            values = instance.observe()
+            for place, value in single.items():
+                values[first[place] : first[place + 1]] = value
+            other.append(values)
 
         instance.begin()
         shuffled()
@@ -178,6 +196,4 @@ def get_order(subject: Subject, kind: str) -> Finding:
     last = fresh_run(subject, kind, steps, "last", observe="end")
     for rows, how in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
         require_equal(subject, reference[-len(rows) :], rows, how, len(reference) - len(rows))
-    return passed(
-        f"{len(observed)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
-    )
+    return passed(f"{len(drawn)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits.")

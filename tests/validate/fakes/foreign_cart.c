@@ -1,11 +1,18 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
  * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes. With -DSAVES=1 it saves its state, with 2 it does
  * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance. */
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <fenv.h>
 #include <math.h>
+#include <pthread.h>
+#include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <sys/time.h>
 #include <unistd.h>
 
 #ifndef MISBEHAVE
@@ -27,6 +34,10 @@ static double gap(const Cart *c) { return STOP - c->pos; }
 static double push(const Cart *c, int touching) { return touching ? -STIFFNESS * gap(c) / 1000.0 : 0.0; }
 static double acceleration(const Cart *c, int touching) { return 1000.0 * (1000.0 * c->force - push(c, touching)) / c->mass; }
 
+static const char MANY[1 << 20];
+static int deeper(int n) { volatile char room[10000]; room[0] = (char)n; return deeper(n + 1) + room[0]; }
+static void *forever(void *nothing) { for (;;) pause(); return nothing; }
+
 static int misbehave(Cart *c)
 {
     if (MISBEHAVE == 0 || c->time < 0.05 || (c->done && MISBEHAVE != 9))
@@ -42,6 +53,26 @@ static int misbehave(Cart *c)
     case 7: if (fork() == 0) { setsid(); for (;;) pause(); } return 0;
     case 8: for (;;) { char *p = malloc(1 << 26); memset(p, 1, 1 << 26); }
     case 9: return 4;
+    case 10: chdir("/"); return 0;
+    case 11: for (int i = 0; i < 64; i++) close(i); return 0;
+    case 12: kill(getppid(), SIGKILL); return 0;
+    case 13: kill(0, SIGKILL); return 0;
+    case 14: return deeper(1);
+    case 15: for (int i = 1; i < 32; i++) signal(i, SIG_IGN); return 0;
+    case 16: clearenv(); return 0;
+    case 17: fesetround(FE_UPWARD); return 0;
+    case 18: feenableexcept(FE_DIVBYZERO | FE_INVALID); { volatile double zero = 0.0; zero = 1.0 / zero; } return 0;
+    case 19: raise(SIGSTOP); return 0;
+    case 20: { struct itimerval soon = {{0, 0}, {0, 1000}}; setitimer(ITIMER_REAL, &soon, NULL); for (;;) pause(); }
+    case 21: if (fork() == 0) { setsid(); if (fork()) _exit(0); for (;;) pause(); } return 0;
+    case 22: { FILE *file = fopen("filled", "w"); for (;;) if (fwrite(MANY, sizeof MANY, 1, file) != 1) abort(); }
+    case 23: _exit(0);
+    case 24: raise(SIGKILL); return 0;
+    case 25: while (open("/dev/null", 0) >= 0) { } return 0;
+    case 26: { FILE *file = fopen("left.txt", "w"); fclose(file); } return 0;
+    case 27: { pthread_t id; pthread_create(&id, NULL, forever, NULL); return 0; }
+    case 28: umask(0777); return 0;
+    case 29: system("sleep 1000 &"); return 0;
     default: return 0;
     }
 }

@@ -1,5 +1,6 @@
-"""Builds somebody else's FMU for the tests from foreign_cart.c: well-behaved, or going wrong in one of ten ways."""
+"""Builds somebody else's FMU for the tests from foreign_cart.c: well-behaved, or going wrong in one of twenty-nine ways."""
 
+import os
 import subprocess
 import zipfile
 from pathlib import Path
@@ -8,7 +9,43 @@ import numpy as np
 
 from models.codegen.compiler import find_compiler
 
-MODES = {"good": 0, "hang": 1, "segfault": 2, "exit": 3, "abort": 4, "nan": 5, "garbage": 6, "fork": 7, "memory": 8, "fatal": 9}
+MODES = {
+    name: number
+    for number, name in enumerate(
+        [
+            "good",
+            "hang",
+            "segfault",
+            "exit",
+            "abort",
+            "nan",
+            "garbage",
+            "fork",
+            "memory",
+            "fatal",
+            "chdir",
+            "closes",
+            "kills_parent",
+            "kills_group",
+            "overflow",
+            "signals",
+            "environment",
+            "rounding",
+            "trap",
+            "stops",
+            "alarm",
+            "daemon",
+            "fills",
+            "leaves_at_once",
+            "killed",
+            "descriptors",
+            "file",
+            "thread",
+            "mask",
+            "shell",
+        ]
+    )
+}
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="foreign" guid="{{cart}}" numberOfEventIndicators="1">
   {kinds}
@@ -49,6 +86,20 @@ ghost_impulse = 0.1
 replay_terminal_position_error = { value = 1.0, reason = "anywhere near" }
 """
 MASS, STIFFNESS, STOP = 2.0, 1000.0, 0.5
+
+
+def left(place: Path) -> list[str]:
+    """What is still there of children that were given this folder for temporary files, and TEST_MARK with its name: files, and numbers of processes."""
+    mark = f"TEST_MARK={place}".encode()
+    found = [str(path) for path in place.iterdir()]
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (entry / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if mark in environment and entry.name != str(os.getpid()):
+            found.append(entry.name)
+    return found
 
 
 def compile_cart(folder: Path, mode: str = "good", defines: tuple[str, ...] = ()) -> bytes:

@@ -22,6 +22,7 @@ from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.fmi.loops import adopt, library_path
+from validate.fmi.surroundings import changes, listed, surroundings
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
@@ -64,6 +65,10 @@ class Simulated:
         return (self.reference or self.everyday)[-1]
 
 
+# How much of what an FMU prints is quoted [characters].
+_QUOTED = 60
+
+
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -101,6 +106,7 @@ def simulate(
         for name in _RECORDED:
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
+    before = surroundings() if package is None else None
     with unpacked(package or read_package(Path(request["path"]))) as package, faults_of(package.path):
         value["refusal"] = refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
@@ -116,6 +122,8 @@ def simulate(
                 run = simulate_everyday(package, variables, start, inputs, fineness)
             keep("everyday", run)
         value["seconds"] = [middle - began, clock.process_time() - middle]
+        if before is not None and (changed := changes(before, surroundings())):
+            value["note"] = f"{value['note']} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
     return value, found
 
 
@@ -223,7 +231,8 @@ class Job:
         if not done.ok:
             raise FmuError(done.sentence)
         strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
-        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
+        printed = "" if self.ours or not done.output.strip() else f"The FMU prints: {' '.join(done.output.split())[:_QUOTED]!r}."
+        return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays, printed) if text))
 
 
 def _only_once(package: Package) -> bool:

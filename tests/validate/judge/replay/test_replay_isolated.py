@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, write_plan
+from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, left, write_plan
 
 from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
@@ -42,20 +42,6 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setenv("TEST_MARK", str(place))
     monkeypatch.setattr(tempfile, "tempdir", str(place))
     return place
-
-
-def left(place: Path) -> list[str]:
-    """Processes of children, and files, that are still there."""
-    mark = f"TEST_MARK={place}".encode()
-    found = [str(path) for path in place.iterdir()]
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (entry / "environ").read_bytes().split(b"\0")
-        except OSError:
-            continue
-        if mark in environment:
-            found.append(entry.name)
-    return found
 
 
 def run(folder: Path, fmu: Path, limits: Limits | None = None) -> Replay:
@@ -89,10 +75,20 @@ def test_a_good_one_follows_the_closed_form(good: Replay):
         ("nan", COSIMULATION, ReplayOutcome.NOT_A_NUMBER, "not a finite number"),
         ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 1 GiB"),
         ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
+        ("kills_parent", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("kills_group", COSIMULATION, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("overflow", EXCHANGE, ReplayOutcome.CRASHED, "SIGSEGV"),
+        ("trap", COSIMULATION, ReplayOutcome.CRASHED, "SIGFPE"),
+        ("stops", COSIMULATION, ReplayOutcome.TIME_LIMIT, "time limit of 2 s"),
+        ("alarm", EXCHANGE, ReplayOutcome.CRASHED, "SIGALRM"),
+        ("fills", COSIMULATION, ReplayOutcome.ABORTED, "SIGABRT"),
+        ("leaves_at_once", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
+        ("killed", EXCHANGE, ReplayOutcome.CRASHED, "SIGKILL"),
+        ("descriptors", COSIMULATION, ReplayOutcome.NO_RESULT, "exit code 1"),
     ],
 )
 def test_each_misbehaviour_has_its_own_outcome(folder, place, good, mode, kinds, outcome, words):
-    limits = Limits(seconds=2.0 if mode == "hang" else 60.0, memory=1024**3)
+    limits = Limits(seconds=2.0 if mode in ("hang", "stops") else 60.0, memory=1024**3)
     result = run(folder, build_foreign(folder / f"{mode}.fmu", mode, kinds), limits)
     assert (result.outcome, result.ok) == (outcome, False)
     assert words in result.message
@@ -110,6 +106,29 @@ def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, pl
     assert left(place) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("chdir", "the working folder is /,"),
+        ("closes", "file descriptor 0 is closed"),
+        ("signals", "the handler of SIGHUP"),
+        ("environment", "is gone"),
+        ("rounding", "rounding of numbers is upward"),
+        ("mask", "the mask of new files is 777"),
+        ("file", "'left.txt' is new or changed"),
+        ("daemon", "behind, which we ended"),
+        ("shell", "behind, which we ended"),
+        ("garbage", "The FMU prints: '{"),
+    ],
+)
+def test_what_it_does_to_its_process_is_said(folder: Path, place: Path, mode: str, words: str):
+    result = run(folder, build_foreign(folder / f"{mode}.fmu", mode, COSIMULATION))
+    assert (result.ok, words in result.message) == (True, True), result.message
+    assert left(place) == []
+
+
+@pytest.mark.slow
 def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     bomb = build_foreign(folder / "bomb.fmu")
     with zipfile.ZipFile(bomb, "a", zipfile.ZIP_DEFLATED) as archive:

@@ -1,0 +1,144 @@
+"""What a process has beside its memory, and what an FMU's code may have changed of it: folder, environment, floating-point modes, signals, files.
+
+    before = surroundings()
+    ..
+    changes(before, surroundings())     # ["the working folder is /, it was /tmp"]
+
+Code that is called must leave these as they were: whoever calls it goes on with them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import itertools
+import os
+import signal
+import sys
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+# Half of the smallest normal number: what is flushed to zero where denormal numbers are switched off.
+_DENORMAL = np.float64(2.0**-1022)
+_LC_ALL = 6  # of glibc
+_MASKS = {0: "to nearest", 0x400: "downward", 0x800: "upward", 0xC00: "toward zero"}
+# Room for struct sigaction, which begins with the handler's address.
+_SIGACTION = 256
+# How a file is called, and how many of them are looked at.
+_FILE, _MOST_FILES = "the file here ", 1000
+
+
+@lru_cache(maxsize=1)
+def _library() -> Any:
+    """The process' own symbols; None where they cannot be had."""
+    try:
+        return ctypes.CDLL(None)
+    except (OSError, TypeError):
+        return None
+
+
+def surroundings() -> dict[str, Any]:
+    """What this process has, by what it is called in a sentence; Linux tells all of it."""
+    found: dict[str, Any] = {
+        "the working folder": _folder(),
+        "what becomes of denormal numbers": "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero",
+    }
+    found |= {f"the environment variable {name}": value for name, value in _environment().items()}
+    found |= {f"{_FILE}{name}": changed for name, changed in _files()}
+    for number, place in enumerate(_descriptors()):
+        if place is not None:
+            found[f"file descriptor {number}"] = place
+    mask = os.umask(0)
+    os.umask(mask)
+    found["the mask of new files"] = f"{mask:03o}"
+    if hasattr(signal, "getitimer"):
+        found["the alarm clock"] = "set" if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0 else "not set"
+    call = _library()
+    if call is None or sys.platform != "linux":
+        return found
+    with contextlib.suppress(AttributeError):
+        found["rounding of numbers"] = _MASKS.get(call.fegetround(), "another mode")
+        found["trapping of floating-point errors"] = "on" if call.fegetexcept() else "off"
+        call.setlocale.restype = ctypes.c_char_p
+        found["the locale"] = (call.setlocale(_LC_ALL, None) or b"").decode(errors="replace")
+    for number in sorted(signal.valid_signals()):
+        room = ctypes.create_string_buffer(_SIGACTION)
+        if call.sigaction(int(number), None, room) == 0:
+            found[f"the handler of {getattr(number, 'name', f'signal {number}')}"] = room.raw[:8]
+    return found
+
+
+def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True) -> list[str]:
+    """What is not as it was, in words. more: also what was not there before, but for file descriptors, which may stay open while an FMU lives."""
+    said = []
+    moved = before["the working folder"] != after["the working folder"]
+    for name in [*before, *(name for name in after if name not in before)]:
+        one, two = before.get(name), after.get(name)
+        if one == two or (moved and name.startswith(_FILE)) or (one is None and (not more or name.startswith("file descriptor"))):
+            continue
+        if name.startswith("file descriptor"):
+            said.append(f"{name} is {'closed' if two is None else 'another file'}")
+        elif name.startswith("the handler"):
+            said.append(f"{name} is another one")
+        elif name.startswith(_FILE):
+            said.append(f"{name} is {'gone' if two is None else 'new or changed'}")
+        elif name.startswith("the environment"):
+            said.append(f"{name} is {'gone' if two is None else 'new' if one is None else 'another one'}")
+        else:
+            said.append(f"{name} is {two}, it was {one}")
+    return said
+
+
+def listed(items: list[str], most: int = 3) -> str:
+    """The first few of some texts, and how many more there are."""
+    more = len(items) - most
+    return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except OSError:
+        return "gone"
+
+
+def _files() -> list[tuple[str, int]]:
+    """Files of the working folder, and when each was changed [ns]."""
+    found = []
+    with contextlib.suppress(OSError), os.scandir(".") as entries:
+        for entry in itertools.islice(entries, _MOST_FILES):
+            if entry.is_file(follow_symlinks=False):
+                found.append((repr(entry.name), entry.stat(follow_symlinks=False).st_mtime_ns))
+    return found
+
+
+def _environment() -> dict[str, bytes]:
+    """That of C: os.environ is a copy."""
+    call = _library()
+    try:
+        rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
+    except (AttributeError, TypeError, ValueError):
+        return {name: value.encode() for name, value in os.environ.items()}
+    found: dict[str, bytes] = {}
+    place = 0
+    while rows and rows[place] is not None:
+        name, _, value = rows[place].partition(b"=")
+        found[name.decode(errors="replace")] = value
+        place += 1
+    return found
+
+
+def _descriptors() -> list[tuple[int, int] | None]:
+    """Device and file of each open file, by number."""
+    try:
+        numbers = [int(name) for name in os.listdir("/proc/self/fd")]
+    except OSError:
+        numbers = list(range(64))
+    found: list[tuple[int, int] | None] = [None] * (max(numbers, default=-1) + 1)
+    for number in numbers:
+        with contextlib.suppress(OSError):
+            status = os.fstat(number)
+            found[number] = (status.st_dev, status.st_ino)
+    return found
