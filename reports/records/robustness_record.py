@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
-from reports.records.record import Finite
+from reports.records.record import Finite, ShareRecord
 
 # How far first order and sampling may differ to be called the same.
 SAME = 0.1
@@ -34,23 +34,6 @@ _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
-
-
-class ShareRecord(_Model):
-    """How many of the worlds a plan arrives in; interval: Wilson's, of 95 %."""
-
-    arrived: int
-    samples: int
-    share: Finite
-    interval: tuple[Finite, Finite]
-
-    @property
-    def words(self) -> str:
-        """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
-        if not self.samples:
-            return "none, as no world was tried"
-        low, high = self.interval
-        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
 
 
 class CurveRecord(_Model):

@@ -33,14 +33,14 @@ SCALES, _OF_A_CURVE = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 256
 # One of so many worlds is tried by the reference too, within these bounds.
 _EVERY, _FEWEST, _MOST_CHECKED = 50, 10, 200
 # Sizes of one perturbation: from the first, by this factor up to the last, then bisected to 1 %.
-_FIRST, _FACTOR, _LAST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
+_FIRST, _FACTOR, FARTHEST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
 # Move of the replays whose differences are slopes and curvatures, in sizes: over three decades around it both are the same to three digits.
 _SLOPE = 1e-2
 _Z95 = 1.959963984540054
 # Worlds whose motion is kept to be shown.
 _SHOWN = 3
 # One of so many worlds is tried with feedback too, which costs ten times as much.
-_LEAST, _OF_FEEDBACK = 10, 4
+_LEAST, OF_FEEDBACK = 10, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +271,7 @@ def robustness(
 
 
 def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str], None]) -> None:
-    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // _OF_FEEDBACK)})
+    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // OF_FEEDBACK)})
     for feedback, count in samples.items():
         tell(f"{count} worlds, {'with feedback' if feedback else 'inputs alone'}")
         for number in range(count):
@@ -283,7 +283,7 @@ def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str],
                 found.motions.append((number, trial))
     for feedback in samples:
         tell("some of these by the reference too")
-        found.checks[feedback] = _checked(arena, worlds, found.ratios[feedback], feedback)
+        found.checks[feedback] = check_by_reference(arena, worlds, found.ratios[feedback], feedback)
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
@@ -298,8 +298,8 @@ def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False)
     return arena.trial(world, feedback=feedback)
 
 
-def _checked(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
-    """Every so manieth world again by the reference."""
+def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
+    """Every so manieth world again by the reference. ratios: of each world tried, by the everyday replay. Raises FmuError, MachineError."""
     count = min(len(ratios), max(_FEWEST, min(_MOST_CHECKED, len(ratios) // _EVERY)))
     numbers = np.unique(np.linspace(0, len(ratios) - 1, count).round().astype(int)).tolist()
     differ, largest = [], 0.0
@@ -343,7 +343,7 @@ def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[F
     known = all(trial.shares for trial in (own, *near))
     series = [_series(parts, one_sided) for parts in zip(*(trial.parts for trial in (own, *near)), strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
-        tried = min(_LAST, cause.above if direction > 0 else cause.below)
+        tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         cases: dict[float, WorldTrial] = {}
 
         def real(size: float, direction: int = direction, cases: dict[float, WorldTrial] = cases) -> float:
