@@ -46,9 +46,9 @@ Row = dict[str, str]
 
 
 def bits(record: StageRecord | CheckRecord) -> str:
-    """A hash of all that a record says but its seconds, where it was made, and which of two equal stages ran first."""
+    """A hash of all that a record says but its seconds, how it fares in perturbed worlds, where it was made, and which of two equal stages ran first."""
     left_out = {
-        "shared_from": True, "seconds": True, "starts": {"__all__": {"seconds"}}, "replay": {"seconds_reference", "seconds_everyday"},
+        "shared_from": True, "seconds": True, "survey": True, "starts": {"__all__": {"seconds"}}, "replay": {"seconds_reference", "seconds_everyday"},
         "wall_seconds": True, "cpu_seconds": True, "provenance": True, "log_tail": True, "key": True,
         "fmu": {"export_seconds": True, "check_seconds": True, "rows": {"__all__": {"seconds"}}},
     }  # fmt: skip

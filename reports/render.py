@@ -40,6 +40,7 @@ from reports.pages import (
     runs,
     scene,
     stress_cases,
+    survival,
     sweeps,
     table1,
     tightening,
@@ -63,6 +64,7 @@ _OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (runs.build,),
+    "robustness": (survival.build,),
     "sweeps": (sweeps.build,),
     "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),

@@ -25,7 +25,7 @@ def build(record: RobustnessRecord, run: RunRecord | None = None, folder: Path |
         "failures": sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)),
         "worlds": [] if run is None or folder is None else _worlds(record, run, folder),
     }
-    return Section("robustness", "How much it can take", "robustness.html", values)
+    return Section("robustness", "How much it can take", "robustness.html#plan", values)
 
 
 def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tuple[str, Film]]:

@@ -23,6 +23,7 @@ PHASES = {
     "linear_algebra": ("linear algebra of solvers", "linear algebra"),
     "solve_rest": ("solving otherwise", "other"),
     "certificate": ("certificates", "judging"),
+    "survey": ("trying plans in perturbed worlds", "judging"),
     "fmu_build": ("building the FMU", "compiling"),
     "replay": ("replaying", "judging"),
     "writing": ("writing files", "other"),

@@ -286,6 +286,44 @@ class SizeRecord(Model):
     paper_equations: int
 
 
+class ShareRecord(BaseModel):
+    """In how many of the perturbed worlds a plan arrives; interval: Wilson's, of 95 %."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
+
+    arrived: int
+    samples: int
+    share: Finite
+    interval: tuple[Finite, Finite]
+
+    @property
+    def words(self) -> str:
+        """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
+        if not self.samples:
+            return "none, as no world was tried"
+        low, high = self.interval
+        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
+
+
+class SurveyRecord(Model):
+    """How a plan that holds fares in perturbed worlds (validate.judge.robustness.survey).
+
+    alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was asked about too, and in how many it says otherwise; weakest:
+    of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails there; message: why it was not tried.
+    """
+
+    alone: ShareRecord | None = None
+    feedback: ShareRecord | None = None
+    checked: int = 0
+    differ: int = 0
+    weakest: str = ""
+    sizes: Finite | None = None
+    amount: Finite | None = None
+    unit: str = ""
+    by: str = ""
+    message: str = ""
+
+
 class QuestionRecord(Model):
     """One question of the judge, and its answer."""
 
@@ -325,6 +363,7 @@ class StageRecord(Model):
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
+    survey: SurveyRecord | None = None  # of a plan that holds; None where it was not asked for, or the run ended before
     has_plan: bool = False  # whether a plan came back: the files of the stage are there
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
     shared_from: str = ""  # the pipeline in whose run this stage ran, where that was another: its seconds were spent there

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
-from reports.records.record import Finite
+from reports.records.record import Finite, ShareRecord
 
 # How far first order and sampling may differ to be called the same.
 SAME = 0.1
@@ -34,23 +34,6 @@ _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
-
-
-class ShareRecord(_Model):
-    """How many of the worlds a plan arrives in; interval: Wilson's, of 95 %."""
-
-    arrived: int
-    samples: int
-    share: Finite
-    interval: tuple[Finite, Finite]
-
-    @property
-    def words(self) -> str:
-        """71.5 % (68.6 to 74.2 %) of 1,000 worlds."""
-        if not self.samples:
-            return "none, as no world was tried"
-        low, high = self.interval
-        return f"{100 * self.share:.1f} % ({100 * low:.1f} to {100 * high:.1f} %) of {self.samples:,} worlds"
 
 
 class CurveRecord(_Model):
@@ -110,6 +93,7 @@ class FailureRecord(_Model):
     tried: Finite
     by: str
     predicted: Finite | None
+    curved: Finite | None
     same_modes: bool
 
     @property
@@ -119,15 +103,26 @@ class FailureRecord(_Model):
         return f"{self.cause.name} by {self.amount:+.3g}{of} ({self.sizes:.2f} of its size)"
 
     @property
+    def is_trusted(self) -> bool:
+        """Whether what the slopes predict says of itself that it is right: curvatures change little of it, and contacts stay in their order, moved either way."""
+        return self.same_modes and _same(self.predicted, self.curved)
+
+    @property
     def compared(self) -> str:
         """How the size that the slopes predict stands to the one that was found."""
         if self.predicted is None:
             return "it predicts none" if self.sizes is not None else "none either"
         if self.sizes is None:
             return f"{self.predicted:.3g}, not found"
-        if abs(self.predicted - self.sizes) <= SAME * self.sizes:
+        if _same(self.predicted, self.sizes):
             return f"{self.predicted:.3g}, the same within {SAME:.0%}"
-        return f"{self.predicted:.3g}; {'the response bends' if self.same_modes else 'contacts close in another order by then'}"
+        if not self.same_modes:
+            return f"{self.predicted:.3g}; contacts close in another order by then, moved one way or the other"
+        return f"{self.predicted:.3g}; the response bends{'' if self.curved is None else f', by its curvature to {self.curved:.3g}'}"
+
+
+def _same(one: float | None, other: float | None) -> bool:
+    return one is not None and other is not None and abs(one - other) <= SAME * other
 
 
 class RobustnessRecord(_Model):

@@ -90,6 +90,12 @@ _SELECTING = (
         help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
     ),
     click.option("--fresh", is_flag=True, help="Run again what is stored."),
+    click.option(
+        "--robust/--no-robust",
+        default=True,
+        show_default=True,
+        help="Whether plans that hold are tried in perturbed worlds, up to 256 of them (docs/robustness.md).",
+    ),
     click.option("--last-failed", "--lf", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
     click.option(
         "-j",

@@ -8,6 +8,7 @@ Tasks are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -244,6 +245,7 @@ def _run(
     tasks = [entry.task for entry in entries]
     if settings.fresh:
         forget(map(_path, tasks), store.legs)
+        shutil.rmtree(store.surveys, ignore_errors=True)
     titles = {task.key: task.title for task in tasks}
     crashes: Counter[str] = Counter()
 

@@ -18,7 +18,7 @@ from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
 from reports.records.check_record import CheckRecord
-from reports.records.record import RunRecord
+from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
 from validate.plan.selection import matches, near, words_of
@@ -55,7 +55,7 @@ class CampaignSettings:
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
     last ran, and that in any case; stop_early: at the first failure; retries: of a task that crashes; engine: which runs the tasks
-    (validate.execution.engine); jobs: tasks at a time, None for what the engine chooses.
+    (validate.execution.engine); robust: whether plans that hold are tried in perturbed worlds; jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; checked: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
@@ -73,6 +73,7 @@ class CampaignSettings:
     last_failed: bool = False
     stop_early: bool = False
     retries: int = 0
+    robust: bool = True
     chosen: tuple[SceneReference, ...] = ()
     pipelines: tuple[Pipeline, ...] = ()
     checked: tuple[SceneReference, ...] = ()
@@ -140,6 +141,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                             plugin=settings.plugin,
                             time_limit=settings.time_limit,
                             variant=reference.variant,
+                            robust=settings.robust,
                         )
                         entries.append(_entry(task, scene, plugin))
     long = list(dict.fromkeys(long))
@@ -221,10 +223,11 @@ def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedRun:
     plan = planned_stages(task.pipeline, plugin.methods_of(task.pipeline))
     source = plugin_source(task.plugin)
 
-    def key_of(stages: Sequence[Planned], *named: str) -> str:
-        return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)
+    def key_of(stages: Sequence[Planned], *named: str, robust: bool = False) -> str:
+        asked = [*named, [planned.asked() for planned in stages]]
+        return content_key(scene, asked, {planned.name for planned in stages}, source, robust=robust)
 
-    key = key_of(plan, task.pipeline.name, task.pipeline.title)
+    key = key_of(plan, task.pipeline.name, task.pipeline.title, robust=task.robust)
     return PlannedRun(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
 
 
@@ -251,10 +254,12 @@ def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRe
         return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
     if fresh:
         return None, "stored, but --fresh runs it anew"
-    outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
+    stages = record.stages if isinstance(record, RunRecord) else ()
+    outcomes = {record.outcome, *(stage.outcome for stage in stages)}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
-    if "time_limit" in outcomes or any(stage.certificate_missing for stage in getattr(record, "stages", ())):
+    without_survey = isinstance(task, RunTask) and task.robust and any(stage.verdict in HOLD and stage.survey is None for stage in stages)
+    if "time_limit" in outcomes or without_survey or any(stage.certificate_missing for stage in stages):
         asked = store.request(task.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= task.time_limit:

@@ -50,6 +50,8 @@ _OF_CHECKS = (
     "validate/stress/",
     "reports/records/check_record.py",
 )
+# What tries plans that hold in perturbed worlds: it decides nothing of how they are found and judged.
+_OF_SURVEYS = "validate/judge/robustness/"
 # Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
 _RECORDS = ("records/record", "records/check_record", "paper")
 # Scenes and methods count one by one: a task depends on its own.
@@ -70,9 +72,10 @@ def _source_digests() -> dict[str, str]:
     return digests
 
 
-def source_digests(methods: Iterable[str]) -> dict[str, str]:
-    """Digest of each of our files that a task of these methods depends on."""
-    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_CHECKS)}
+def source_digests(methods: Iterable[str], *, robust: bool = False) -> dict[str, str]:
+    """Digest of each of our files that a task of these methods depends on; robust: and what tries plans in perturbed worlds."""
+    without = _OF_CHECKS if robust else (*_OF_CHECKS, _OF_SURVEYS)
+    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(without)}
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
@@ -92,9 +95,9 @@ def library_versions() -> dict[str, str]:
     return versions
 
 
-def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
-    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
-    return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
+def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "", *, robust: bool = False) -> str:
+    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data); robust: whether plans are tried in perturbed worlds."""
+    return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods, robust=robust), "extra": extra})
 
 
 def check_key(task: CheckTask) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from reports.records.check_record import CheckRecord
-from reports.records.record import CertificateRecord, RunRecord, StageRecord, ViolationPoint
+from reports.records.record import CertificateRecord, RunRecord, StageRecord, SurveyRecord, ViolationPoint
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
@@ -42,7 +42,9 @@ _COLUMNS = (
 )
 # Every other metric that can be limited, in the order of the table.
 _METRICS_MORE = tuple(name for name in metric_names() if name not in _COLUMNS)
-COLUMNS = (*_COLUMNS, *_METRICS_MORE)
+# Of plans that hold: worlds tried, the shares that arrive, and of which perturbation the plan takes how many sizes at most.
+_SURVEY = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
+COLUMNS = (*_COLUMNS, *_METRICS_MORE, *_SURVEY)
 _VIOLATION_COLUMNS = ("law", "eps", "measured", "closed_form", "relative_difference")
 
 
@@ -69,7 +71,14 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         **{f"{name}_s": getattr(stage.seconds, name) if ran else None for name in ("solve", "stage", "stage_cpu", "total", "replay")},
         "judged": stage.replay.judged if stage.replay is not None else None,
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
+        **dict(zip(_SURVEY, _survey(stage.survey), strict=True)),
     }
+
+
+def _survey(found: SurveyRecord | None) -> tuple[Any, ...]:
+    if found is None or found.alone is None:
+        return (None,) * len(_SURVEY)
+    return found.alone.samples, found.alone.share, None if found.feedback is None else found.feedback.share, found.weakest, found.sizes
 
 
 def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
     DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, task.json, files.json      DIR/runs/.partial-*   being written
     DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
+    DIR/surveys/<key>.json                 how their plans fare in perturbed worlds (validate.tasks.path)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
 """
@@ -46,7 +47,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.runs, self.legs = folder / "runs", folder / "legs"
+        self.runs, self.legs, self.surveys = folder / "runs", folder / "legs", folder / "surveys"
 
     @classmethod
     def of_partial(cls, partial: Path) -> Store:

@@ -10,6 +10,8 @@ there was a tracked replay too, also `tracked.nc` and `tracked_<n>.nc`, and the 
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import time
 import traceback
 from collections.abc import Sequence
@@ -20,12 +22,14 @@ from typing import TYPE_CHECKING, TypeAlias
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.errors import MachineError, TouchstoneError
-from reports.records.record import LegRecord, stage_files
-from validate.store.disk import raise_if_disk_ended
+from models.trajectory_netcdf import read_netcdf
+from reports.records.record import HOLD, LegRecord, SurveyRecord, stage_files
+from validate.store.disk import raise_if_disk_ended, write_durably
+from validate.store.provenance import content_key
 from validate.store.store import LOG, Store, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, planned_stages
-from validate.tasks.plugins import load_plugin
+from validate.tasks.plugins import load_plugin, plugin_source
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
@@ -83,6 +87,9 @@ def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: f
         rest = _Path(task, loaded, folder, profile, deadline).go()
     stages = _stages_in(folder, task, legs.legs_in(folder, task.legs), len(plan))
     stages += [unfinished_stage(scene.name, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    if task.robust:
+        stages = [_surveyed(stage, scene, task, folder, len(plan)) for stage in stages]
+        profile.lap("survey")
     cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
     drawn = scene_record(scene)
     log = folder / LOG
@@ -140,6 +147,33 @@ def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: 
                     legs.link_file(source, folder / names[what])
             number += 1
     return stages_of(found, task.scene_name, task.pipeline.name)
+
+
+def _surveyed(stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int) -> StageRecord:
+    """The stage with how its plan fares in perturbed worlds, if it holds: as stored for this plan and these limits, or found out and stored."""
+    if stage.verdict not in HOLD:
+        return stage
+    plan = read_netcdf(folder / stage_files(stage.index, stages)["trajectory"], scene)
+    limits = {metric.name: metric.limit for metric in stage.metrics if metric.limit is not None}
+    followed = stage.verdict != HOLD[0]
+    numbers = hashlib.sha256(b"".join(array.tobytes() for array in (plan.t, plan.q, plan.v, plan.u, plan.u_end) if array is not None))
+    asked = ["survey", numbers.hexdigest(), plan.hold.value, limits, followed]
+    stored = Store.of_partial(folder).surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
+    with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
+        return stage.model_copy(update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())})
+    progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
+    try:
+        found = SurveyRecord.model_validate(load_plugin(task.plugin).survey(scene, plan, limits, followed), from_attributes=True)
+        stored.parent.mkdir(exist_ok=True)
+        write_durably(stored, found.model_dump_json())
+    except MachineError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the plan is kept even if trying it stumbles; the log has the traceback
+        raise_if_disk_ended(folder, error)
+        if not isinstance(error, TouchstoneError):
+            traceback.print_exc()
+        found = SurveyRecord(message=str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__}: {first_line(error)}")
+    return stage.model_copy(update={"survey": found})
 
 
 def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:

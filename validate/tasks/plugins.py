@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.judge.judgement import Judgement
     from validate.judge.replay import Replay
+    from validate.judge.robustness import Survey
     from validate.tasks.task import CheckTask
     from validate.tasks.variant import SceneReference
 
@@ -46,6 +47,7 @@ _compile = _late("models.codegen.kernel:load_kernel")
 _build_fmu = _late("models.fmu:build_fmu")
 _certify = _late("formulations.mpec:certify_solution")
 _judge = _late("validate.judge.judgement:judge_trajectory")
+_survey = _late("validate.judge.robustness:survey")
 _write_replay = _late("validate.judge.replay.netcdf:write_replay")
 
 
@@ -75,6 +77,7 @@ class Plugin:
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Judgement] = _judge
+    survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Survey] = _survey
     write_replay: Callable[[Path, Replay, Scene], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 

@@ -34,7 +34,7 @@ class RunTask:
     """A scene by a pipeline.
 
     scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; plugin: a dotted name (validate.tasks.plugins); legs:
-    its path.
+    its path; robust: whether plans that hold are tried in perturbed worlds.
     """
 
     key: str
@@ -45,6 +45,7 @@ class RunTask:
     time_limit: float
     variant: Variant | None = None
     legs: tuple[PlannedLeg, ...] = ()
+    robust: bool = True
 
     @property
     def title(self) -> str:

@@ -348,7 +348,7 @@ def test_every_phase_has_its_words_and_its_group():
         "starting": {"start": "interpreter", "imports": "imports", "scene": "reading the scene", "opening": "opening methods"},
         "compiling": {"compile": "compiling the scene", "fmu_build": "building the FMU"}, "modelling": {"build": "building models", "translate": "translating models"},
         "evaluating": {"evaluate": "functions and derivatives"}, "linear algebra": {"linear_algebra": "linear algebra of solvers"},
-        "judging": {"certificate": "certificates", "replay": "replaying"},
+        "judging": {"certificate": "certificates", "replay": "replaying", "survey": "trying plans in perturbed worlds"},
         "other": {"shared": "sharing stages with other runs", "solve_rest": "solving otherwise", "writing": "writing files", "record": "the record"},
     }  # fmt: skip
     assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES

@@ -85,7 +85,8 @@ def test_results_have_the_columns_of_the_design(entry):
         "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
     )
     first = tuple(design.split(", "))
-    assert (*first, *(name for name in metric_names() if name not in first)) == COLUMNS
+    last = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
+    assert (*first, *(name for name in metric_names() if name not in first), *last) == COLUMNS
     assert len(set(COLUMNS)) == len(COLUMNS)
     header, row = tables([_record(entry, "infeasible")], (), ())[RESULTS].splitlines()
     assert header == ",".join(COLUMNS)

@@ -15,8 +15,10 @@ from reports.records.record import (
     ReplayRecord,
     RunRecord,
     SecondsRecord,
+    ShareRecord,
     StageRecord,
     StartRecord,
+    SurveyRecord,
     ViolationPoint,
 )
 from tests.reports import record_factory as factory
@@ -49,6 +51,10 @@ def stage(**changes: Any) -> StageRecord:
             error_estimate=0.01, tolerance_difference=0.02, step_difference=0.03, everyday_difference=0.04, events=9, seconds_reference=8.0,
             seconds_everyday=9.0, judged="feedback", growth_rate=11.5,
         ),
+        "survey": SurveyRecord(
+            alone=ShareRecord(arrived=3, samples=256, share=3 / 256, interval=(0.0, 0.1)), checked=20, differ=1, weakest="gain of u1", sizes=0.375, amount=0.0075,
+            feedback=ShareRecord(arrived=5, samples=64, share=5 / 64, interval=(0.0, 0.2)), unit="1", by="replay_cost",
+        ),
     }  # fmt: skip
     return StageRecord(**(values | changes))
 
@@ -72,7 +78,8 @@ def test_every_value_stands_in_its_own_column(template: RunRecord):
     assert found == {
         "scene": "three_cart", "pipeline": "relaxed+strict", "stage": "7", "method": "relaxed_lcp", "eps": "0.0001", "outcome": "stalled",
         "cost": "490.1234567890123", "verdict": "holds with feedback", "iterations": "77", "build_s": "0.5625", "solve_s": "3.375", "stage_s": "4.5",
-        "stage_cpu_s": "5.5", "total_s": "6.75", "replay_s": "7.875", "judged": "feedback", "growth_rate": "11.5",
+        "stage_cpu_s": "5.5", "total_s": "6.75", "replay_s": "7.875", "judged": "feedback", "growth_rate": "11.5", "worlds": "256",
+        "share_arriving": "0.01171875", "share_arriving_with_feedback": "0.078125", "weakest": "gain of u1", "weakest_sizes": "0.375",
         **{name: repr(0.1 + number) for number, name in enumerate(METRICS)},
     }  # fmt: skip
     assert len(set(found.values())) == len(COLUMNS), "or an exchange would not show"
@@ -81,7 +88,7 @@ def test_every_value_stands_in_its_own_column(template: RunRecord):
 def test_what_is_not_known_is_empty(template: RunRecord):
     refused = stage(
         index=0, outcome="refused", cost=None, eps=None, iterations=0, seconds=SecondsRecord(), metrics=(metric("defect", None),), verdict="not applicable",
-        replay=None,
+        replay=None, survey=None,
     )  # fmt: skip
     first, second = read(tables([run_of(template, refused, stage(index=1))], (), ())[RESULTS])
     known = {

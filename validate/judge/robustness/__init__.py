@@ -5,6 +5,7 @@ robustness("three_cart", "plan.csv").alone.share
 """
 
 from validate.judge.robustness.robustness import SAMPLES, Robustness, robustness
+from validate.judge.robustness.survey import Survey, survey
 from validate.judge.robustness.worlds import PerturbationKind
 
-__all__ = ["SAMPLES", "PerturbationKind", "Robustness", "robustness"]
+__all__ = ["SAMPLES", "PerturbationKind", "Robustness", "Survey", "robustness", "survey"]

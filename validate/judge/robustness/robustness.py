@@ -10,6 +10,7 @@ tried once more by the reference, and what differs is counted.
 from __future__ import annotations
 
 import math
+import operator
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.scene import Scene
 from validate.judge.judgement import Judgement, as_trajectory, judge
-from validate.judge.robustness.trials import Arena, WorldTrial
+from validate.judge.robustness.trials import Arena, Asked, WorldTrial, asked_limits
 from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, World, draw, moved, perturbations
 from validate.judge.score.verdict import Verdict
 
@@ -32,14 +33,14 @@ SCALES, _OF_A_CURVE = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 256
 # One of so many worlds is tried by the reference too, within these bounds.
 _EVERY, _FEWEST, _MOST_CHECKED = 50, 10, 200
 # Sizes of one perturbation: from the first, by this factor up to the last, then bisected to 1 %.
-_FIRST, _FACTOR, _LAST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
-# Move of the replays whose difference is the slope, in sizes.
-_SLOPE = 1e-3
+_FIRST, _FACTOR, FARTHEST, _WITHIN = 1 / 32, math.sqrt(2.0), 64.0, 0.01
+# Move of the replays whose differences are slopes and curvatures, in sizes: over three decades around it both are the same to three digits.
+_SLOPE = 1e-2
 _Z95 = 1.959963984540054
 # Worlds whose motion is kept to be shown.
 _SHOWN = 3
 # One of so many worlds is tried with feedback too, which costs ten times as much.
-_LEAST, _OF_FEEDBACK = 10, 4
+_LEAST, OF_FEEDBACK = 10, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +81,8 @@ class FirstFailure:
     """One perturbation, one way, driven as the plan holds: the size at which the plan first fails.
 
     direction: -1 or 1; sizes: in sizes of the perturbation, None where it arrives up to `tried`; amount: the same in the perturbation's unit; by: what fails there;
-    predicted: where the slopes at the scene's own world say that it does; same_modes: whether contacts close and open in the same order up to there.
+    predicted: where the slopes at the scene's own world say that it does; curved: where slopes and curvatures do; same_modes: whether contacts close and
+    open in the same order up to there, moved either way.
     """
 
     cause: Perturbation
@@ -89,6 +91,7 @@ class FirstFailure:
     tried: float
     by: str
     predicted: float | None
+    curved: float | None
     same_modes: bool
 
     @property
@@ -255,7 +258,7 @@ def robustness(
         raise TrajectoryError(f"scene {subject.name}: nothing of it can be perturbed by {', '.join(kind.value for kind in asked_kinds)}.")
     found, complete, worlds = _Progress(), True, draw(causes, samples, seed)
     followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK
-    with Arena.of(subject, trajectory, judgement.score, followed=followed) as arena:
+    with Arena.of(subject, trajectory, asked_limits(judgement.score), followed=followed) as arena:
         try:
             _measure(arena, worlds, found, tell)
         except KeyboardInterrupt:
@@ -268,7 +271,7 @@ def robustness(
 
 
 def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str], None]) -> None:
-    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // _OF_FEEDBACK)})
+    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // OF_FEEDBACK)})
     for feedback, count in samples.items():
         tell(f"{count} worlds, {'with feedback' if feedback else 'inputs alone'}")
         for number in range(count):
@@ -280,7 +283,7 @@ def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str],
                 found.motions.append((number, trial))
     for feedback in samples:
         tell("some of these by the reference too")
-        found.checks[feedback] = _checked(arena, worlds, found.ratios[feedback], feedback)
+        found.checks[feedback] = check_by_reference(arena, worlds, found.ratios[feedback], feedback)
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
@@ -295,8 +298,8 @@ def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False)
     return arena.trial(world, feedback=feedback)
 
 
-def _checked(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
-    """Every so manieth world again by the reference."""
+def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
+    """Every so manieth world again by the reference. ratios: of each world tried, by the everyday replay. Raises FmuError, MachineError."""
     count = min(len(ratios), max(_FEWEST, min(_MOST_CHECKED, len(ratios) // _EVERY)))
     numbers = np.unique(np.linspace(0, len(ratios) - 1, count).round().astype(int)).tolist()
     differ, largest = [], 0.0
@@ -332,36 +335,47 @@ def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback:
 def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[FirstFailure]:
     """Both ways along one perturbation."""
 
-    def tried_at(sizes: float) -> WorldTrial:
-        return _tried(arena, moved(arena.nominal, [cause], np.array([sizes])), found, arena.followed)
+    def at(size: float) -> WorldTrial:
+        return _tried(arena, moved(arena.nominal, [cause], np.array([size])), found, arena.followed)
 
-    own = tried_at(0.0)
-    one_sided = cause.below == 0.0
-    ends = [tried_at(size) for size in ((_SLOPE, 0.0) if one_sided else (_SLOPE, -_SLOPE))]
-    width = _SLOPE if one_sided else 2.0 * _SLOPE
-    known = all(len(trial.states) == len(own.states) for trial in ends)
-    slopes = ((ends[0].states[-1] - ends[1].states[-1]) / width, (ends[0].gaps - ends[1].gaps) / width) if known else None
+    own, one_sided = at(0.0), cause.below == 0.0
+    near = [at(size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
+    known = all(trial.shares for trial in (own, *near))
+    series = [_series(parts, one_sided) for parts in zip(*(trial.parts for trial in (own, *near)), strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
-        room = cause.above if direction > 0 else cause.below
-        tried = min(_LAST, room)
+        tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         cases: dict[float, WorldTrial] = {}
 
         def real(size: float, direction: int = direction, cases: dict[float, WorldTrial] = cases) -> float:
-            cases[size] = tried_at(direction * size)
+            cases[size] = at(direction * size)
             return cases[size].ratio
-
-        def straight(size: float, direction: int = direction) -> float:
-            assert slopes is not None
-            step = direction * size
-            return max(arena.asked.shares(own.states[-1] + step * slopes[0], own.gaps + step * slopes[1]).values())
 
         sizes = first_failure(real, tried)
         # The smallest move that was tried and fails.
         failed = None if sizes is None else cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)]
         yield FirstFailure(
-            cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by,
-            predicted=None if slopes is None else first_failure(straight, tried), same_modes=failed is None or failed.modes == own.modes,
+            cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by, predicted=_foretold(arena.asked, series, direction, tried), curved=_foretold(arena.asked, series, direction, tried, order=2),
+            same_modes=failed is None or sizes is None or {failed.modes, at(-direction * sizes).modes} == {own.modes},
         )  # fmt: skip
+
+
+def _foretold(asked: Asked, series: Sequence[tuple[Any, ...]], direction: int, tried: float, order: int = 1) -> float | None:
+    """The first failure by the series of what is asked, to this order; None where there is none."""
+
+    def ratio(size: float) -> float:
+        moved_by = [(direction * size) ** power for power in range(order + 1)]
+        states, gaps, cost = (sum(map(operator.mul, terms, moved_by), start=np.float64(0.0)) for terms in series)
+        return max(asked.shares(np.asarray(states), np.asarray(gaps), float(cost)).values())
+
+    return first_failure(ratio, tried) if series else None
+
+
+def _series(parts: Sequence[Any], one_sided: bool) -> tuple[Any, ...]:
+    """A number's Taylor series in sizes, to the second order: of its values at the scene's own world and at moves of _SLOPE and -_SLOPE, or twice _SLOPE."""
+    own, first, second = parts
+    if one_sided:
+        return own, (4.0 * first - 3.0 * own - second) / (2.0 * _SLOPE), (second - 2.0 * first + own) / (2.0 * _SLOPE**2)
+    return own, (first - second) / (2.0 * _SLOPE), (first + second - 2.0 * own) / (2.0 * _SLOPE**2)
 
 
 def first_failure(ratio: Callable[[float], float], largest: float) -> float | None:

@@ -1,6 +1,6 @@
 """A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
 
-    with Arena.of(scene, plan) as arena:
+    with Arena.of(scene, plan, limits) as arena:
         arena.trial(world).ratio         # the largest of what is asked, as a share of its limit: up to 1 it arrives
         arena.checked(world).ratio       # the same by the reference
 
@@ -10,7 +10,7 @@ The FMU is loaded once, and reset before each world. Its step is the coarsest wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -34,77 +34,96 @@ from validate.judge.replay.tracking import design_feedback
 from validate.judge.replay.wiring import Feedback, Variables
 from validate.judge.robustness.worlds import World, WorldInputs, nominal_world
 from validate.judge.score import Score
+from validate.judge.score.evidence import Evidence
 
 # Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as this share of the limits is taken, else the last.
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
 _CLOSE = 1e-3
 # Relative tolerance of the reference: limits are told with three digits.
 _RTOL = 1e-9
-_ASKED = ("replay_terminal_position_error", "replay_terminal_velocity_error", "max_penetration")
+_POSITION, _VELOCITY = "replay_terminal_position_error", "replay_terminal_velocity_error"
+_COST, _SPEED, _DEPTH = "replay_cost", "replay_velocity_bound_violation", "max_penetration"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asked:
-    """What arriving means: how far from the goal (NaN: free) positions and velocities may end, and how deep each contact (nc,) may be [m]."""
+    """What arriving means.
 
+    limits: of the metrics that are asked, by name [their units]: how far from the goal (2*nq,) (NaN: free) positions and velocities may end, what the motion
+    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact may be [m].
+    """
+
+    limits: Mapping[str, float]
     goal: np.ndarray
-    position: float
-    velocity: float
     depths: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, score: Score) -> Asked:
-        """By the limits that the judge held this plan to. Raises TrajectoryError where the scene asks for no goal."""
-        position, velocity = (_limit(score, name) for name in _ASKED[:2])
-        if math.isinf(position) and math.isinf(velocity):
+    def of(cls, scene: Scene, limits: Mapping[str, float]) -> Asked:
+        """By the limits that the judge held this plan to, by metric. Raises TrajectoryError where none is on an end or a cost."""
+        asked = {name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits}
+        if not asked.keys() - {_SPEED}:
             raise TrajectoryError(
-                f"scene {scene.name}: it asks for no end that a plan must reach, so there is nothing to arrive at; robustness is measured on scenes with a goal and its limits."
+                f"scene {scene.name}: it asks for no end that a plan must reach and limits no cost, so there is nothing to arrive at; robustness is measured on scenes that limit {_POSITION}, {_VELOCITY} or {_COST}."
             )
-        own = scene.limit("max_penetration")
+        own = scene.limit(_DEPTH)
         depths = np.array([math.inf if depth is None else depth for depth in scene.depths])
         if own is not None:
             depths = np.full(scene.nc, math.inf if own.value is None else own.value)
-        return cls(goal=goal_state(scene.task), position=position, velocity=velocity, depths=depths)
+        lower, upper = (np.array([getattr(item, f"velocity_{side}") for item in scene.coordinates]) for side in ("lower", "upper"))
+        return cls(limits=asked, goal=goal_state(scene.task), depths=depths, lower=lower, upper=upper)
 
-    def shares(self, end: np.ndarray, gaps: np.ndarray) -> dict[str, float]:
+    def shares(self, states: np.ndarray, gaps: np.ndarray, cost: float) -> dict[str, float]:
         """What is asked as shares of its limits.
 
         Parameters
         ----------
-        end : (2*nq,) the last state [m or rad, then per second]
+        states : (rows, 2*nq) of the motion, the last row its end [m or rad, then per second]
         gaps : (rows, nc) over the motion [m]
+        cost : the task's
 
         Raises
         ------
         ValueError : if the shapes do not fit.
         """
-        half = len(self.goal) // 2
-        shares = {
-            _ASKED[0]: distance(end[:half], self.goal[:half]) / self.position,
-            _ASKED[1]: distance(end[half:], self.goal[half:]) / self.velocity,
+        half, end = len(self.goal) // 2, states[-1]
+        values = {
+            _POSITION: lambda: distance(end[:half], self.goal[:half]),
+            _VELOCITY: lambda: distance(end[half:], self.goal[half:]),
+            _COST: lambda: cost,
+            # The velocity of the end belongs to the goal.
+            _SPEED: lambda: float(np.maximum(self.lower - states[:-1, half:], states[:-1, half:] - self.upper).max(initial=-math.inf)),
         }
+        # A limit on a cost may be negative, or 0.
+        shares = {name: 1.0 + (values[name]() - limit) / (abs(limit) or 1.0) for name, limit in self.limits.items()}
         if len(self.depths):
-            shares[_ASKED[2]] = float(np.max(-gaps.min(axis=0, initial=math.inf) / self.depths))
+            shares[_DEPTH] = float(np.max(-gaps.min(axis=0, initial=math.inf) / self.depths))
         return shares
 
 
-def _limit(score: Score, name: str) -> float:
-    """What the judge held the metric to; infinite where it did not ask."""
-    metric = score.metric(name)
-    return math.inf if metric is None or metric.limit is None else metric.limit
+def asked_limits(score: Score) -> dict[str, float]:
+    """What the judge held each metric to, by name."""
+    return {metric.name: metric.limit for metric in score.metrics if metric.limit is not None}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
-    shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
     """
 
     states: np.ndarray
     gaps: np.ndarray
+    cost: float
     shares: dict[str, float]
     outcome: ReplayOutcome
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """What the shares are of."""
+        return self.states, self.gaps, self.cost
 
     @property
     def ratio(self) -> float:
@@ -131,7 +150,8 @@ class WorldTrial:
 class Arena:
     """The FMU of a scene, in which a plan is tried in one world after the other.
 
-    feedback: around the plan, None where it has no states; followed: whether the plan holds only with it.
+    feedback: around the motion of the inputs alone in the scene's own world, or where that does not arrive around the plan; None where the plan has no
+    states; followed: whether the plan holds only with it.
     """
 
     def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
@@ -144,15 +164,19 @@ class Arena:
         # An FMU of ours has every parameter of its scene, in the scene's order.
         self._parameters = [reference for reference, _ in every.parameters]
         self.feedback: Feedback | None = design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
+        self._cost = Evidence(scene, plan, None).cost_of
         self._instance: Instance | None = None
         self.fineness = self._fine_enough()
+        # It follows the motion that arrives: what the plan's own states differ from it by is the plan's grid, which is no disturbance and may be dear to undo.
+        if self.feedback is not None and not followed and (own := self.trial(self.nominal)).arrives:
+            self.feedback = replace(self.feedback, reference=own.states)
 
     @classmethod
     @contextmanager
-    def of(cls, scene: Scene, plan: Trajectory, score: Score, *, followed: bool = False) -> Iterator[Arena]:
-        """An arena that is closed at the end. Raises FmuError, MachineError, TrajectoryError."""
+    def of(cls, scene: Scene, plan: Trajectory, limits: Mapping[str, float], *, followed: bool = False) -> Iterator[Arena]:
+        """An arena that is closed at the end. limits: what the judge held the plan to, by metric. Raises FmuError, MachineError, TrajectoryError."""
         with unpacked(read_package(build_fmu(scene, results=False))) as package:
-            arena = cls(scene, package, plan, Asked.of(scene, score), followed)
+            arena = cls(scene, package, plan, Asked.of(scene, limits), followed)
             try:
                 yield arena
             finally:
@@ -220,8 +244,11 @@ class Arena:
         values = np.array(run.outputs).reshape(len(run.t), len(self._variables.outputs))[run.knots]
         rows = inputs.rows[inputs.rows < len(values)]
         states, gaps = np.split(values[rows], [2 * self.scene.nq], axis=1)
-        done = run.outcome is ReplayOutcome.OK
-        return WorldTrial(states=states, gaps=gaps, shares=self.asked.shares(states[-1], gaps) if done else {}, outcome=run.outcome)
+        if run.outcome is not ReplayOutcome.OK:
+            return WorldTrial(states=states, gaps=gaps, cost=math.nan, shares={}, outcome=run.outcome)
+        q, v = np.hsplit(states, 2)
+        cost = self._cost(self.plan.t, q, v, inputs.commands) if _COST in self.asked.limits else 0.0
+        return WorldTrial(states=states, gaps=gaps, cost=cost, shares=self.asked.shares(states, gaps, cost), outcome=run.outcome)
 
     def _fine_enough(self) -> int:
         exact, feedback = self.checked(self.nominal, feedback=self.followed), self.feedback if self.followed else None

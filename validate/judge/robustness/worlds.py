@@ -213,6 +213,11 @@ class WorldInputs(HeldInputs):
         self.values = self._commands.values[self._command] * world.gain + self._added
         self.breaks, self._stops = np.full(len(begins), True), list(range(1, len(self.times)))
 
+    @property
+    def commands(self) -> np.ndarray:
+        """(steps, nu) what is commanded at the plan's nodes [unit of each input]: what an actuator makes of it, and when, is the world's."""
+        return self._commands.values
+
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
         """The input at the start of a step of these times: at a node a command is given, from its arrival on it is in force (`HeldInputs.begin`)."""
         if self.feedback is not None:

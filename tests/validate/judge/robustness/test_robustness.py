@@ -18,7 +18,7 @@ from validate.cli.robust import command
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import Robustness, robustness
 from validate.judge.robustness.robustness import Share, first_failure
-from validate.judge.robustness.trials import Arena
+from validate.judge.robustness.trials import Arena, asked_limits
 from validate.judge.robustness.worlds import moved, perturbations
 
 SCENE = load_scene("three_cart")
@@ -83,7 +83,7 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         assert shares[way.curve.scales.index(1.0)] == way.share.share
     weakest = found.weakest
     assert (weakest.cause.name, weakest.direction, weakest.by) == ("c", -1, "replay_terminal_position_error")
-    with Arena.of(SCENE, judged.plan, judged.score) as arena:
+    with Arena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for item in found.failures:
             if item.sizes is not None:
                 for share, arrives in ((0.98, True), (1.02, False)):
@@ -95,6 +95,10 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         alone = by_name["gain of u3", direction]
         assert alone.predicted == pytest.approx(alone.sizes, rel=0.1)
         assert alone.same_modes
+    trusted = [item for item in RobustnessRecord.model_validate(found).failures if item.is_trusted]
+    assert len(trusted) >= 2
+    assert [item.words for item in trusted if item.sizes is not None and abs(item.predicted - item.sizes) > 0.1 * item.sizes] == []  # type: ignore[operator]
+    assert not by_name["d", 1].same_modes, "moved the other way as far, the carts do not meet"
 
 
 def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
@@ -144,21 +148,29 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "predicted", "same", "words"),
+    ("sizes", "predicted", "curved", "same", "trusted", "words"),
     [
-        (2.0, 2.15, True, "2.15, the same within 10%"), (2.0, 2.25, True, "2.25; the response bends"), (2.0, 1.7, False, "1.7; contacts close in another order by then"),
-        (2.0, None, True, "it predicts none"), (None, 3.0, True, "3, not found"), (None, None, True, "none either"),
+        (2.0, 2.15, 2.2, True, True, "2.15, the same within 10%"),
+        (2.0, 2.25, 2.6, True, False, "2.25; the response bends, by its curvature to 2.6"),
+        (2.0, 2.25, None, True, False, "2.25; the response bends"),
+        (2.0, 1.7, 1.7, False, False, "1.7; contacts close in another order by then, moved one way or the other"),
+        (2.0, None, None, True, False, "it predicts none"),
+        (None, 3.0, None, True, False, "3, not found"),
+        (None, None, None, True, False, "none either"),
     ],
-)  # fmt: skip
-def test_first_order_is_held_against_what_was_found(sizes: float | None, predicted: float | None, same: bool, words: str):
+)
+def test_first_order_is_held_against_what_was_found(
+    sizes: float | None, predicted: float | None, curved: float | None, same: bool, trusted: bool, words: str
+):
     cause = perturbations(
         SCENE, Trajectory(t=RESTING["t"], q=np.zeros((501, 3)), v=np.zeros((501, 3)), u=np.zeros((500, 2)), lam=np.zeros((500, 2)))
     )[1]
     amount = None if sizes is None else -0.1 * sizes
     said = FailureRecord(
-        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, same_modes=same  # type: ignore[arg-type]
+        cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]
     )  # fmt: skip
     assert said.compared == words
+    assert said.is_trusted is trusted
     if sizes is not None:
         assert said.words == "c by -0.2 N s/m (2.00 of its size)"
 
