@@ -21,8 +21,6 @@ from models.scene import Scene
 from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, Simulator, describe_engine, finer, run_engine
 from validate.truth.problems import TruthProblem, problems
 
-# What an adaptive engine is told at the four levels; the last is the reference's own.
-TOLERANCES = (1e-7, 1e-9, 1e-11, 1e-13)
 # How much softer an engine's own regularisation is made to see what it does.
 SOFTER = 4.0
 # The reference must come this near to every answer [-]: what its tolerance leaves after 1000 bounces is a hundredth of it.
@@ -91,9 +89,10 @@ def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
     """Four levels, and where the engine softens a friction the finest once more, softer."""
     start = np.array(problem.scene.task.start, dtype=float)
     common = {"scene": problem.scene, "plan": problem.plan, "start": start}
-    found = [Drive(**common, parts=parts, tolerance=tolerance) for parts, tolerance in zip(problem.parts, TOLERANCES, strict=True)]
+    tolerances = about.tolerances or (1.0,) * len(problem.parts)
+    found = [Drive(**common, parts=parts, tolerance=tolerance) for parts, tolerance in zip(problem.parts, tolerances, strict=True)]
     if about.softens and problem.scene.nf:
-        found.append(Drive(**common, parts=problem.parts[-1], tolerance=TOLERANCES[-1], soft=SOFTER))
+        found.append(replace(found[-1], soft=SOFTER))
     return found
 
 
@@ -128,7 +127,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         levels.append(
             Level(
                 step=None if about.adaptive else problem.duration / problem.nodes / problem.parts[place],
-                tolerance=TOLERANCES[place] if about.adaptive else None,
+                tolerance=about.tolerances[place] if about.adaptive else None,
                 error=max(told[place].values()),
                 energy=told[place].get("energy", math.nan),
                 microseconds=1e6 * motion.seconds / motion.steps if motion.steps else None,
