@@ -32,7 +32,6 @@ if TYPE_CHECKING:  # the child of an engine that needs no scene's equations impo
     from models.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "engines"
-_INSTALL = "pip install -e '.[engines]'"
 # What a run of an engine may use; the largest of the truth suite takes some 20 s of it on a quiet core.
 LIMITS = Limits(seconds=300.0)
 
@@ -45,12 +44,13 @@ class CannotExpressError(TouchstoneError):
 class Simulator:
     """What an engine says of itself, in literals.
 
-    title: what it is called; package: what it imports, empty for our own; tolerances: four that it is told, the loosest first, where it takes no step;
+    title: what it is called; package: what it imports, empty for our own; extra: what brings it; tolerances: four that it is told, the loosest first, where it takes no step;
     law: how it makes contact, in a few words; softens: what is its own and no part of any scene, that `Drive.soft` scales, empty where there is nothing.
     """
 
     title: str
     package: str = ""
+    extra: str = "engines"
     tolerances: tuple[float, ...] = ()
     law: str = ""
     softens: str = ""
@@ -143,10 +143,24 @@ def describe_engine(name: str) -> Simulator:
 
 def missing(name: str) -> str:
     """Why an engine cannot run here, and what to do; empty: it can. Raises UnknownNameError."""
-    package = describe_engine(name).package
+    about = describe_engine(name)
+    package = about.package
     if not package or importlib.util.find_spec(package) is not None:
         return ""
-    return f"engine {name}: the package {package} is not installed; {_INSTALL}"
+    return f"engine {name}: the package {package} is not installed; pip install -e '.[{about.extra}]'"
+
+
+def named_engines(text: str) -> tuple[str, ...]:
+    """The engines of a comma-separated list, each once; `all`: those that are installed. Raises UnknownNameError, MachineError for one whose package is missing."""
+    if text.strip() == "all":
+        return tuple(name for name in engine_names() if not missing(name))
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise UnknownNameError(f"--engine: name at least one engine; there are {', '.join(engine_names())}.")
+    absent = [sentence for name in names if (sentence := missing(name))]
+    if absent:
+        raise MachineError(f"{'; '.join(absent)}.")
+    return names
 
 
 def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
@@ -191,13 +205,13 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
-    motions = tuple(
-        SimulatedMotion(
-            **told, **{part: done.arrays[f"{number}_{part}"] for part in ("q", "v", "applied") if f"{number}_{part}" in done.arrays}
-        )
-        for number, told in enumerate(done.value)
-    )
-    return EngineAnswer(came=Came.DONE, motions=motions)
+    motions = []
+    for number, told in enumerate(done.value):
+        q, v, applied = (done.arrays.get(f"{number}_{part}") for part in ("q", "v", "applied"))
+        assert q is not None
+        assert v is not None
+        motions.append(SimulatedMotion(q=q, v=v, applied=applied, **told))
+    return EngineAnswer(came=Came.DONE, motions=tuple(motions))
 
 
 def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:

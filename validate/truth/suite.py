@@ -128,7 +128,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
             Level(
                 step=None if about.adaptive else problem.duration / problem.nodes / problem.parts[place],
                 tolerance=about.tolerances[place] if about.adaptive else None,
-                error=max(told[place].values()),
+                error=_worst(told[place], problem)[0],
                 energy=told[place].get("energy", math.nan),
                 microseconds=1e6 * motion.seconds / motion.steps if motion.steps else None,
                 seconds=motion.seconds,
@@ -136,7 +136,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         )
     last = told[len(levels) - 1]
     order = None if about.adaptive else observed_order([level.error for level in levels])
-    softer = max(told[-1].values()) / levels[-1].error if len(told) > len(levels) and levels[-1].error > 0.0 else 1.0
+    softer = _worst(told[-1], problem)[0] / levels[-1].error if len(told) > len(levels) and levels[-1].error > 0.0 else 1.0
     sentence = _why([level.error for level in levels], about.adaptive, order, softer, _radians(problem, levels[-1].step))
     return EngineResult(
         problem=problem,
@@ -144,7 +144,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         came=Came.DONE,
         sentence=sentence,
         levels=tuple(levels),
-        worst=max(last, key=lambda name: last[name]),
+        worst=_worst(last, problem)[1],
         order=order,
     )
 
@@ -153,7 +153,7 @@ def _decided(row: EngineResult, answer: EngineAnswer, end: np.ndarray) -> Engine
     """A row whose error does not fall over four steps, after a motion at a step much shorter: it may fall yet."""
     if answer.came is not Came.DONE:
         return row
-    error = max(_errors(row.problem, answer.motions[0], end, _energy_of(row.problem.scene)).values())
+    error = _worst(_errors(row.problem, answer.motions[0], end, _energy_of(row.problem.scene)), row.problem)[0]
     beside = f"{error:.1g} at a step {_MUCH} times as short"
     if error < row.error / 4.0:
         words = f"the step's error, uneven: {row.error:.1g}, and {beside}"
@@ -173,7 +173,7 @@ def observed_order(errors: Sequence[float]) -> float | None:
 def _errors(
     problem: TruthProblem, motion: SimulatedMotion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]
 ) -> dict[str, float]:
-    """By quantity, as shares; the energy beside them, where it is kept: it decides nothing else than its own problem."""
+    """By quantity, as shares, the energy beside them."""
     if not motion.finite:
         return {"the motion": math.nan}
     start = np.split(np.array(problem.scene.task.start, dtype=float), 2)
@@ -181,6 +181,11 @@ def _errors(
     share = abs(energy(motion.q[-1], motion.v[-1]) - true) / max(abs(energy(*start)), abs(true))
     found = problem.errors(problem.plan.t, motion.q, motion.v, end)
     return found | ({"energy": share} if math.isfinite(share) else {})
+
+
+def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
+    """The largest error and its quantity; the energy, of which there may be next to none, decides only where it is kept."""
+    return max((error, name) for name, error in told.items() if name != "energy" or problem.energy_kept)
 
 
 def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
@@ -213,12 +218,12 @@ def _why(errors: Sequence[float], adaptive: bool, order: float | None, softer: f
         return "it diverges, at the finest step too"
     if last <= _RIGHT:
         return f"right to {last:.1g}"
-    if adaptive:
-        return f"{last:.1g} at its tightest tolerance, {first:.1g} at its loosest"
     if radians > 1.0 and last > 1e-3:
         return f"too long a step: the finest is {radians:.1f} radians of the contact, and the error {last:.2g}"
     if softer >= SOFTER / 2:
         return f"regularised friction: {SOFTER:g} times as soft it is {softer:.1f} times as wrong; {last:.1g} at the finest step"
+    if adaptive:
+        return f"{last:.1g} at its tightest tolerance, {first:.1g} at its loosest"
     if order is not None and order >= 0.7:
         return f"the step's error: it falls with order {order:.1f}, to {last:.1g}"
     if math.isfinite(first) and last < first / 4.0:

@@ -16,8 +16,8 @@ from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Scene
 from reports.pages.truth import as_markdown, largest_disagreement
 from reports.render import render_truth
-from validate.cli.truth import as_csv, named_engines, recorded, reference_is_right
-from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, load_engine
+from validate.cli.truth import as_csv, recorded, reference_is_right
+from validate.judge.simulator import Came, EngineAnswer, SimulatedMotion, describe_engine, load_engine, named_engines
 from validate.stress.cases.h06_zeno import restitution
 from validate.truth import suite
 from validate.truth.problems import TruthProblem, problems
@@ -84,19 +84,25 @@ def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault:
 def plant(monkeypatch, engine: str, fault: str) -> None:
     """The fault, where the adapter reads the scene or makes its steps."""
     module = importlib.import_module(f"validate.judge.engines.{engine}")
-    if fault == "step x 2":
-        if engine == "mujoco":
-            step = module.mujoco.mj_step
-            monkeypatch.setattr(module.mujoco, "mj_step", lambda model, data, nstep: step(model, data, 2 * nstep))
-        else:
-            monkeypatch.setattr(module, "HeldInputs", lambda plan, held=module.HeldInputs: held(replace(plan, t=2.0 * plan.t)))
+    ours, shared = (
+        engine.startswith("fmu"),
+        module if not engine.startswith("drake") else importlib.import_module("validate.judge.engines._drake"),
+    )
+    if fault == "step x 2" and not ours:
+        monkeypatch.setattr(
+            module,
+            "stepped",
+            lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
+        )
         return
-    name = "mechanism_of" if engine == "mujoco" else "build_fmu"
-    read = getattr(module, name)
-    monkeypatch.setattr(module, name, lambda scene, **given: read(spoilt(scene, fault), **given))
-    if engine == "mujoco":
-        given = module._set_constraints
-        monkeypatch.setattr(module, "_set_constraints", lambda model, scene, *rest: given(model, spoilt(scene, fault), *rest))
+    if fault == "step x 2":
+        monkeypatch.setattr(
+            module, "HeldInputs", lambda plan, feedback, held=module.HeldInputs: held(replace(plan, t=2.0 * plan.t), feedback)
+        )
+        return
+    name = "build_fmu" if ours else "mechanism_of"
+    read = getattr(shared, name)
+    monkeypatch.setattr(shared, name, lambda scene, **given: read(spoilt(scene, fault), **given))
 
 
 def spoilt(scene: Scene, fault: str) -> Scene:
@@ -185,9 +191,3 @@ def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(cli_envi
     assert done.returncode == 3
     assert "the package mujoco is not installed; pip install" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_a_drive_gives_inputs_as_they_are_held():
-    problem = PROBLEMS["symmetric squeeze: two carts press a third"]
-    drive = Drive(scene=problem.scene, plan=problem.plan, start=np.zeros(6))
-    np.testing.assert_array_equal(drive.inputs(3, 0.5), [6.0, -6.0])

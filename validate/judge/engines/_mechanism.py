@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -80,7 +81,7 @@ class Mechanism:
         """Whether the smooth forces depend on inputs alone."""
         return not set().union(*(force.free_symbols for force in self.forces)) & {*self.symbols[0], *self.symbols[1]}
 
-    def smooth(self, modules: str = "math") -> Callable[..., list[float]]:
+    def smooth(self, modules: Any = "math") -> Callable[..., list[float]]:
         """The smooth forces on the joints, in the arithmetic of `modules`, as a function of q, v of the joints and u one by one. Raises nothing."""
         q, v, u = self.symbols
         back = sp.Matrix(np.linalg.inv(self.joints).tolist()) if (self.joints != np.eye(len(q))).any() else sp.eye(len(q))

@@ -8,6 +8,7 @@ from validate.judge.simulator import Drive, SimulatedMotion, Simulator, stepped
 ENGINE = Simulator(
     title="Drake, CENIC",
     package="pydrake",
+    extra="bench-drake",
     tolerances=(1e-4, 1e-5, 1e-6, 1e-7),
     law="points between balls and half-spaces, Hunt and Crossley, convex; friction regularised below 0.1 mm/s",
     softens="the slip at which its friction is whole",

@@ -10,6 +10,7 @@ from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion,
 ENGINE = Simulator(
     title="Drake, discrete (SAP)",
     package="pydrake",
+    extra="bench-drake",
     law="points between balls and half-spaces, Kelvin and Voigt, convex: friction opens what slides; its regularisation is not to be set",
 )
 

@@ -32,8 +32,8 @@ _SOFT, _HARD = 1e-4, 0.9999
 _RATIO = 1e8
 # Slip decays by this share of itself in a step: Runge-Kutta 4 bears 2.7.
 _DECAY = 0.5
-# Size of a plane as it is drawn [m].
-_PLANE = (1.0, 1.0, 1.0)
+# Half the size of the block whose face is a plane, which no motion leaves, and half its depth [m]: planes may not move.
+_BLOCK, _DEPTH = 100.0, 1.0
 _FAR, _TINY = 1e6, 1e-12
 
 
@@ -113,12 +113,15 @@ def _add_geoms(spec: Any, touch: Touch) -> None:
     assert touch.pads is not None
     for place, pad in enumerate(touch.pads):
         body = spec.body(pad.body) if pad.body else spec.worldbody
-        shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (pad.radius, 0.0, 0.0)}
+        shape, at = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (pad.radius, 0.0, 0.0)}, np.array(pad.at)
         if not pad.radius:
             turn = np.zeros(4)
             mujoco.mju_quatZ2Vec(turn, np.array(pad.normal))
-            shape = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": _PLANE, "quat": turn}
-        body.add_geom(name=f"{touch.name}_{place}", pos=pad.at, mass=0.0, contype=0, conaffinity=0, **shape)
+            shape, at = (
+                {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": (_BLOCK, _BLOCK, _DEPTH), "quat": turn},
+                at - _DEPTH * np.array(pad.normal),
+            )
+        body.add_geom(name=f"{touch.name}_{place}", pos=at, mass=0.0, contype=0, conaffinity=0, **shape)
 
 
 def _fixed(names: list[str], direction: np.ndarray, what: str) -> str:
