@@ -1,6 +1,7 @@
 """The truth suite: its answers are right, two ways; it finds five faults planted in each adapter; what it writes is equal twice but for times."""
 
 import importlib
+import importlib.util
 import math
 import os
 import subprocess
@@ -32,6 +33,14 @@ SHOWS = {
     "sign of the normal": "rebound: undamped",
     "damping ignored": "rebound: Kelvin-Voigt damping",
 }
+
+
+def of_package(package: str):
+    """Skipped where a package is missing."""
+    return pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{package} is not installed")
+
+
+DRAKE = [pytest.param(f"drake_{name}", marks=[pytest.mark.peer, of_package("pydrake")]) for name in ("continuous", "sap", "cenic")]
 
 
 def asked(problem: TruthProblem, engine: str) -> EngineResult:
@@ -70,15 +79,15 @@ def test_our_reference_is_right(name: str):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", SHOWS)
-@pytest.mark.parametrize("engine", ["fmu", "fmu_everyday", "mujoco"])
+@pytest.mark.parametrize("engine", ["fmu", "fmu_everyday", pytest.param("mujoco", marks=of_package("mujoco")), *DRAKE])
 def test_a_fault_planted_in_an_adapter_is_found(monkeypatch, engine: str, fault: str):
-    if engine == "mujoco":
-        pytest.importorskip("mujoco")
-    problem = PROBLEMS[SHOWS[fault]]
-    assert asked(problem, engine).error < 2e-3
+    damped = {"drake_continuous": "rebound: Hunt-Crossley damping", "drake_cenic": "rebound: Hunt-Crossley damping"}
+    problem = PROBLEMS[damped.get(engine, SHOWS[fault]) if fault == "damping ignored" else SHOWS[fault]]
+    right = asked(problem, engine).error
+    assert right < (0.1 if engine in ("drake_sap", "drake_cenic") else 2e-3)
     plant(monkeypatch, engine, fault)
     wrong = asked(problem, engine).error
-    assert not wrong < 2e-2
+    assert not wrong < max(2e-2, 3.0 * right)
 
 
 def plant(monkeypatch, engine: str, fault: str) -> None:
@@ -124,8 +133,10 @@ def test_order_is_the_slope_of_error_over_step():
 
 def test_each_disagreement_is_explained_by_what_was_measured():
     pytest.importorskip("mujoco")
-    creeps = asked(PROBLEMS["creep under load: mu = 0.5, half of what friction holds"], "mujoco")
-    assert creeps.sentence.startswith("regularised friction: 4 times as soft it is 4.0 times as wrong")
+    creeps = asked(PROBLEMS["ramp: mu = 0.8, tilted to 0.95 of its angle: it sticks"], "mujoco")
+    assert creeps.sentence.startswith("regularised friction: 4 times as soft it is 3.0 times as wrong")
+    sinks = asked(PROBLEMS["creep under load: mu = 0.5, half of what friction holds"], "mujoco")
+    assert sinks.sentence.startswith("its law of contact"), "an impedance of 1e-4 takes 1e-4 of the weight"
     coarse = asked(PROBLEMS["stiffness at fixed step: k = 1e+08 N/m, h = 4 to 0.5 ms"], "mujoco")
     assert coarse.sentence.startswith("too long a step: the finest is 5.8 radians of the contact")
     collided = asked(PROBLEMS["two-body collision: masses 1 and 3"], "mujoco")

@@ -72,9 +72,8 @@ class Plant:
         if touch.pads is None:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
-            raise CannotExpressError(
-                f"contact {touch.name}: its damping {'grows' if linear else 'does not grow'} with the depth, which this law does the other way round"
-            )
+            own = "Kelvin and Voigt's alone" if linear else "Hunt and Crossley's alone"
+            raise CannotExpressError(f"contact {touch.name}: its damping is another than this plant has, which is {own}")
         found = []
         for place, pad in enumerate(touch.pads):
             properties = drake.ProximityProperties()
