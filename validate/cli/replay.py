@@ -15,11 +15,14 @@ import click
 from models.catalog import load_scene
 from validate.cli.metrics import Row, print_metrics
 from validate.cli.options import FiniteRange, scenes, write, written_to
-from validate.cli.table import say, warn, wide_option
+from validate.cli.table import print_table, say, warn, wide_option
 from validate.execution.isolated import Limits
+from validate.execution.process import usable_cores
+from validate.judge.simulator import named_engines
 from validate.store.disk import make_folder, write_durably
 
 if TYPE_CHECKING:
+    from validate.judge.elsewhere import EngineVerdict
     from validate.judge.judgement import Judgement
     from validate.judge.replay.result import Replay
     from validate.judge.score import Verdict
@@ -31,6 +34,7 @@ Examples:
   python -m validate replay plan.csv --scene three_cart
   python -m validate replay plan.csv --scene cart_pole_walls --track
   python -m validate replay plan.csv --scene three_cart --html plan.html
+  python -m validate replay plan.csv --scene three_cart --engine all
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
 
 Exit codes: 0 the plan holds, by its inputs alone or with feedback (--require holds:
@@ -76,6 +80,12 @@ or FMU; 3 a system requirement is missing.
     is_flag=True,
     help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
 )
+@click.option(
+    "--engine",
+    "engines",
+    metavar="NAME,..|all",
+    help="What other simulators say of it, and why where they say otherwise (docs/engines.md); all: those that are installed.",
+)
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @wide_option
 @written_to("--html", "html_file", "FILE.html", "a page with verdict, player, plots and metrics")
@@ -93,6 +103,7 @@ def command(
     track: bool,
     require: str,
     own_step: bool,
+    engines: str | None,
     as_json: bool,
     html_file: Path | None,
     out: Path | None,
@@ -109,6 +120,9 @@ def command(
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     if own_step and fmu is None:
         raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+    if engines is not None and fmu is not None:
+        raise click.UsageError("--engine belongs to --scene: another simulator cannot step somebody's FMU.")
+    asked = named_engines(engines) if engines is not None else ()
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
     # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.fork).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -118,7 +132,8 @@ def command(
         judgement, warnings = judge_fmu(fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits, own_step=own_step), []
     else:
         judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
-    told = _told(judgement, warnings)
+    rows = _elsewhere(judgement, asked, limits) if asked else []
+    told = _told(judgement, warnings) | ({"engines": [row.as_json() for row in rows]} if asked else {})
     if out is not None:
         _write(out, told, judgement)
     if html_file is not None:
@@ -128,6 +143,7 @@ def command(
     else:
         warn(told["warnings"])
         _print(judgement)
+        _print_engines(rows)
     return exit_code(judgement.verdict, require)
 
 
@@ -149,6 +165,12 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
     return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
+
+
+def _elsewhere(judgement: Judgement, engines: tuple[str, ...], limits: Limits) -> list[EngineVerdict]:
+    from validate.judge.elsewhere import elsewhere
+
+    return elsewhere(judgement, engines, limits=limits, jobs=usable_cores(), tell=lambda text: say(text, err=True))
 
 
 def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
@@ -233,6 +255,18 @@ def _print(judgement: Judgement) -> None:
     for text in result.waived:
         say(f"Waived by the scene: {text.rstrip('.')}.")
     say(f"{result.verdict.value}: {result.why}")
+
+
+def _print_engines(rows: list[EngineVerdict]) -> None:
+    """What engines make of the plan, a row each, and in how many of them it is the same."""
+    if not rows:
+        return
+    cells = [
+        [row.engine, row.verdict, "" if row.agrees is None else "yes" if row.agrees else "no", row.kind.value, row.sentence] for row in rows
+    ]
+    print_table(["engine", "verdict", "as ours", "why not", "measured"], cells, ())
+    asked = [row for row in rows if row.agrees is not None]
+    say(f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step.")
 
 
 def _own_error(what: str, replay: Replay) -> str:

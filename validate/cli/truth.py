@@ -10,7 +10,6 @@ from pathlib import Path
 
 import click
 
-from models.errors import MachineError
 from reports.pages.truth import as_markdown, largest_disagreement
 from reports.records.check_record import ChartRecord
 from reports.records.truth_record import EngineRecord, LevelRecord, TruthRecord, TruthRow
@@ -18,7 +17,7 @@ from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
 from validate.execution.process import usable_cores
-from validate.judge.simulator import describe_engine, engine_names, missing
+from validate.judge.simulator import describe_engine, engine_names, named_engines
 from validate.store.provenance import command_line
 from validate.stress.case import chart
 from validate.truth.suite import NEAR, REFERENCE, EngineResult, measure
@@ -81,19 +80,6 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
             say(f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}.")
     say(record.summary)
     return 0 if reference_is_right(rows) else 1
-
-
-def named_engines(text: str) -> tuple[str, ...]:
-    """The engines of a comma-separated list, each once. Raises UnknownNameError, MachineError for one whose package is missing."""
-    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not names:
-        raise click.UsageError("--engine: name at least one engine.")
-    for name in names:
-        describe_engine(name)
-    absent = [sentence for name in names if (sentence := missing(name))]
-    if absent:
-        raise MachineError(f"{'; '.join(absent)}.")
-    return names
 
 
 def reference_is_right(rows: list[EngineResult]) -> bool:

@@ -24,14 +24,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.errors import MachineError, TouchstoneError, UnknownNameError, did_you_mean
-from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, run_isolated
+from validate.judge.replay.wiring import Feedback, HeldInputs
 
 if TYPE_CHECKING:  # the child of an engine that needs no scene's equations imports no SymPy before it reads one
     from models.scene import Scene
+    from models.trajectory import Trajectory
 
 FOLDER = Path(__file__).parent / "engines"
-_INSTALL = "pip install -e '.[engines]'"
 # What a run of an engine may use; the largest of the truth suite takes some 20 s of it on a quiet core.
 LIMITS = Limits(seconds=300.0)
 
@@ -44,15 +44,21 @@ class CannotExpressError(TouchstoneError):
 class Simulator:
     """What an engine says of itself, in literals.
 
-    title: what it is called; package: what it imports, empty for our own; adaptive: whether a tolerance and no step is what it is told; law: how it makes
-    contact, in a few words; softens: what is its own and no part of any scene, that `Drive.soft` scales, empty where there is nothing.
+    title: what it is called; package: what it imports, empty for our own; extra: what brings it; tolerances: four that it is told, the loosest first, where it takes no step;
+    law: how it makes contact, in a few words; softens: what is its own and no part of any scene, that `Drive.soft` scales, empty where there is nothing.
     """
 
     title: str
     package: str = ""
-    adaptive: bool = False
+    extra: str = "engines"
+    tolerances: tuple[float, ...] = ()
     law: str = ""
     softens: str = ""
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether it chooses its steps."""
+        return bool(self.tolerances)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,51 +66,38 @@ class Drive:
     """A scene to be stepped.
 
     plan: times (nodes,) [s], inputs (steps, nu) [N, N m] and their hold; the rest of it is not looked at. start (2 nq,): positions, then velocities [m, rad,
-    m/s, rad/s]. parts: steps of the engine between two nodes; tolerance: relative, of an adaptive engine; soft: what its own regularisation is scaled by.
+    m/s, rad/s]. parts: steps of the engine between two nodes; rows: how many of them, evenly, are given back; tolerance: relative, of an adaptive engine;
+    soft: what its own regularisation is scaled by; feedback: what corrects the inputs at each node.
     """
 
     scene: Scene
     plan: Trajectory
     start: np.ndarray
     parts: int = 1
+    rows: int = 1
     tolerance: float = 1e-9
     soft: float = 1.0
+    feedback: Feedback | None = None
 
-    def inputs(self, step: int, share: float) -> np.ndarray:
-        """Inputs within a step.
-
-        Parameters
-        ----------
-        step
-            Its number.
-        share
-            How far into it, from 0 to 1.
-
-        Returns
-        -------
-        np.ndarray
-            (nu,) [N, N m].
-
-        Raises
-        ------
-        IndexError
-            For a step that the plan does not have.
-        """
-        begin = self.plan.u[step]
-        if self.plan.hold is Hold.ZERO_ORDER:
-            return begin
-        last = begin if self.plan.u_end is None else self.plan.u_end
-        return begin + share * ((self.plan.u[step + 1] if step + 1 < self.plan.steps else last) - begin)
+    @property
+    def step(self) -> float:
+        """Of the engine, where it has one [s]: the mean of the plan's over `parts`."""
+        return float(np.diff(self.plan.t).mean()) / self.parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedMotion:
-    """What an engine made of a drive: q, v (nodes, nq) [m, rad, m/s, rad/s], not finite from where it diverged; its steps, 0 where it does not count them, and CPU seconds [s]."""
+    """What an engine made of a drive.
+
+    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made, nu): inputs with feedback [N, N m]; its steps, 0 where it
+    does not count them, and CPU seconds [s].
+    """
 
     q: np.ndarray
     v: np.ndarray
     steps: int
     seconds: float
+    applied: np.ndarray | None = None
 
     @property
     def finite(self) -> bool:
@@ -150,10 +143,24 @@ def describe_engine(name: str) -> Simulator:
 
 def missing(name: str) -> str:
     """Why an engine cannot run here, and what to do; empty: it can. Raises UnknownNameError."""
-    package = describe_engine(name).package
+    about = describe_engine(name)
+    package = about.package
     if not package or importlib.util.find_spec(package) is not None:
         return ""
-    return f"engine {name}: the package {package} is not installed; {_INSTALL}"
+    return f"engine {name}: the package {package} is not installed; pip install -e '.[{about.extra}]'"
+
+
+def named_engines(text: str) -> tuple[str, ...]:
+    """The engines of a comma-separated list, each once; `all`: those that are installed. Raises UnknownNameError, MachineError for one whose package is missing."""
+    if text.strip() == "all":
+        return tuple(name for name in engine_names() if not missing(name))
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise UnknownNameError(f"--engine: name at least one engine; there are {', '.join(engine_names())}.")
+    absent = [sentence for name in names if (sentence := missing(name))]
+    if absent:
+        raise MachineError(f"{'; '.join(absent)}.")
+    return names
 
 
 def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
@@ -188,74 +195,63 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     MachineError
         If the temporary folder cannot be written.
     """
-    absent, first = missing(name), drives[0]
+    absent = missing(name)
     if absent:
         return EngineAnswer(came=Came.MISSING, why=absent)
-    plan = first.plan
-    request = {
-        "engine": name,
-        "hold": plan.hold.value,
-        "drives": [{"parts": drive.parts, "tolerance": drive.tolerance, "soft": drive.soft} for drive in drives],
-    }
     # Our own bytes, in a folder of our own: a scene has no other form that keeps what a case changed of it.
-    arrays = {"scene": np.frombuffer(pickle.dumps(first.scene), dtype=np.uint8), "t": plan.t, "u": plan.u, "start": first.start}
-    arrays |= {} if plan.u_end is None else {"u_end": plan.u_end}
-    done = run_isolated("validate.judge.simulator:answer", request, arrays, limits=limits, what=f"engine {name}")
+    given = {"drives": np.frombuffer(pickle.dumps(tuple(drives)), dtype=np.uint8)}
+    done = run_isolated("validate.judge.simulator:answer", name, given, limits=limits, what=f"engine {name}")
     if done.ending is Ending.ERROR:
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
-    motions = tuple(
-        SimulatedMotion(q=done.arrays[f"{number}_q"], v=done.arrays[f"{number}_v"], steps=told["steps"], seconds=told["seconds"])
-        for number, told in enumerate(done.value)
-    )
-    return EngineAnswer(came=Came.DONE, motions=motions)
+    motions = []
+    for number, told in enumerate(done.value):
+        q, v, applied = (done.arrays.get(f"{number}_{part}") for part in ("q", "v", "applied"))
+        assert q is not None
+        assert v is not None
+        motions.append(SimulatedMotion(q=q, v=v, applied=applied, **told))
+    return EngineAnswer(came=Came.DONE, motions=tuple(motions))
 
 
-def answer(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-    """In the child: all motions of the request.
+def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """In the child: all motions of the engine.
 
     Parameters
     ----------
-    request
-        As `run_engine` writes it.
+    name
+        Of the engine.
     arrays
-        scene: its bytes; t (nodes,) [s], u (steps, nu) [N, N m], start (2 nq,) [m, rad, m/s, rad/s], u_end (nu,) where there is one.
+        drives: their bytes (n,) [-].
 
     Returns
     -------
     tuple
-        What JSON holds of each motion; q, v (nodes, nq) of each [m, rad, m/s, rad/s].
+        What JSON holds of each motion; q, v (rows, nq) of each [m, rad, m/s, rad/s].
 
     Raises
     ------
     CannotExpressError
         Of the engine.
     """
-    simulate, scene = load_engine(request["engine"]), pickle.loads(arrays["scene"].tobytes())
-    nothing = np.zeros((len(arrays["t"]), 0))
-    plan = Trajectory(
-        t=arrays["t"], q=nothing, v=nothing, u=arrays["u"], lam=nothing[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end")
-    )
-    value, found = [], {}
-    for number, told in enumerate(request["drives"]):
-        motion = simulate(Drive(scene=scene, plan=plan, start=arrays["start"], **told))
+    simulate, value, found = load_engine(name), [], {}
+    for number, drive in enumerate(pickle.loads(arrays["drives"].tobytes())):
+        motion = simulate(drive)
         value.append({"steps": motion.steps, "seconds": motion.seconds})
-        found |= {f"{number}_q": motion.q, f"{number}_v": motion.v}
+        found |= {f"{number}_{part}": array for part in ("q", "v", "applied") if (array := getattr(motion, part)) is not None}
     return value, found
 
 
-def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]], *, steps: int) -> SimulatedMotion:
-    """The motion node by node, by an engine that holds its state.
+def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float], tuple[np.ndarray, np.ndarray]]) -> SimulatedMotion:
+    """The motion row by row, by an engine that holds its state.
 
     Parameters
     ----------
     drive
         What is to be done.
     advance
-        Steps over an interval, by its number, and gives positions and velocities (nq,) at its end [m, rad, m/s, rad/s].
-    steps
-        How many the engine makes in all.
+        Under inputs (nu,) [N, N m] that change by so much a second (nu,) makes so many steps of so many seconds [s], and gives positions and velocities
+        (nq,) [m, rad, m/s, rad/s].
 
     Returns
     -------
@@ -267,16 +263,24 @@ def stepped(drive: Drive, advance: Callable[[int], tuple[np.ndarray, np.ndarray]
     CannotExpressError
         Whatever `advance` raises.
     """
-    nq = drive.scene.nq
-    states = np.full((len(drive.plan.t), 2 * nq), np.nan)
+    nq, inputs, count = drive.scene.nq, HeldInputs(drive.plan, drive.feedback), drive.parts // drive.rows
+    states = np.full((drive.plan.steps * drive.rows + 1, 2 * nq), np.nan)
     states[0] = drive.start
-    began = time.process_time()
-    for interval in range(drive.plan.steps):
-        state = np.concatenate(advance(interval))
-        if not np.isfinite(state).all():
+    began, row = time.process_time(), 0
+    for interval, h in enumerate(np.diff(drive.plan.t)):
+        u = inputs.begin(interval, states[row])
+        for part in range(drive.rows):
+            slope = inputs.slopes[interval]
+            state = np.concatenate(advance(u + slope * (h * part / drive.rows), slope, count, float(h) / drive.parts))
+            if not np.isfinite(state).all():
+                break
+            row += 1
+            states[row] = state
+        if row < (interval + 1) * drive.rows:
             break
-        states[interval + 1] = state
-    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began)
+    applied = None if drive.feedback is None else inputs.values
+    steps = drive.plan.steps * drive.parts
+    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began, applied=applied)
 
 
 def finer(drive: Drive, factor: int) -> Drive:

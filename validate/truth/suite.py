@@ -21,8 +21,6 @@ from models.scene import Scene
 from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, Simulator, describe_engine, finer, run_engine
 from validate.truth.problems import TruthProblem, problems
 
-# What an adaptive engine is told at the four levels; the last is the reference's own.
-TOLERANCES = (1e-7, 1e-9, 1e-11, 1e-13)
 # How much softer an engine's own regularisation is made to see what it does.
 SOFTER = 4.0
 # The reference must come this near to every answer [-]: what its tolerance leaves after 1000 bounces is a hundredth of it.
@@ -91,9 +89,10 @@ def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
     """Four levels, and where the engine softens a friction the finest once more, softer."""
     start = np.array(problem.scene.task.start, dtype=float)
     common = {"scene": problem.scene, "plan": problem.plan, "start": start}
-    found = [Drive(**common, parts=parts, tolerance=tolerance) for parts, tolerance in zip(problem.parts, TOLERANCES, strict=True)]
+    tolerances = about.tolerances or (1.0,) * len(problem.parts)
+    found = [Drive(**common, parts=parts, tolerance=tolerance) for parts, tolerance in zip(problem.parts, tolerances, strict=True)]
     if about.softens and problem.scene.nf:
-        found.append(Drive(**common, parts=problem.parts[-1], tolerance=TOLERANCES[-1], soft=SOFTER))
+        found.append(replace(found[-1], soft=SOFTER))
     return found
 
 
@@ -128,8 +127,8 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         levels.append(
             Level(
                 step=None if about.adaptive else problem.duration / problem.nodes / problem.parts[place],
-                tolerance=TOLERANCES[place] if about.adaptive else None,
-                error=max(told[place].values()),
+                tolerance=about.tolerances[place] if about.adaptive else None,
+                error=_worst(told[place], problem)[0],
                 energy=told[place].get("energy", math.nan),
                 microseconds=1e6 * motion.seconds / motion.steps if motion.steps else None,
                 seconds=motion.seconds,
@@ -137,7 +136,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         )
     last = told[len(levels) - 1]
     order = None if about.adaptive else observed_order([level.error for level in levels])
-    softer = max(told[-1].values()) / levels[-1].error if len(told) > len(levels) and levels[-1].error > 0.0 else 1.0
+    softer = _worst(told[-1], problem)[0] / levels[-1].error if len(told) > len(levels) and levels[-1].error > 0.0 else 1.0
     sentence = _why([level.error for level in levels], about.adaptive, order, softer, _radians(problem, levels[-1].step))
     return EngineResult(
         problem=problem,
@@ -145,7 +144,7 @@ def judged(problem: TruthProblem, engine: str, answer: EngineAnswer, end: np.nda
         came=Came.DONE,
         sentence=sentence,
         levels=tuple(levels),
-        worst=max(last, key=lambda name: last[name]),
+        worst=_worst(last, problem)[1],
         order=order,
     )
 
@@ -154,7 +153,7 @@ def _decided(row: EngineResult, answer: EngineAnswer, end: np.ndarray) -> Engine
     """A row whose error does not fall over four steps, after a motion at a step much shorter: it may fall yet."""
     if answer.came is not Came.DONE:
         return row
-    error = max(_errors(row.problem, answer.motions[0], end, _energy_of(row.problem.scene)).values())
+    error = _worst(_errors(row.problem, answer.motions[0], end, _energy_of(row.problem.scene)), row.problem)[0]
     beside = f"{error:.1g} at a step {_MUCH} times as short"
     if error < row.error / 4.0:
         words = f"the step's error, uneven: {row.error:.1g}, and {beside}"
@@ -174,7 +173,7 @@ def observed_order(errors: Sequence[float]) -> float | None:
 def _errors(
     problem: TruthProblem, motion: SimulatedMotion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]
 ) -> dict[str, float]:
-    """By quantity, as shares; the energy beside them, where it is kept: it decides nothing else than its own problem."""
+    """By quantity, as shares, the energy beside them."""
     if not motion.finite:
         return {"the motion": math.nan}
     start = np.split(np.array(problem.scene.task.start, dtype=float), 2)
@@ -182,6 +181,11 @@ def _errors(
     share = abs(energy(motion.q[-1], motion.v[-1]) - true) / max(abs(energy(*start)), abs(true))
     found = problem.errors(problem.plan.t, motion.q, motion.v, end)
     return found | ({"energy": share} if math.isfinite(share) else {})
+
+
+def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
+    """The largest error and its quantity; the energy, of which there may be next to none, decides only where it is kept."""
+    return max((error, name) for name, error in told.items() if name != "energy" or problem.energy_kept)
 
 
 def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
@@ -214,12 +218,12 @@ def _why(errors: Sequence[float], adaptive: bool, order: float | None, softer: f
         return "it diverges, at the finest step too"
     if last <= _RIGHT:
         return f"right to {last:.1g}"
-    if adaptive:
-        return f"{last:.1g} at its tightest tolerance, {first:.1g} at its loosest"
     if radians > 1.0 and last > 1e-3:
         return f"too long a step: the finest is {radians:.1f} radians of the contact, and the error {last:.2g}"
     if softer >= SOFTER / 2:
         return f"regularised friction: {SOFTER:g} times as soft it is {softer:.1f} times as wrong; {last:.1g} at the finest step"
+    if adaptive:
+        return f"{last:.1g} at its tightest tolerance, {first:.1g} at its loosest"
     if order is not None and order >= 0.7:
         return f"the step's error: it falls with order {order:.1f}, to {last:.1g}"
     if math.isfinite(first) and last < first / 4.0:

@@ -1,41 +1,39 @@
-"""A scene as other simulators can be told it: masses that slide, springs, dampers, contacts and frictions with numbers for coefficients.
+"""A scene as other simulators can be told it: bodies on joints, forces, and contacts between balls and planes, with numbers for coefficients.
 
     mechanism = mechanism_of(scene)          # raises CannotExpressError, in a sentence, for a scene that is no such thing
+    mechanism.bodies                         # the bodies as the worldbody of an MJCF text: joints have the names of coordinates
+    mechanism.touches[0].pads                # the ball and the plane, or the two balls, that meet
 
 Every number is derived from the scene's own energies, forces and contacts; nothing is typed twice. Each coordinate is a body that slides, or one of the
-axes of a body: a disc has two, and so has what rubs on something. The gap of a contact is linear, `normal @ q - offset`, or the distance of two centres.
+axes of a body: a disc has two, and so has what rubs on something. Scenes whose bodies turn are written out in `_trees`. An engine makes the contacts; what is
+smooth - springs, dampers, inputs - acts on it as forces.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import sympy as sp
 
 from models.dynamics import derive
 from models.scene import Contact, Scene
-from models.scene.contacts import DampingLaw
+from models.scene.contacts import DampingLaw, Friction
+from validate.judge.engines._trees import TREES, Pad
 from validate.judge.simulator import CannotExpressError
 
-# A spring or damper weaker than this share of the strongest is rounding of the eigenvalues.
-_ROUNDING = 1e-12
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Link:
-    """A spring or damper along a direction: force -strength * direction * (direction @ x); direction (nq,), strength [N/m or N s/m], of a spring also negative."""
-
-    strength: float
-    direction: np.ndarray
+# Radius of a ball that slides along a plane [m]: nothing depends on it.
+_BALL = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Touch:
-    """A contact: gap = normal @ q - offset, or with centres the distance of those two bodies less offset.
+    """A contact: gap = normal @ q - offset, or with centres the distance of those two bodies less offset; with neither only its pads tell.
 
-    normal (nq,); offset, stiffness, damping in the scene's units; law of its damping; centres: the coordinates (x, y) of each body.
+    normal (nq,); offset, stiffness, damping in the scene's units; law of its damping; friction: its coefficient; centres: the coordinates (x, y) of each body;
+    pads: what meets, steepness: the gap's change over that of their distance; without pads `why` says why.
     """
 
     name: str
@@ -44,17 +42,20 @@ class Touch:
     stiffness: float
     damping: float
     law: DampingLaw
+    friction: float = 0.0
     centres: tuple[tuple[int, int], tuple[int, int]] | None = None
+    pads: tuple[Pad, Pad] | None = None
+    steepness: float = 1.0
+    why: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rub:
-    """Dry friction: slip = direction @ v, direction (nq,); pressed by `touch` (its place among the touches) or by a constant force [N]."""
+    """Dry friction under a constant weight [N]: slip = direction @ v, direction (nq,)."""
 
     name: str
     direction: np.ndarray
     coefficient: float
-    touch: int | None
     pressed: float
 
 
@@ -62,27 +63,41 @@ class Rub:
 class Mechanism:
     """See the module docstring.
 
-    masses (nq,) [kg], None where the engine's own bodies were asked for; constant (nq,) [N]: forces that never change; drive (nq, nu): force of each input.
+    bodies: their MJCF text; gravity [m/s^2], downwards; joints: q of the joints = joints @ q of the scene, (nq, nq); forces: the smooth ones on each coordinate, by
+    the symbols q, v, u; weights: joint and force [N] of each rub that was given a body of its own to press.
     """
 
-    masses: np.ndarray | None
-    constant: np.ndarray
-    drive: np.ndarray
-    springs: tuple[Link, ...]
-    dampers: tuple[Link, ...]
+    bodies: str
+    gravity: float
+    joints: np.ndarray
+    forces: tuple[sp.Expr, ...]
+    symbols: tuple[Sequence[sp.Symbol], ...]
     touches: tuple[Touch, ...]
     rubs: tuple[Rub, ...]
+    weights: tuple[tuple[str, float, float], ...] = ()
+
+    @property
+    def steady(self) -> bool:
+        """Whether the smooth forces depend on inputs alone."""
+        return not set().union(*(force.free_symbols for force in self.forces)) & {*self.symbols[0], *self.symbols[1]}
+
+    def smooth(self, modules: Any = "math") -> Callable[..., list[float]]:
+        """The smooth forces on the joints, in the arithmetic of `modules`, as a function of q, v of the joints and u one by one. Raises nothing."""
+        q, v, u = self.symbols
+        back = sp.Matrix(np.linalg.inv(self.joints).tolist()) if (self.joints != np.eye(len(q))).any() else sp.eye(len(q))
+        turned = dict(zip((*q, *v), (*(back * sp.Matrix(q)), *(back * sp.Matrix(v))), strict=True))
+        return sp.lambdify([*q, *v, *u], list((back.T * sp.Matrix(self.forces)).subs(turned, simultaneous=True)), modules)
 
 
-def mechanism_of(scene: Scene, *, bodies: bool = True) -> Mechanism:
+def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
     """The mechanism of a scene.
 
     Parameters
     ----------
     scene
         With numbers for its parameters.
-    bodies
-        Whether masses and potential are asked for too; False where the engine's own bodies and gravity stand for them.
+    weights
+        Whether what rubs under a constant weight becomes a body that is pressed on a plane, for engines without dry friction on joints.
 
     Returns
     -------
@@ -95,56 +110,106 @@ def mechanism_of(scene: Scene, *, bodies: bool = True) -> Mechanism:
         With a sentence that says which part of the scene is no part of a mechanism.
     """
     dynamics, values = derive(scene), scene.parameter_values
-    q, v, u = dynamics.q, dynamics.v, dynamics.u
-    masses, constant, springs = None, np.zeros(scene.nq), ()
-    if bodies:
-        if not (dynamics.structure.constant_mass and dynamics.structure.diagonal_mass):
-            raise CannotExpressError(
-                "its masses do not each move along a coordinate of their own (the mass matrix is no constant diagonal)"
-            )
-        masses = np.array([float(dynamics.mass_matrix[i, i].subs(values)) for i in range(scene.nq)])
-        slope, rest = _affine(
-            [-sp.diff(dynamics.potential_energy.subs(values), symbol) for symbol in q], q, "its potential is no sum of springs"
-        )
-        constant, springs = rest, _links(-slope)
-    slope, rest = _affine(
-        [force.subs(values) for force in scene.forces], (*q, *v, *u), "its forces are not linear in positions, velocities and inputs"
-    )
-    if np.abs(slope[:, : scene.nq]).max(initial=0.0) > 0.0:
-        raise CannotExpressError("its forces depend on positions without a potential")
-    damping = -slope[:, scene.nq : 2 * scene.nq]
-    if not np.allclose(damping, damping.T, rtol=1e-12, atol=0.0):
-        raise CannotExpressError("its damping is no sum of dampers between bodies")
+    symbols, tree = (dynamics.q, dynamics.v, dynamics.u), TREES.get(scene.name)
+    forces = [force.subs(values) for force in scene.forces]
+    touches, rubs = _with_friction(scene, [_touch(scene, contact, tree is not None) for contact in scene.contacts])
+    if tree is not None:
+        found = tree(scene)
+        return Mechanism(
+            bodies=found.bodies, gravity=found.gravity, joints=np.array(found.joints or np.eye(scene.nq)), forces=tuple(forces), symbols=symbols,
+            touches=tuple(replace(touch, pads=found.pads.get(touch.name), why="its joints have no stops") for touch in touches), rubs=rubs,
+        )  # fmt: skip
+    if not (dynamics.structure.constant_mass and dynamics.structure.diagonal_mass):
+        raise CannotExpressError("its masses do not each move along a coordinate of their own (the mass matrix is no constant diagonal)")
+    potential = dynamics.potential_energy.subs(values)
+    forces = [force - sp.diff(potential, symbol) for force, symbol in zip(forces, dynamics.q, strict=True)]
+    masses = [float(dynamics.mass_matrix[i, i].subs(values)) for i in range(scene.nq)]
+    slides = _Slides(scene, masses, touches, rubs)
+    pressed = [slides.press(rub) for rub in rubs] if weights else []
     return Mechanism(
-        masses=masses,
-        constant=constant + rest,
-        drive=slope[:, 2 * scene.nq :],
-        springs=springs,
-        dampers=_links(damping),
-        touches=tuple(_touch(scene, contact, bodies) for contact in scene.contacts) if bodies else _linear_touches(scene),
-        rubs=_rubs(scene),
-    )
+        bodies=slides.text(), gravity=0.0, joints=np.eye(scene.nq), forces=tuple(forces), symbols=symbols,
+        touches=(*(slides.padded(touch) for touch in touches), *(touch for touch, _ in pressed)), rubs=rubs, weights=tuple(weight for _, weight in pressed),
+    )  # fmt: skip
 
 
-def axes_of_bodies(mechanism: Mechanism) -> list[tuple[int, ...]]:
-    """Which coordinates belong to one body: the centre of a disc, what a rubbing body slides along and is pressed along; every other is one of its own."""
-    owner = list(range(len(mechanism.constant)))
+class _Slides:
+    """Bodies on slides, all from the origin: which coordinates are axes of one body, along what, and what they are padded with."""
 
-    def join(one: int, other: int) -> None:
-        first, second = sorted((owner[one], owner[other]))
-        owner[:] = [first if item == second else item for item in owner]
+    def __init__(self, scene: Scene, masses: Sequence[float], touches: Sequence[Touch], rubs: Sequence[Rub]) -> None:
+        self.names = [coordinate.name for coordinate in scene.coordinates]
+        self.masses, self.touches, self.extra = masses, touches, {}
+        self.axis = dict.fromkeys(range(scene.nq), 0)
+        self.owner = list(range(scene.nq))
+        # Which coordinate a rubbing contact slides along, and which body (None: the ground) is under it.
+        self.under: dict[str, int | None] = {}
+        for touch in touches:
+            for x, y in touch.centres or ():
+                self._join(x, y, 1)
+        for friction in scene.frictions:
+            if friction.contact is not None:
+                slip = _slip(scene, friction)
+                pressed, along = (
+                    np.flatnonzero(next(touch.normal for touch in touches if touch.name == friction.contact)),
+                    np.flatnonzero(slip > 0.0),
+                )
+                if len(pressed) != 1 or len(along) != 1 or along[0] == pressed[0]:
+                    raise CannotExpressError(f"friction {friction.name} is pressed by a contact of more than one coordinate")
+                self._join(int(along[0]), int(pressed[0]), 2)
+                below = np.flatnonzero(slip < 0.0)
+                self.under[friction.contact] = int(below[0]) if len(below) else None
 
-    for touch in mechanism.touches:
-        for centre in touch.centres or ():
-            join(*centre)
-    for rub in mechanism.rubs:
-        if rub.touch is not None:
-            pressed = np.flatnonzero(mechanism.touches[rub.touch].normal)
-            slides = np.flatnonzero(rub.direction > 0.0)
-            if len(pressed) != 1 or len(slides) != 1:
-                raise CannotExpressError(f"friction {rub.name} is pressed by a contact of more than one coordinate")
-            join(int(pressed[0]), int(slides[0]))
-    return [tuple(np.flatnonzero(np.array(owner) == first).tolist()) for first in dict.fromkeys(owner)]
+    def _join(self, one: int, other: int, axis: int) -> None:
+        first, second = sorted((self.owner[one], self.owner[other]))
+        self.owner = [first if item == second else item for item in self.owner]
+        self.axis[other] = axis
+
+    def _body(self, coordinate: int | None) -> str:
+        return "" if coordinate is None else self.names[self.owner[coordinate]]
+
+    def padded(self, touch: Touch) -> Touch:
+        """With the balls and planes of its gap, where there are some."""
+        if touch.centres is not None:
+            # The smaller of two balls stands for both in their sum; each gets half.
+            balls = tuple(Pad(body=self._body(centre[0]), at=(0.0, 0.0, 0.0), radius=touch.offset / 2) for centre in touch.centres)
+            return replace(touch, pads=(balls[0], balls[1]))
+        moved = np.flatnonzero(touch.normal)
+        slopes = touch.normal[moved]
+        if len(moved) > 2 or not len(moved) or (len(moved) == 2 and (slopes.sum() != 0.0 or self.axis[moved[0]] != self.axis[moved[1]])):
+            return replace(touch, why="its gap is no distance of two bodies on one line")
+        side, steepness = float(np.sign(slopes[0])), float(abs(slopes[0]))
+        other = int(moved[1]) if len(moved) == 2 else self.under.get(touch.name)
+        along = np.eye(3)[self.axis[int(moved[0])]]
+        ball = Pad(body=self._body(int(moved[0])), at=tuple(side * _BALL * along), radius=_BALL)
+        plane = Pad(body=self._body(other), at=tuple(side * touch.offset / steepness * along), normal=tuple(side * along))
+        return replace(touch, pads=(ball, plane), steepness=steepness)
+
+    def press(self, rub: Rub) -> tuple[Touch, tuple[str, float, float]]:
+        """The contact that stands for a weight, upright, as stiff as the stiffest of the scene; its joint, its force [N] and where it starts in balance [m]."""
+        over, below = (np.flatnonzero(sign * rub.direction > 0.0) for sign in (1.0, -1.0))
+        stiffness = max((touch.stiffness for touch in self.touches), default=1e4)
+        body, joint = self._body(int(over[0])), f"weight_{rub.name}"
+        self.extra[body] = joint
+        ball = Pad(body=body, at=(0.0, 0.0, _BALL), radius=_BALL)
+        plane = Pad(body=self._body(int(below[0]) if len(below) else None), at=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+        touch = Touch(
+            name=joint, normal=np.zeros(len(self.names)), offset=0.0, stiffness=stiffness, damping=0.0, law=DampingLaw.KELVIN_VOIGT,
+            friction=rub.coefficient, pads=(ball, plane),
+        )  # fmt: skip
+        return touch, (joint, -rub.pressed, -rub.pressed / stiffness)
+
+    def text(self) -> str:
+        """Their MJCF. Raises CannotExpressError."""
+        found = ""
+        for first in dict.fromkeys(self.owner):
+            own = [place for place, item in enumerate(self.owner) if item == first]
+            mass = self.masses[first]
+            if not np.allclose([self.masses[place] for place in own], mass, rtol=1e-12):
+                raise CannotExpressError("a body has another mass in each direction")
+            joints = [(self.names[place], self.axis[place]) for place in own]
+            joints += [(self.extra[self.names[first]], 2)] if self.names[first] in self.extra else []
+            slides = "".join(f'<joint name="{name}" type="slide" axis="{["1 0 0", "0 1 0", "0 0 1"][axis]}"/>' for name, axis in joints)
+            found += f'<body name="{self.names[first]}">{slides}<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1 1 1"/></body>'
+        return found
 
 
 def _affine(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], otherwise: str) -> tuple[np.ndarray, np.ndarray]:
@@ -157,48 +222,24 @@ def _affine(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], otherw
     return np.array(slope, dtype=float).reshape(len(expressions), len(symbols)), np.array(rest, dtype=float).ravel()
 
 
-def _links(matrix: np.ndarray) -> tuple[Link, ...]:
-    """A symmetric matrix (nq, nq) as a sum of links; a diagonal one along the coordinates themselves."""
-    if not matrix.any():
-        return ()
-    strengths, directions = np.linalg.eigh(matrix)
-    if not (matrix - np.diag(np.diag(matrix))).any():
-        strengths, directions = np.diag(matrix), np.eye(len(matrix))
-    return tuple(
-        Link(strength=float(strength), direction=directions[:, place])
-        for place, strength in enumerate(strengths)
-        if abs(strength) > _ROUNDING * np.abs(strengths).max()
-    )
-
-
-def _linear_touches(scene: Scene) -> tuple[Touch, ...]:
-    """Those contacts of a scene whose gap is linear; the others are the bodies' own matter."""
-    found = []
-    for contact in scene.contacts:
-        try:
-            found.append(_touch(scene, contact, False))
-        except CannotExpressError:
-            continue
-    return tuple(found)
-
-
-def _touch(scene: Scene, contact: Contact, discs: bool) -> Touch:
+def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
     values = scene.parameter_values
     q = [coordinate.symbol for coordinate in scene.coordinates]
     penetration = contact.penetration.subs(values)
-    numbers = {
-        "name": contact.name,
-        "stiffness": float(contact.stiffness.subs(values)),
-        "damping": float(contact.damping.subs(values)),
-        "law": contact.damping_law,
-    }
+    touch = Touch(
+        name=contact.name, normal=np.zeros(scene.nq), offset=0.0, stiffness=float(contact.stiffness.subs(values)),
+        damping=float(contact.damping.subs(values)), law=contact.damping_law,
+    )  # fmt: skip
     distances = [item for item in penetration.atoms(sp.Pow) if item.exp == sp.Rational(1, 2)]
-    if discs and len(distances) == 1 and not (penetration + distances[0]).free_symbols:
-        return Touch(
-            **numbers, normal=np.zeros(scene.nq), offset=float(penetration + distances[0]), centres=_centres(contact, distances[0], q)
-        )
-    slope, rest = _affine([penetration], q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
-    return Touch(**numbers, normal=-slope[0], offset=float(rest[0]))
+    if not is_tree and len(distances) == 1 and not (penetration + distances[0]).free_symbols:
+        return replace(touch, offset=float(penetration + distances[0]), centres=_centres(contact, distances[0], q))
+    try:
+        slope, rest = _affine([penetration], q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
+    except CannotExpressError:
+        if is_tree:
+            return touch
+        raise
+    return replace(touch, normal=-slope[0], offset=float(rest[0]))
 
 
 def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -211,18 +252,25 @@ def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tup
     return (x1, y1), (x2, y2)
 
 
-def _rubs(scene: Scene) -> tuple[Rub, ...]:
-    values = scene.parameter_values
-    q, v = ([getattr(item, part) for item in scene.coordinates] for part in ("symbol", "velocity"))
-    names = [contact.name for contact in scene.contacts]
-    found = []
+def _slip(scene: Scene, friction: Friction) -> np.ndarray:
+    """Its direction, (nq,) [-]."""
+    v = [item.velocity for item in scene.coordinates]
+    return _affine([friction.slip.subs(scene.parameter_values)], v, f"the direction of friction {friction.name} depends on the positions")[
+        0
+    ][0]
+
+
+def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...], tuple[Rub, ...]]:
+    """Frictions as coefficients of the contacts that press them, or as rubs under a constant weight."""
+    values, found = scene.parameter_values, {touch.name: touch for touch in touches}
+    rubs = []
     for friction in scene.frictions:
-        where = f"friction {friction.name}"
-        direction, _ = _affine([friction.slip.subs(values)], v, f"the direction of {where} depends on the positions")
-        pressed = sp.S.Zero if friction.normal_force is None else friction.normal_force.subs(values)
-        if pressed.free_symbols & set(q):
-            raise CannotExpressError(f"what presses {where} depends on the positions without being a contact")
-        touch = None if friction.contact is None else names.index(friction.contact)
         coefficient = float(friction.coefficient.subs(values))
-        found.append(Rub(name=friction.name, direction=direction[0], coefficient=coefficient, touch=touch, pressed=float(pressed)))
-    return tuple(found)
+        if friction.contact is not None:
+            found[friction.contact] = replace(found[friction.contact], friction=coefficient)
+            continue
+        pressed = sp.S.Zero if friction.normal_force is None else friction.normal_force.subs(values)
+        if pressed.free_symbols:
+            raise CannotExpressError(f"what presses friction {friction.name} depends on the positions without being a contact")
+        rubs.append(Rub(name=friction.name, direction=_slip(scene, friction), coefficient=coefficient, pressed=float(pressed)))
+    return tuple(found.values()), tuple(rubs)

@@ -15,4 +15,5 @@ def motion_of(drive: Drive, variables: Variables, run: Run, *, steps: int, secon
     states = np.full((len(drive.plan.t), 2 * nq), np.nan)
     rows = np.array(run.outputs)[run.knots, : 2 * nq]
     states[: len(rows)] = rows
-    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=seconds)
+    applied = None if drive.feedback is None else np.array(run.applied).reshape(len(run.applied), drive.scene.nu)
+    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=seconds, applied=applied)

@@ -13,7 +13,7 @@ from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 
-ENGINE = Simulator(title="our FMU, reference (CVODE)", adaptive=True, law="the scene's own, events located")
+ENGINE = Simulator(title="our FMU, reference (CVODE)", tolerances=(1e-7, 1e-9, 1e-11, 1e-13), law="the scene's own, events located")
 
 
 def simulate(drive: Drive) -> SimulatedMotion:
@@ -23,7 +23,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
         model = ExchangeModel(package, variables)
         began = time.process_time()
         try:
-            run = integrate(model, drive.start, HeldInputs(drive.plan), drive.tolerance, EVENT_BUDGET, parts=PARTS)
+            run = integrate(model, drive.start, HeldInputs(drive.plan, drive.feedback), drive.tolerance, EVENT_BUDGET, parts=PARTS)
         finally:
             model.close()
         return motion_of(drive, variables, run, steps=0, seconds=time.process_time() - began)

@@ -18,7 +18,7 @@ ENGINE = Simulator(title="our FMU, every day (fixed step)", law="the scene's own
 def simulate(drive: Drive) -> SimulatedMotion:
     """The motion of a drive at its step. Raises FmuError."""
     with unpacked(read_package(build_fmu(drive.scene, results=False))) as package:
-        variables, inputs = find_variables(package, drive.scene), HeldInputs(drive.plan)
+        variables, inputs = find_variables(package, drive.scene), HeldInputs(drive.plan, drive.feedback)
         began = time.process_time()
         run = step_through(package, variables, drive.start, inputs, drive.parts)
         return motion_of(drive, variables, run, steps=drive.plan.steps * drive.parts, seconds=time.process_time() - began)

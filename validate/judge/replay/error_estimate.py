@@ -102,7 +102,7 @@ def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Fe
     if run.outcome is not ReplayOutcome.OK:
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return without_estimate(replayed, note)
-    lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
+    lag, estimate = difference(Outputs(scene, twice, run, run.knots), ReplayNodes(replayed)), replayed.error.estimate
     both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
     return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
 
@@ -112,7 +112,7 @@ def without_estimate(replayed: Replay, note: str) -> Replay:
     return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
 
 
-class _Nodes:
+class ReplayNodes:
     """A replay at the plan's nodes."""
 
     def __init__(self, replay: Replay) -> None:

@@ -1,0 +1,284 @@
+"""The verdict matrix: does a plan hold in other simulators, and where one says otherwise, why. By measurement.
+
+    rows = elsewhere(judgement, ("fmu_everyday", "mujoco"))        # judgement: of the plan on its scene, by our reference
+    rows[1].verdict, rows[1].kind, rows[1].sentence
+
+Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of the one before, and what it makes of them is scored as our own
+replay is, with the difference of the last two as its error; with feedback, our law around the plan, where the score asks for that. A disagreement is of any
+of the three with our verdict. Its class is measured: the step made shorter, the engine's own softness changed, our own error growth from where the
+two part, all contacts stiffened.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from enum import Enum
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from models.codegen.kernel import load_kernel
+from models.errors import SceneError
+from models.scene import Limit, Scene
+from validate.execution.isolated import Limits
+from validate.judge.judgement import Judgement
+from validate.judge.replay.error_estimate import ReplayNodes, difference
+from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
+from validate.judge.replay.wiring import Feedback, measure_effort
+from validate.judge.score import Score, score, wants_feedback
+from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, finer, run_engine
+
+REFERENCE = "fmu"
+# Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter of the one before at each level.
+ROWS, LEVELS = 4, (1, 4, 16)
+# What the last of them is shortened by once more where that has not decided; what softness and stiffness are changed by.
+_MUCH, _SOFTER, _STIFFER = 4, 4.0, 4.0
+# From which growth of an error on a motion is called unstable.
+_GROWS = 30.0
+_OF_THE_JUDGE = "of the judge's own health; what an engine loses or gains is what its motion is judged by"
+
+
+class Kind(Enum):
+    """Why an engine says something else."""
+
+    NONE = ""
+    STEP = "step error"
+    FRICTION = "friction regularisation"
+    UNSTABLE = "unstable motion"
+    LAW = "contact law"
+    GEOMETRY = "geometry"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineLevel:
+    """What was found at one step: step [s] or tolerance, the verdict, the largest distance from our motion in nominal sizes [-], infinite where it diverged."""
+
+    step: float
+    verdict: str
+    distance: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EngineVerdict:
+    """A row: an engine, what came of asking it, its score at the finest step (None: it did not come to one), whether it agrees with ours; kind and sentence: why not."""
+
+    engine: str
+    came: Came
+    agrees: bool | None = None
+    score: Score | None = None
+    levels: tuple[EngineLevel, ...] = ()
+    kind: Kind = Kind.NONE
+    sentence: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """In a word, or what came of asking."""
+        return self.came.value if self.score is None else self.score.verdict.value
+
+    def as_json(self) -> dict[str, Any]:
+        """As JSON holds it: what is infinite is null."""
+        levels = [asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None} for level in self.levels]
+        why = "" if self.score is None else self.score.why
+        return {
+            "engine": self.engine,
+            "verdict": self.verdict,
+            "agrees": self.agrees,
+            "kind": self.kind.value,
+            "sentence": self.sentence,
+            "why": why,
+            "levels": levels,
+        }
+
+
+def elsewhere(
+    judgement: Judgement, engines: Sequence[str], *, limits: Limits = LIMITS, jobs: int = 1, tell: Callable[[str], None] = lambda text: None
+) -> list[EngineVerdict]:
+    """A row for each engine. Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError."""
+    if not isinstance(judgement.scene, Scene) or judgement.plan is None or judgement.replay is None or not judgement.replay.ok:
+        raise SceneError("engines: they step scenes, by a plan whose own replay came to its end; this is not one.")
+    matrix = _Matrix(judgement, judgement.scene, limits)
+
+    def row(engine: str) -> EngineVerdict:
+        found = matrix.row(engine)
+        tell(f"{engine}: {found.verdict}{f': {found.kind.value}' if found.kind.value else ''}")
+        return found
+
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        return list(pool.map(row, engines))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    """A level's motion as a replay, and its score."""
+
+    replay: Replay
+    score: Score
+    distance: float
+    drive: Drive
+    motion: SimulatedMotion
+
+
+class _Matrix:
+    """What is the same for all engines."""
+
+    def __init__(self, judgement: Judgement, scene: Scene, limits: Limits) -> None:
+        assert judgement.plan is not None
+        assert judgement.replay is not None
+        self.ours, self.plan, self.limits = judgement, judgement.plan, limits
+        waived = tuple(Limit(metric=name, value=None, reason=_OF_THE_JUDGE) for name in ("energy_residual_relative", "answer_error"))
+        own = tuple(limit for limit in scene.limits if limit.metric not in {item.metric for item in waived})
+        self.scene, self.kernel = replace(scene, limits=(*own, *waived)), load_kernel(scene.continuous())
+        self.replay, self.nominal = judgement.replay, nominals(scene)[: scene.nq]
+        self.feedback: Feedback | None = None
+        if self.plan.has_states and scene.nu:
+            try:
+                self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
+            except TrackingError:
+                self.feedback = None
+
+    def row(self, engine: str) -> EngineVerdict:
+        """Ask one engine. Raises UnknownNameError, MachineError."""
+        if engine == REFERENCE:
+            level = EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0)
+            return EngineVerdict(
+                engine=engine,
+                came=Came.DONE,
+                agrees=True,
+                score=self.ours.score,
+                levels=(level,),
+                sentence="what the others are held against",
+            )
+        about = describe_engine(engine)
+        tolerances = about.tolerances[1:] or (1.0,) * len(LEVELS)
+        base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
+        drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]
+        answer, found = self._scored(engine, drives)
+        if answer.came is not Came.DONE:
+            return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
+        levels = tuple(
+            EngineLevel(
+                step=item.drive.tolerance if about.adaptive else item.drive.step, verdict=item.score.verdict.value, distance=item.distance
+            )
+            for item in found
+        )
+        agrees = all(level.verdict == self.ours.verdict.value for level in levels)
+        kind, sentence = (Kind.NONE, f"the same, {_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
+        return EngineVerdict(
+            engine=engine, came=Came.DONE, agrees=agrees, score=found[-1].score, levels=levels, kind=kind, sentence=sentence
+        )
+
+    def _scored(self, engine: str, drives: Sequence[Drive], after: _Found | None = None) -> tuple[EngineAnswer, list[_Found]]:
+        """All motions of these drives scored, each against the one before it, the first against `after`; with feedback where the score of one asks for it."""
+        answer = run_engine(engine, drives, limits=self.limits)
+        if answer.came is not Came.DONE:
+            return answer, []
+        opened = self._replays(drives, answer.motions, None if after is None else after.replay)
+        scores, followed = [score(self.scene, self.plan, item) for item in opened], [None] * len(drives)
+        if self.feedback is not None and any(wants_feedback(item.metrics) for item in scores):
+            asked = [replace(drive, feedback=self.feedback) for drive in drives]
+            tracked = run_engine(engine, asked, limits=self.limits)
+            if tracked.came is Came.DONE:
+                followed = self._replays(asked, tracked.motions, None if after is None else after.replay.tracked)
+        found = []
+        for drive, motion, item, other, alone in zip(drives, answer.motions, opened, followed, scores, strict=True):
+            whole = item if other is None else replace(item, tracked=other)
+            judged = alone if other is None else score(self.scene, self.plan, whole)
+            found.append(
+                _Found(
+                    replay=whole,
+                    score=judged,
+                    distance=self._distance(motion.q, self.replay.q[self.replay.knots]),
+                    drive=drive,
+                    motion=motion,
+                )
+            )
+        return answer, found
+
+    def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion], before: Replay | None) -> list[Replay]:
+        """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""
+        made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
+        whole = [item if item is not None and item.ok else None for item in (before, *made)]
+        apart = [difference(*(None if item is None else ReplayNodes(item) for item in pair)) for pair in pairwise(whole)]
+        errors = [scaled(item, 0.5) for item in apart]
+        if before is None and len(apart) > 1:
+            errors[0] = scaled(apart[1], 2.0)
+        return [replace(item, error=ReplayError(estimate=error)) for item, error in zip(made, errors, strict=True)]
+
+    def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
+        plan, count = self.plan, int(np.isfinite(np.hstack([motion.q, motion.v])).all(axis=1).argmin()) or len(motion.q)
+        rows = (len(motion.q) - 1) // plan.steps
+        t = np.append(np.concatenate([np.linspace(a, b, rows, endpoint=False) for a, b in pairwise(plan.t)]), plan.t[-1])[:count]
+        q, v = motion.q[:count], motion.v[:count]
+        whole, nothing = count == len(motion.q), np.zeros(count)
+        kinetic, potential = self.kernel.energy(q, v)
+        gap = -self.kernel.penetration(q)
+        found = replace(
+            self.replay, outcome=ReplayOutcome.OK if whole else ReplayOutcome.DIVERGED, message="", method="everyday", t=t, q=q, v=v,
+            lam=self.kernel.contact_force(q, v=v), gap=gap, friction=np.zeros((count, self.scene.nf)), knots=np.arange(0, count, rows),
+            kinetic_energy=kinetic, potential_energy=potential, contact_energy=nothing, input_work=None, dissipated_work=None, contact_impulse=None,
+            events=(), tracked=None, feedback=None, applied=None, effort=None,
+        )  # fmt: skip
+        if drive.feedback is None or motion.applied is None:
+            return found
+        applied = motion.applied[: len(found.knots) - 1]
+        return replace(found, feedback=drive.feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, drive.feedback))
+
+    def _distance(self, q: np.ndarray, true: np.ndarray, times: slice = slice(None)) -> float:
+        """The largest distance of two motions (rows, nq) [m, rad] at the plan's nodes, in nominal sizes [-]; infinite where one diverged."""
+        one, other = (rows[:: (len(rows) - 1) // self.plan.steps] for rows in (q, true))
+        return float(np.nan_to_num(np.abs(one - other)[times] / self.nominal, nan=np.inf).max())
+
+    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Kind, str]:
+        """The class of a disagreement, and what was measured."""
+        ours, about, last, first, end = self.ours.verdict.value, describe_engine(engine), found[-1], levels[0], levels[-1]
+        step = "tolerance" if about.adaptive else "step"
+        begun = f"{first.verdict} at a {step} of {first.step:.2g}, {_size(first.distance)} from ours"
+        if end.verdict == ours:
+            return Kind.STEP, f"{begun}; {end.verdict} at {end.step:.2g}, {_size(end.distance)} from ours"
+        much = finer(last.drive, _MUCH)
+        _, more = self._scored(engine, [much], last)
+        told = much.tolerance if about.adaptive else much.step
+        if more and (more[0].score.verdict.value == ours or more[0].distance < end.distance / 2.0):
+            return Kind.STEP, f"{begun}; {more[0].score.verdict.value} at {told:.2g}, {_size(more[0].distance)} from ours"
+        stays = f"{end.verdict} at a {step} of {end.step:.2g}, {_size(end.distance)} from ours, and no nearer at {told:.2g}"
+        if about.softens and self.scene.nf:
+            soft = self._apart(replace(last.drive, soft=_SOFTER), engine)
+            if soft > _SOFTER / 2.0 * end.distance:
+                return Kind.FRICTION, f"{stays}; with its friction {_SOFTER:g} times as soft {_size(soft)}"
+        growth = self.replay.growth
+        if growth is not None and growth.amplification > _GROWS:
+            begin = min(int(np.searchsorted(self.plan.t, growth.begin)) + 1, self.plan.steps)
+            apart = self._distance(last.motion.q, self.replay.q[self.replay.knots], slice(begin, begin + 1))
+            if apart * growth.amplification >= end.distance / 3.0:
+                grows = f"{_size(apart)} at {self.plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
+                return Kind.UNSTABLE, f"{stays}; {grows}"
+        stiff = self._apart(last.drive, engine, _STIFFER)
+        same = end.distance / 2.0 < stiff < 2.0 * end.distance
+        return (Kind.GEOMETRY if same else Kind.LAW), f"{stays}; with contacts {_STIFFER:g} times as stiff {_size(stiff)}"
+
+    def _apart(self, drive: Drive, engine: str, stiffer: float = 1.0) -> float:
+        """How far an engine is from our reference by that drive, both with contacts so much stiffer [-]; infinite where one comes to no end."""
+        contacts = tuple(replace(contact, stiffness=stiffer * contact.stiffness) for contact in drive.scene.contacts)
+        asked = replace(drive, scene=replace(drive.scene, contacts=contacts))
+        answers = [
+            run_engine(engine, [asked], limits=self.limits),
+            run_engine(REFERENCE, [replace(asked, tolerance=describe_engine(REFERENCE).tolerances[-1])], limits=self.limits),
+        ]
+        if any(answer.came is not Came.DONE for answer in answers):
+            return np.inf
+        one, other = (answer.motions[0].q for answer in answers)
+        return self._distance(one, other)
+
+
+def scaled(apart: Difference | None, factor: float) -> Difference | None:
+    """A difference so many times as large."""
+    return None if apart is None else Difference(position=factor * apart.position, state=factor * apart.state, gap=factor * apart.gap)
+
+
+def _size(distance: float) -> str:
+    return f"{distance:.2g}" if np.isfinite(distance) else "out of every bound"

@@ -1,0 +1,140 @@
+"""Drake's plant of a scene, which its engines share: bodies by their MJCF, contacts as points between balls and half-spaces, all else as applied forces.
+
+Both of a pair have twice the stiffness of the contact: Drake puts them in series. What rubs under a constant weight is pressed on a plane of its own.
+Hunt and Crossley's damping is Drake's own; Kelvin and Voigt's only its SAP knows.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from models.scene.contacts import DampingLaw
+from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
+from validate.judge.simulator import CannotExpressError, Drive
+
+drake: Any = importlib.import_module("pydrake.all")  # a checker without the package takes its place for a module
+
+# Slip at which regularised friction is whole [m/s]; Drake's default is 1e-3.
+STICTION = 1e-4
+_TINY = 1e-12
+_SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")}
+
+
+class Plant:
+    """A scene in Drake: its diagram and context, and how states and inputs go in and out. Raises CannotExpressError."""
+
+    def __init__(self, drive: Drive, *, time_step: float = 0.0, approximation: str = "lagged", linear: bool = False) -> None:
+        mechanism = mechanism_of(drive.scene, weights=True)
+        builder, names = drake.DiagramBuilder(), [coordinate.name for coordinate in drive.scene.coordinates]
+        config = drake.MultibodyPlantConfig(
+            time_step=time_step, contact_model="point", discrete_contact_approximation=approximation, use_sampled_output_ports=False,
+            stiction_tolerance=STICTION * drive.soft, sap_near_rigid_threshold=0.0,
+        )  # fmt: skip
+        self.plant, graph = drake.AddMultibodyPlant(config, builder)
+        (instance,) = drake.Parser(self.plant).AddModelsFromString(
+            f'<mujoco model="scene"><worldbody>{mechanism.bodies}</worldbody></mujoco>', "xml"
+        )
+        self.plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -mechanism.gravity])
+        pairs = [self._pads(touch, linear) for touch in mechanism.touches]
+        self.plant.Finalize()
+        filters = graph.collision_filter_manager()
+        filters.Apply(drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet([pad for pair in pairs for pad in pair])))
+        for one, other in pairs:
+            filters.Apply(drake.CollisionFilterDeclaration().AllowBetween(drake.GeometrySet(one), drake.GeometrySet(other)))
+        joints = [self.plant.GetJointByName(name) for name in names]
+        self._q, self._v = ([getattr(joint, part)() for joint in joints] for part in ("position_start", "velocity_start"))
+        self._joints, self._back = mechanism.joints, np.linalg.inv(mechanism.joints)
+        forces = self._forces(mechanism)
+        builder.AddSystem(forces)
+        parts = builder.AddSystem(drake.Multiplexer([self.plant.num_multibody_states(), max(1, drive.scene.nu)]))
+        builder.Connect(self.plant.get_state_output_port(), parts.get_input_port(0))
+        builder.Connect(parts.get_output_port(0), forces.get_input_port())
+        builder.Connect(forces.get_output_port(), self.plant.get_applied_generalized_force_input_port())
+        self.diagram = builder.Build()
+        self.context = self.diagram.CreateDefaultContext()
+        self._own, self._inputs = self.plant.GetMyMutableContextFromRoot(self.context), parts.GetMyMutableContextFromRoot(self.context)
+        self._port = parts.get_input_port(1)
+        for body in map(self.plant.get_body, self.plant.GetBodyIndices(instance)):
+            if body.default_mass() == 0.0:  # between two joints of one body; CENIC wants some mass of each
+                body.SetSpatialInertiaInBodyFrame(self._own, drake.SpatialInertia.SolidSphereWithMass(_TINY, 1.0))
+        q, v = self.plant.GetPositions(self._own), self.plant.GetVelocities(self._own)
+        q[self._q], v[self._v] = (self._joints @ part for part in np.split(drive.start, 2))
+        for name, _, start in mechanism.weights:
+            q[self.plant.GetJointByName(name).position_start()] = start
+        self.plant.SetPositionsAndVelocities(self._own, np.concatenate([q, v]))
+        self.drive_by(np.zeros(drive.scene.nu))
+
+    def _pads(self, touch: Touch, linear: bool) -> list[Any]:
+        """The two geometries of a contact."""
+        if touch.pads is None:
+            raise CannotExpressError(f"contact {touch.name}: {touch.why}")
+        if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
+            own = "Kelvin and Voigt's alone" if linear else "Hunt and Crossley's alone"
+            raise CannotExpressError(f"contact {touch.name}: its damping is another than this plant has, which is {own}")
+        found = []
+        for place, pad in enumerate(touch.pads):
+            properties = drake.ProximityProperties()
+            dissipation = None if linear else touch.damping * touch.steepness
+            drake.AddContactMaterial(
+                dissipation=dissipation, point_stiffness=2.0 * touch.stiffness * touch.steepness**2,
+                friction=drake.CoulombFriction(touch.friction, touch.friction), properties=properties,
+            )  # fmt: skip
+            if linear:  # those of a pair add
+                properties.AddProperty("material", "relaxation_time", touch.damping / touch.stiffness / 2.0)
+            body = self.plant.GetBodyByName(pad.body) if pad.body else self.plant.world_body()
+            shape, pose = drake.Sphere(pad.radius), drake.RigidTransform(list(pad.at))
+            if not pad.radius:
+                shape, pose = drake.HalfSpace(), drake.HalfSpace.MakePose(list(pad.normal), list(pad.at))
+            found.append(self.plant.RegisterCollisionGeometry(body, pose, shape, f"{touch.name}_{place}", properties))
+        return found
+
+    def _forces(self, mechanism: Mechanism) -> Any:
+        """The smooth forces and the weights on all joints, as a system of state and inputs."""
+        q, v, u = (
+            [drake.Variable(f"{letter}{place}") for place in range(count)]
+            for letter, count in (
+                ("q", self.plant.num_positions()),
+                ("v", self.plant.num_velocities()),
+                ("u", max(1, len(mechanism.symbols[2]))),
+            )
+        )
+        found = [drake.Expression(0.0)] * len(v)
+        own = [q[place] for place in self._q], [v[place] for place in self._v], u[: len(mechanism.symbols[2])]
+        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC])(*own[0], *own[1], *own[2]), strict=True):
+            found[place] = drake.Expression() + force
+        for name, weight, _ in mechanism.weights:
+            found[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)
+        # Drake asks derivatives of every such system in continuous time, and fails where there is no state: one that stays.
+        still = drake.Variable("still")
+        return drake.SymbolicVectorSystem(state=[still], input=[*q, *v, *u], dynamics=[drake.Expression(0.0)], output=found)
+
+    def drive_by(self, u: np.ndarray) -> None:
+        """Inputs (nu,) [N, N m] from now on. Raises nothing."""
+        self._port.FixValue(self._inputs, u if len(u) else np.zeros(1))
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities of the scene's coordinates, (nq,) each [m, rad, m/s, rad/s]. Raises nothing."""
+        return self._back @ self.plant.GetPositions(self._own)[self._q], self._back @ self.plant.GetVelocities(self._own)[self._v]
+
+    def advance(self, scheme: str, drive: Drive) -> Any:
+        """What `stepped` calls, by an integrator that chooses its steps by the drive's tolerance, no longer than one of the plan."""
+        simulator = drake.Simulator(self.diagram, self.context)
+        integrator = drake.ResetIntegratorFromFlags(simulator, scheme, drive.step * drive.parts)
+        integrator.set_target_accuracy(drive.tolerance)
+        simulator.Initialize()
+
+        def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+            """Over count h [s] under u (nu,) [N, N m]: positions and velocities (nq,) [m, rad, m/s, rad/s]; NaN where Drake gives up."""
+            pieces, begin = count if slope.any() else 1, self.context.get_time()
+            try:
+                for part in range(pieces):
+                    self.drive_by(u + slope * h * count * (part + 0.5) / pieces)
+                    simulator.AdvanceTo(begin + h * count * (part + 1) / pieces)
+            except RuntimeError:  # its step size fell below what it takes
+                return np.full(len(self._q), np.nan), np.full(len(self._q), np.nan)
+            return self.state()
+
+        return advance

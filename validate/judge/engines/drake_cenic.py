@@ -1,0 +1,20 @@
+"""Drake CENIC: its convex, error-controlled integrator of the continuous plant."""
+
+from __future__ import annotations
+
+from validate.judge.engines._drake import Plant
+from validate.judge.simulator import Drive, SimulatedMotion, Simulator, stepped
+
+ENGINE = Simulator(
+    title="Drake, CENIC",
+    package="pydrake",
+    extra="bench-drake",
+    tolerances=(1e-4, 1e-5, 1e-6, 1e-7),
+    law="points between balls and half-spaces, Hunt and Crossley, convex; friction regularised below 0.1 mm/s",
+    softens="the slip at which its friction is whole",
+)
+
+
+def simulate(drive: Drive) -> SimulatedMotion:
+    """The motion of a drive at its tolerance. Raises CannotExpressError."""
+    return stepped(drive, Plant(drive).advance("cenic", drive))

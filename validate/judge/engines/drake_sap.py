@@ -1,0 +1,32 @@
+"""Drake, its discrete plant with the SAP solver: fixed steps, convex contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from validate.judge.engines._drake import Plant
+from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
+
+ENGINE = Simulator(
+    title="Drake, discrete (SAP)",
+    package="pydrake",
+    extra="bench-drake",
+    law="points between balls and half-spaces, Kelvin and Voigt, convex: friction opens what slides; its regularisation is not to be set",
+)
+
+
+def simulate(drive: Drive) -> SimulatedMotion:
+    """The motion of a drive at its step. Raises CannotExpressError."""
+    if not np.allclose(np.diff(drive.plan.t), drive.step * drive.parts, rtol=1e-9, atol=0.0):
+        raise CannotExpressError("the plan's steps differ in length, and a discrete plant has one step")
+    plant = Plant(drive, time_step=drive.step, approximation="sap", linear=True)
+
+    def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """After so many steps of h [s] under u (nu,) [N, N m], slope (nu,): positions and velocities (nq,) [m, rad, m/s, rad/s]. Raises nothing."""
+        for part in range(count):
+            plant.drive_by(u + slope * h * (part + 0.5))
+            updated = plant.diagram.EvalUniquePeriodicDiscreteUpdate(plant.context)
+            plant.context.SetDiscreteState(updated)
+        return plant.state()
+
+    return stepped(drive, advance)
