@@ -190,7 +190,7 @@ class MpecSettings:
     strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best certified answer
     starts: so many starts: the model's values, then random points around them, by seed; all strategies from each
     work: Ipopt's iterations for what comes after the first success, as a multiple of those up to there; 0: the first success is the answer;
-    None: 1 a start with at most `search` pairs, else 3, but of large problems some 8 CPU s a start (counted in iterations, not by a clock)
+    None: 1 a start with at most `search` pairs, 3 with up to LARGE, but some 8 CPU s a start (counted in iterations, not by a clock); then 1 a further start
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
