@@ -87,7 +87,7 @@ class Finder:
             return FinderResult(answer=None, outcome=outcome, message=message)
         found = self.searched(budget, problem, answer, stride, far=not is_refined)
         cold = modes_of is None and start is None and not is_refined
-        if cold and self._is_linear and self._options.search and self._scene.nc >= _MANY and not budget.is_over:
+        if cold and isinstance(problem, ModesProblem) and self._options.search and self._scene.nc >= _MANY and not budget.is_over:
             return self._searched_again(budget, problem, found, stride)
         return found
 
