@@ -55,7 +55,7 @@ def load(path: Path, data: Path | None = None) -> Any:
         raise ImportError(f"{path} is no Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    found = getattr(module, "model", None)
+    found: Any = getattr(module, "model", None)
     if not hasattr(found, "component_data_objects"):
         return found() if callable(found) else found
     return found if data is None and found.is_constructed() else found.create_instance(None if data is None else str(data))

@@ -29,6 +29,8 @@ _IDLE = 1e-2
 # Failed steps in a row, and in all, before the path is given up; the factors by which a first step that fails is tried again: a looser
 # relaxation is easier to satisfy, a tighter one is bounded where a looser one is not.
 _RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
+# Iterations of the first step of a path that is only tried.
+_TRIAL = 100
 
 
 class Columns:
@@ -248,7 +250,7 @@ class Path:
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
-    def points(self, start: np.ndarray) -> Iterator[PathPoint]:
+    def points(self, start: np.ndarray, *, is_tried: bool = False) -> Iterator[PathPoint]:
         """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either.
 
         Raises what `formulations.ipopt.solve` does.
@@ -256,6 +258,7 @@ class Path:
         Parameters
         ----------
         start : (n,) point of the relaxation [units of the variables]
+        is_tried : whether others are left to go, so that a first step may take _TRIAL iterations, and is not taken again from another eps
         """
         settings, strategy = self._settings, self._strategy
         first = settings.eps_start or strategy.first
@@ -263,7 +266,7 @@ class Path:
         good: PathPoint | None = None
         eps, factor, failures, tried, was_idle = first, _FIRST_FACTOR, 0, {first}, False
         while True:
-            result = self._take(eps, start, good)
+            result = self._take(eps, start, good, _TRIAL if is_tried and good is None else settings.step_iterations)
             if _is_usable(result):
                 self.gave_up = False
                 good, failures = PathPoint(eps=eps, x=result.x, result=result), max(0, failures - 1)
@@ -283,6 +286,8 @@ class Path:
             if self._budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
                 return
             if good is None:
+                if is_tried:
+                    return
                 eps *= _TIGHTER if result.outcome is Outcome.DIVERGED else _LOOSER
                 if eps in tried or failures > _RETRIES:
                     return
@@ -298,10 +303,10 @@ class Path:
         first, second = self._work.relaxed.pair_values(good.x)
         return float(np.max(first * second, initial=0.0)) if self._strategy.bounds_products else math.inf
 
-    def _take(self, eps: float, start: np.ndarray, good: PathPoint | None) -> IpoptResult:
+    def _take(self, eps: float, start: np.ndarray, good: PathPoint | None, most: int) -> IpoptResult:
         begin = time.perf_counter()
         self._work.set(eps)
-        options: dict[str, Any] = {"max_iter": self._settings.step_iterations, "bound_relax_factor": 0.0}
+        options: dict[str, Any] = {"max_iter": min(most, self._settings.step_iterations), "bound_relax_factor": 0.0}
         begins = Start(x=start if good is None else good.x)
         if good is not None and eps <= self._strategy.warm_below and good.result.solved:
             # Multipliers are worth keeping only where the solution hardly moves any more; earlier they mislead.

@@ -28,7 +28,7 @@ class Strategy(ABC):
     """A way to make all pairs smooth.
 
     name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
-    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w
+    the multipliers of the step before; bounds_products: whether eps is an upper bound of v w; eps_is_weight: whether 1 / eps is the weight of a penalty
     """
 
     name: str
@@ -36,6 +36,7 @@ class Strategy(ABC):
     last: float = 1e-9
     warm_below: float = 1e-4
     bounds_products: bool = False
+    eps_is_weight: bool = False
 
     @abstractmethod
     def attach(self, lifted: Lifted) -> Any:
@@ -124,6 +125,7 @@ class _Penalty(Strategy):
     """The objective and (1 / eps) times what is to vanish."""
 
     last = 1e-8
+    eps_is_weight = True
 
     def attach(self, lifted: Lifted) -> Any:
         """No products; a weighted penalty in the objective."""
@@ -174,6 +176,11 @@ STRATEGY_NAMES = tuple(STRATEGIES)
 # 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
 # 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
+# With more pairs than LARGE smoothing is only tried (`Path.points`), and l1_penalty is next. Smoothing's first step takes 16 to 40 iterations on a membrane
+# of 1024 pairs and on three_cart, which nothing else solves as fast; on MacMPEC's packings of 961 pairs it finds nothing in 240 to 500, four times over
+# (24 CPU s), where l1_penalty has decided the pairs after 80 to 220 (6 to 15 CPU s). scholtes takes 7 CPU s on some of them and 44 in vain on others.
+LARGE = 300
+_OF_LARGE = ("smoothing", "l1_penalty", "scholtes")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +190,7 @@ class MpecSettings:
     strategy: how pairs are made smooth; "auto" takes FALLBACKS in order and keeps the best certified answer
     starts: so many starts: the model's values, then random points around them, by seed; all strategies from each
     work: Ipopt's iterations for what comes after the first success, as a multiple of those up to there; 0: the first success is the answer;
-    None: 1 a start with at most `search` pairs, else 3, but of large problems some 15 CPU s a start (counted in iterations, not by a clock)
+    None: 1 a start with at most `search` pairs, 3 with up to LARGE, but some 8 CPU s a start (counted in iterations, not by a clock); then 1 a further start
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
@@ -206,10 +213,11 @@ class MpecSettings:
     step_iterations: int = 500
     ipopt: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
-    @property
-    def strategies(self) -> tuple[str, ...]:
-        """Names of the strategies to try, in order."""
-        return FALLBACKS if self.strategy == "auto" else (self.strategy,)
+    def order(self, pairs: int) -> tuple[str, ...]:
+        """Names of the strategies to try, in order, of a problem with so many pairs [-]. Raises nothing."""
+        if self.strategy != "auto":
+            return (self.strategy,)
+        return FALLBACKS[: None if pairs else 1] if pairs <= LARGE else _OF_LARGE  # without pairs all are the same
 
 
 _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"}

@@ -134,3 +134,21 @@ def test_eps_leaps_where_products_are_far_below_it():
     assert len(result.steps) <= 4
     assert max(step.eps for step in result.steps) == 1e3
     assert result.objective == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "order", "walks"), [(3, ("smoothing", "scholtes", "l1_penalty"), 4), (301, ("smoothing", "l1_penalty", "scholtes"), 1)]
+)
+def test_of_many_pairs_the_first_strategy_is_only_tried(pairs, order, walks):
+    """Within x, y <= 1/2 no product is 1, where smoothing begins: it looks for another eps unless the problem is large. Each pair leaves 0.3 out: 0.09."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = (pyo.Var(range(pairs), bounds=(0, 0.5), initialize=0.25) for _ in range(2))
+    m.cost = pyo.Objective(expr=sum((m.x[k] - 0.3) ** 2 + (m.y[k] - 0.4) ** 2 for k in range(pairs)))
+    m.pair = Complementarity(range(pairs), rule=lambda m, k: complements(m.x[k] >= 0, m.y[k] >= 0))
+    result = solve_mpec(m)
+    assert result.solved
+    assert result.objective == pytest.approx(0.09 * pairs, rel=1e-9)
+    assert tuple(attempt.strategy for attempt in result.attempts) == order[: len(result.attempts)]
+    assert sum(step.strategy == "smoothing" for step in result.steps) == walks
+    if pairs > 300:
+        assert len(result.attempts) == 2, "the first success is the answer"
