@@ -120,7 +120,7 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
             structure={
                 "outputs": [*moved, *(Unknown(place + first) for place in calculated)],
                 "derivatives": [Unknown(place + first) for place in rates] if offers.exchange else [],
-                "initial": [Unknown(place + first) for place in sorted([*(rates if offers.exchange else []), *calculated])],
+                "initial": [Unknown(place + first) for place in (*(rates if offers.exchange else ()), *calculated)],
                 "indicators": [],
             },
             **shared,
