@@ -57,9 +57,7 @@ def mujoco() -> Any:
     try:
         import mujoco  # 0.1 s, and an extra
     except ImportError as error:
-        raise MachineError(
-            "an MJCF needs MuJoCo, which is not installed; install it with: pip install 'touchstone-contact[engines]'"
-        ) from error
+        raise MachineError("an MJCF needs MuJoCo, which is not installed; install it with: pip install mujoco") from error
     return mujoco
 
 

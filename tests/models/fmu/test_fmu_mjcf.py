@@ -1,5 +1,6 @@
 """Robots of MuJoCo as FMUs: the motion is mj_step's to the bit, outputs and parameters are what closed forms say, and reading changes nothing."""
 
+import importlib.util
 import math
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -480,3 +481,36 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
     # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s wrong, which the damper stops within m / c = 0.5 s.
     assert all(error < 7.5 * step**2 for step, error in errors.items())
     assert errors[1.25e-3] < errors[1e-2] / 10.0
+
+
+def _in_wheel(path: str) -> Path:
+    package, _, inside = path.partition("/")
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.origin is None:
+        pytest.skip(f"{package} is not installed")
+    return Path(spec.origin).parent / inside
+
+
+@pytest.mark.peer
+@pytest.mark.parametrize(
+    "path",
+    [
+        "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml", "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
+        "gymnasium/envs/mujoco/assets/humanoid.xml", "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
+    ],
+)  # fmt: skip
+def test_robots_of_other_wheels_move_to_the_bit(path: str):
+    robot = read_robot(_in_wheel(path))
+    model, data, rng, touched = robot.model, mujoco.MjData(robot.model), np.random.default_rng(0), 0
+    inputs = [variable.name for variable in robot.table if variable.causality == "input"]
+    lower, upper = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
+    with instance(robot) as fmu:
+        fmu.begin()
+        for _ in range(1000):
+            data.ctrl[:] = 0.7 * rng.uniform(lower, upper)
+            mujoco.mj_step(model, data)
+            touched += data.ncon > 0
+            fmu.set(**dict(zip(inputs, data.ctrl, strict=True)))
+            fmu.step(model.opt.timestep)
+            assert fmu.get(*states_of(robot)).tolist() == state_of(data).tolist()
+    assert touched > 400
