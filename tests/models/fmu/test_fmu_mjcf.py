@@ -346,7 +346,9 @@ def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
 
 
 def _body(inside: str, outside: str = "", option: str = "") -> str:
-    return f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1"/>{inside}</body></worldbody>{outside}</mujoco>'
+    return (
+        f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1" condim="1"/>{inside}</body></worldbody>{outside}</mujoco>'
+    )
 
 
 @pytest.mark.parametrize(
@@ -410,6 +412,9 @@ def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
     assert "no Model Exchange" in delayed.notes[0]
     assert "delay" in delayed.notes[0]
     assert read_package(build_robot(delayed)).exchange is None
+    (rubs,) = robot(_body('<joint name="j"/><geom size=".1"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes
+    assert "no Model Exchange" in rubs
+    assert "friction" in rubs
 
 
 def test_a_urdf_is_a_robot(robot):
