@@ -99,6 +99,14 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
     rates = unknowns_of(table, [kinds.POSITION_RATE, kinds.VELOCITY_RATE])
     calculated = unknowns_of(table, [kinds.OUTPUT])
     offers = Offers(exchange=robot.no_exchange is None, derivatives=False, slopes=False, events=False)
+    given = unknowns_of(table, [kinds.POSITION, kinds.VELOCITY, kinds.INPUT])
+    parameters = unknowns_of(table, [kinds.TUNABLE, kinds.INTERNAL_STEP, kinds.INTEGRATOR])
+
+    def unknown(place: int, initially: bool = False) -> Unknown:
+        """On everything that it may depend on: written out with Model Exchange, as CasADi reads none without; FMI 3.0 always counts parameters."""
+        knowns = tuple(known + first for known in given + (parameters if initially or standard.version != "2.0" else []))
+        return Unknown(place + first, knowns, ("dependent",) * len(knowns)) if offers.exchange else Unknown(place + first)
+
     moved = [
         Unknown(place + first, (place + first,) if offers.exchange else (), ("constant",) if offers.exchange else ()) for place in states
     ]
@@ -118,9 +126,9 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
             tolerance=_TOLERANCE, date=generation_date(), source_files=[], units=unit_table(table),
             state_of={table[rate].name: state + first for rate, state in zip(rates, states, strict=True)},
             structure={
-                "outputs": [*moved, *(Unknown(place + first) for place in calculated)],
-                "derivatives": [Unknown(place + first) for place in rates] if offers.exchange else [],
-                "initial": [Unknown(place + first) for place in sorted([*(rates if offers.exchange else []), *calculated])],
+                "outputs": [*moved, *map(unknown, calculated)],
+                "derivatives": list(map(unknown, rates)) if offers.exchange else [],
+                "initial": [unknown(place, True) for place in (*(rates if offers.exchange else ()), *calculated)],
                 "indicators": [],
             },
             **shared,

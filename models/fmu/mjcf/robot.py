@@ -57,9 +57,7 @@ def mujoco() -> Any:
     try:
         import mujoco  # 0.1 s, and an extra
     except ImportError as error:
-        raise MachineError(
-            "an MJCF needs MuJoCo, which is not installed; install it with: pip install 'touchstone-contact[engines]'"
-        ) from error
+        raise MachineError("an MJCF needs MuJoCo, which is not installed; install it with: pip install mujoco") from error
     return mujoco
 
 
@@ -126,7 +124,7 @@ class Robot:
         touching = (model.geom_contype | model.geom_conaffinity) != 0
         rubs = (model.geom_condim[touching] > 1).any() or (model.pair_dim > 1).any() or model.nflex > 0
         if rubs and not model.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_CONTACT):
-            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at a depth of nothing, where its force jumps: CVODE took 400,000 evaluations
+            # A ball that slides at 2 m/s is pushed up by 80 m/s^2 at a depth of nothing, where its force jumps: LSODA took 430,000 evaluations
             # for 5 ms of a hopper's foot.
             return "contacts have friction, and MuJoCo pushes what slides off the ground at no depth at all, where the force jumps: integrators get stuck"
         if model.nhistory:

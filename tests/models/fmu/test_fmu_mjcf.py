@@ -1,5 +1,6 @@
 """Robots of MuJoCo as FMUs: the motion is mj_step's to the bit, outputs and parameters are what closed forms say, and reading changes nothing."""
 
+import importlib.util
 import math
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -135,6 +136,7 @@ def state_of(data) -> np.ndarray:
     return np.concatenate([data.qpos, data.qvel, data.act])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_motion_is_that_of_mj_step_to_the_bit(robot, version: str):
     leg = robot(LEG, "foot:floor")
@@ -156,6 +158,7 @@ def test_the_motion_is_that_of_mj_step_to_the_bit(robot, version: str):
     assert touched > 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "own"), [(2.5 * H, 2.5 * H / 3), (0.4 * H, 0.4 * H), (H * (1 + 1e-12), H)])
 def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(robot, length: float, own: float):
     leg = robot(LEG)
@@ -168,6 +171,7 @@ def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(robo
         assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
 
 
+@pytest.mark.slow
 def test_a_robot_starts_at_its_keyframe(robot):
     leg = robot(LEG, keyframe="bent")
     data = mujoco.MjData(leg.model)
@@ -180,6 +184,7 @@ def test_a_robot_starts_at_its_keyframe(robot):
         assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
 
 
+@pytest.mark.slow
 def test_outputs_are_those_of_the_state_that_is_reached(robot):
     leg = robot(LEG, "foot:floor", "trunk:floor")
     data = mujoco.MjData(leg.model)
@@ -194,6 +199,7 @@ def test_outputs_are_those_of_the_state_that_is_reached(robot):
         assert fmu.get("gap_trunk_floor") == pytest.approx(mujoco.mj_geomDistance(leg.model, data, hull, floor, 10.0, None), abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [3.0, 0.5])
 def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
     block = robot(BLOCK, "block:floor")
@@ -206,6 +212,7 @@ def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
         assert gap < 0.0
 
 
+@pytest.mark.slow
 def test_without_gravity_nothing_presses(robot):
     with instance(robot(BLOCK, "block:floor")) as fmu:
         fmu.begin(gravity_z=0.0, q_z=0.25)
@@ -213,6 +220,7 @@ def test_without_gravity_nothing_presses(robot):
         assert fmu.get("lam_block_floor", "gap_block_floor", "q_z") == pytest.approx([0.0, 0.25, 0.25], abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.4, 0.0])
 def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
     """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s. MuJoCo's smallest coefficient is 1e-5."""
@@ -227,6 +235,7 @@ def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
         assert fmu.get("v_x")[0] == pytest.approx(2.0 - max(scale * 0.5, 1e-5) * 9.81 * 0.2, abs=2e-2 * scale + 1e-8)
 
 
+@pytest.mark.slow
 def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
     """The depth at rest goes as 1 / stiffness; a constraint that gives way by half as much lets a heavy block in by less."""
 
@@ -241,6 +250,7 @@ def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
     assert 0.2 * own < depth(contact_give_scale=0.5) < 0.9 * own
 
 
+@pytest.mark.slow
 def test_parameters_may_change_between_steps_and_back(robot):
     leg = robot(LEG)
     with instance(leg) as fmu:
@@ -263,6 +273,7 @@ def test_parameters_may_change_between_steps_and_back(robot):
         fmu.fmu.forget(saved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_model_exchange_is_the_equations_of_motion(robot, version: str):
     """A point at the end of a rod: dw/dt = -g/l sin(angle); a quaternion turns as q (0, w) / 2."""
@@ -280,6 +291,7 @@ def test_model_exchange_is_the_equations_of_motion(robot, version: str):
         assert fmu.get(*(f"der({name})" for name in names)) == pytest.approx([scalar, *vector], rel=1e-14)
 
 
+@pytest.mark.slow
 def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robot):
     leg = robot(LEG)
     with instance(leg) as fmu:
@@ -299,6 +311,7 @@ def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robo
         assert fmu.get(*states_of(leg)).tolist() == before.tolist()
 
 
+@pytest.mark.slow
 def test_equal_robots_give_equal_bytes(robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     bytes_of = []
     for number in range(2):
@@ -307,6 +320,7 @@ def test_equal_robots_give_equal_bytes(robot, monkeypatch: pytest.MonkeyPatch, t
     assert bytes_of[0] == bytes_of[1]
 
 
+@pytest.mark.slow
 def test_a_damaged_fmu_is_refused_when_it_is_instantiated(robot):
     with unpacked(read_package(build_robot(robot(LEG)))) as package:
         model = Path(str(package.folder)) / "resources" / "model.mjb"
@@ -318,6 +332,7 @@ def test_a_damaged_fmu_is_refused_when_it_is_instantiated(robot):
             load_instance(package, "CS")
 
 
+@pytest.mark.slow
 def test_the_library_travels_with_its_licenses(robot):
     with unpacked(read_package(build_robot(robot(LEG)))) as package:
         assert list(Path(str(package.folder)).glob("binaries/*/libmujoco.so.*"))
@@ -345,7 +360,9 @@ def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
 
 
 def _body(inside: str, outside: str = "", option: str = "") -> str:
-    return f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1"/>{inside}</body></worldbody>{outside}</mujoco>'
+    return (
+        f'<mujoco>{option}<worldbody><body name="arm"><geom name="arm" size=".1" condim="1"/>{inside}</body></worldbody>{outside}</mujoco>'
+    )
 
 
 @pytest.mark.parametrize(
@@ -398,6 +415,7 @@ def test_a_cut_binary_and_a_missing_file_are_refused(robot, tmp_path: Path):
     assert not list(tmp_path.glob("MUJOCO*"))
 
 
+@pytest.mark.slow
 def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
     assert robot(_body('<joint name="j"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes == []
     (bounds,) = robot(_body('<joint name="j"/>', '<actuator><motor joint="j"/></actuator>')).notes
@@ -409,6 +427,9 @@ def test_what_is_missing_in_a_robot_is_said_and_not_refused(robot):
     assert "no Model Exchange" in delayed.notes[0]
     assert "delay" in delayed.notes[0]
     assert read_package(build_robot(delayed)).exchange is None
+    (rubs,) = robot(_body('<joint name="j"/><geom size=".1"/>', '<actuator><motor joint="j" ctrlrange="-1 1"/></actuator>')).notes
+    assert "no Model Exchange" in rubs
+    assert "friction" in rubs
 
 
 def test_a_urdf_is_a_robot(robot):
@@ -480,3 +501,36 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
     # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s wrong, which the damper stops within m / c = 0.5 s.
     assert all(error < 7.5 * step**2 for step, error in errors.items())
     assert errors[1.25e-3] < errors[1e-2] / 10.0
+
+
+def _in_wheel(path: str) -> Path:
+    package, _, inside = path.partition("/")
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.origin is None:
+        pytest.skip(f"{package} is not installed")
+    return Path(spec.origin).parent / inside
+
+
+@pytest.mark.peer
+@pytest.mark.parametrize(
+    "path",
+    [
+        "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml", "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
+        "gymnasium/envs/mujoco/assets/humanoid.xml", "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
+    ],
+)  # fmt: skip
+def test_robots_of_other_wheels_move_to_the_bit(path: str):
+    robot = read_robot(_in_wheel(path))
+    model, data, rng, touched = robot.model, mujoco.MjData(robot.model), np.random.default_rng(0), 0
+    inputs = [variable.name for variable in robot.table if variable.causality == "input"]
+    lower, upper = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
+    with instance(robot) as fmu:
+        fmu.begin()
+        for _ in range(1000):
+            data.ctrl[:] = 0.7 * rng.uniform(lower, upper)
+            mujoco.mj_step(model, data)
+            touched += data.ncon > 0
+            fmu.set(**dict(zip(inputs, data.ctrl, strict=True)))
+            fmu.step(model.opt.timestep)
+            assert fmu.get(*states_of(robot)).tolist() == state_of(data).tolist()
+    assert touched > 400

@@ -68,6 +68,7 @@ def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(folder: Pat
     assert fine["error"]["value"] > 1e-4 > fine["error"]["error"]
 
 
+@pytest.mark.slow
 def test_own_step_is_for_fmus_and_for_inputs_that_are_held(folder: Path, capfd: pytest.CaptureFixture[str]):
     assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
     record(folder / "plan.csv")
@@ -79,6 +80,7 @@ def test_own_step_is_for_fmus_and_for_inputs_that_are_held(folder: Path, capfd: 
     assert "--own-step" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_map_that_is_there_is_kept(folder: Path, capfd: pytest.CaptureFixture[str]):
     (folder / "robot.toml").write_text("# mine\n")
     assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0

@@ -229,7 +229,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     return Replay(
         scene=subject.name,
         outcome=judged.outcome,
-        message=" ".join(_notes(subject, job, simulated, error, is_known)),
+        message=" ".join(_notes(subject, simulated, error, is_known, own_step=not job.tolerances)),
         method="reference" if reference else "everyday",
         t=np.array(judged.t, dtype=float),
         q=out.q,
@@ -256,7 +256,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     )
 
 
-def _notes(subject: Subject, job: Job, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
+def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known: bool, own_step: bool = False) -> list[str]:
     """What else is to be said of a replay; is_known: whether the error of the everyday replay's step is."""
     reference, everyday, refusal, judged = simulated.reference, simulated.everyday, simulated.refusal, simulated.judged
     if refusal is None and reference:
@@ -266,7 +266,7 @@ def _notes(subject: Subject, job: Job, simulated: Simulated, error: ReplayError,
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not reference:
         no_exchange = "No reference replay: the FMU offers no Model Exchange."
-        notes.append(no_exchange if job.tolerances else "Judged is Co-Simulation with one doStep a step of the plan.")
+        notes.append("Judged is Co-Simulation with one doStep a step of the plan." if own_step else no_exchange)
         if not is_known:
             notes.append(
                 "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
