@@ -334,7 +334,7 @@ def stored(subject: Subject) -> Finding:
             told[advice].append(f"the manifest of {LS_REF} has no {' and no '.join(missing)}")
     except FmuError as error:
         return failed(f"{str(error).rstrip('.')}.")
-    for result in results:
+    for result in results if subject.types else ():
         try:
             outcome, sentence = (advice, str(result)) if isinstance(result, FmuError) else _of_result(subject, result)
         except FmuError as error:
