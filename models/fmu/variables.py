@@ -296,7 +296,7 @@ def _settings(scene: Scene) -> list[Variable]:
         unit="s",
         start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag),
         lower=SMALLEST_INTERNAL_STEP,
-        description="largest internal step of Co-Simulation; equal steps divide each communication step",
+        description="largest internal step of Co-Simulation; equal steps divide each communication step; it is for motions like that of the task, faster ones need a smaller one",
     )
     integrator = Variable(
         name="integrator",

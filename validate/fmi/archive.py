@@ -109,6 +109,7 @@ CHECKS = (
     "description",
     "version",
     "kind",
+    "scheduled",
     "binary",
 )
 
@@ -308,7 +309,7 @@ class _ArchiveCheck:
         only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
         if not self._kinds:
             also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
-            yield self._problem("kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
+            yield self._problem("scheduled" if only_scheduled else "kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
             return
         if not any(self._library(interface) in self._names for interface in self._kinds.values()):
             interface = next(iter(self._kinds.values()))

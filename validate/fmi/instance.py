@@ -37,7 +37,15 @@ from fmpy.fmi2 import (
     fmi2Terminated,
     fmi2Warning,
 )
-from fmpy.fmi3 import FMU3Model, FMU3Slave
+from fmpy.fmi3 import (
+    _FMU3,
+    FMU3Model,
+    FMU3Slave,
+    fmi3ClockUpdateCallback,
+    fmi3LockPreemptionCallback,
+    fmi3LogMessageCallback,
+    fmi3UnlockPreemptionCallback,
+)
 
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package
@@ -248,11 +256,38 @@ class FMU3Stepping(_Fmi3, FMU3Slave):
     """FMI 3.0, Co-Simulation."""
 
 
-CLASSES = {(2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange, (3, "CS"): FMU3Stepping}
+class FMU3Scheduling(_Fmi3, _FMU3):
+    """FMI 3.0, Scheduled Execution: FMPy has its functions, and no class."""
+
+    def instantiate(self, logMessage: Callable[..., None], clockUpdate: Callable[..., None], locks: Sequence[Callable[[], None]]) -> None:
+        """clockUpdate: the FMU wants its clocks looked at; locks: called before and after what must not be interrupted."""
+        self._callbacks = (  # held as long as C may call them
+            fmi3LogMessageCallback(logMessage), fmi3ClockUpdateCallback(clockUpdate), fmi3LockPreemptionCallback(locks[0]), fmi3UnlockPreemptionCallback(locks[1]),
+        )  # fmt: skip
+        resources = os.path.join(self.unzipDirectory, "resources", "")
+        self.component = self.fmi3InstantiateScheduledExecution(
+            self.instanceName.encode(), self.guid.encode(), resources.encode(), False, False, None, *self._callbacks
+        )
+        if not self.component:
+            raise RuntimeError("no instance")
+
+
+CLASSES = {
+    (2, "ME"): FMU2Exchange,
+    (2, "CS"): FMU2Stepping,
+    (3, "ME"): FMU3Exchange,
+    (3, "CS"): FMU3Stepping,
+    (3, "SE"): FMU3Scheduling,
+}
+
+
+def interface_of(description: Any, kind: str) -> Any:
+    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution; None where the FMU does not offer it."""
+    return {"ME": description.modelExchange, "CS": description.coSimulation, "SE": getattr(description, "scheduledExecution", None)}[kind]
 
 
 class Instance:
-    """One instance of an unpacked FMU; kind: "ME" or "CS".
+    """One instance of an unpacked FMU; kind: "ME", "CS" or "SE".
 
     time: to which it was brought [s]; next_event: the time event it told of, infinite without; said: what it logged last.
     """
@@ -262,7 +297,7 @@ class Instance:
         self.description, self.kind, self.options = description, kind, dict(options or {})
         self.said: deque[str] = deque(maxlen=4)
         self.time, self.next_event = math.nan, math.inf
-        interface = description.modelExchange if kind == "ME" else description.coSimulation
+        interface = interface_of(description, kind)
         self._needs_tool = bool(interface.needsExecutionTool)
         try:
             with contextlib.chdir(os.getcwd()):  # FMPy goes to the library's folder, and stays there if that fails

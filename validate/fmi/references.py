@@ -160,8 +160,11 @@ def beside(path: Path) -> StoredResult:
 
 def _result(result: Path, where: str) -> StoredResult:
     stem = result.stem.removesuffix("_ref").removesuffix("_out")
-    found = [result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}")]
-    return StoredResult(where, result, *(path if path.is_file() else None for path in found))
+    error, settings, inputs = (
+        path if path.is_file() else None
+        for path in (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
+    )
+    return StoredResult(where, result, error, settings, inputs)
 
 
 def stored_results(folder: Path, path: Path) -> Iterator[StoredResult | FmuError]:
@@ -280,7 +283,7 @@ def experiment_text(stem: str, settings: Mapping[str, float], with_inputs: bool)
     """The experiment as LS-REF's .exp files have it."""
     root = ElementTree.Element("Experiments", name=stem)
     names = {"StartTime": "startTime", "StopTime": "stopTime", "StepSize": "stepSize", "RelTol": "tolerance"}
-    item = ElementTree.SubElement(root, "Experiment", name=stem, **{names[name]: repr(value) for name, value in settings.items()})
+    item = ElementTree.SubElement(root, "Experiment", {"name": stem, **{names[name]: repr(value) for name, value in settings.items()}})
     if with_inputs:
         ElementTree.SubElement(item, "Stimuli", source=f"{stem}{INPUT}", type="text/csv")
     ElementTree.SubElement(item, "References", source=f"{stem}{RESULT}", type="text/csv")

@@ -47,6 +47,7 @@ class Scope(Enum):
     EACH = "each type"
     EXCHANGE = "Model Exchange"
     COSIMULATION = "Co-Simulation"
+    SCHEDULED = "Scheduled Execution"
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 class Check:
     """One check: its name in the table, what it claims of a sound FMU, and the function that finds out.
 
-    run(subject) for Scope.FILE, run(subject, type) with type "ME" or "CS" otherwise; clauses: the sections of FMI 2.0.4 and 3.0.2 that demand it, empty
+    run(subject) for Scope.FILE, run(subject, type) with type "ME", "CS" or "SE" otherwise; clauses: the sections of FMI 2.0.4 and 3.0.2 that demand it, empty
     where none does; needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
     """
 

@@ -167,7 +167,7 @@ class _Traces:
 def agree(subject: Subject) -> Finding:
     """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
-        return not_offered(f"the FMU offers {' and '.join(subject.types)} only.")
+        return not_offered(f"the FMU offers {' and '.join(subject.types) or 'neither'} only.")
     compared = [
         item for item in subject.observed if item.is_float and item.variability == "continuous" and item.causality in ("output", "local")
     ]

@@ -26,7 +26,7 @@ from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, states, values
+from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, scheduled, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -66,10 +66,11 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.dependencies,
     derivatives.rates,
     exchange.agree,
+    scheduled.activated,
     reference.stored,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
-_TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}
+_TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",), Scope.SCHEDULED: ("SE",)}
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
@@ -86,16 +87,20 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
-        return {"version": "", "types": [], "lacking": False}
+        return {"version": "", "types": [], "lacking": not request["runnable"]}
     subject = Subject(path, folder, description)
     with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
         subject.prepare()
     table.major = subject.major
     for item in (*READING, *BEHAVIOUR):
         for kind in _TYPES[item.scope]:
-            if not kind or kind in subject.types:
+            if not kind or kind in subject.types or (kind == "SE" and subject.interface(kind) is not None):
                 table.of_description(item, kind, subject)
-    return {"version": description.fmiVersion, "types": list(subject.types), "lacking": table.lacking}
+    return {
+        "version": description.fmiVersion,
+        "types": [*subject.types, *(["SE"] if subject.interface("SE") is not None else [])],
+        "lacking": table.lacking or not table.ran,
+    }
 
 
 class _Table:
@@ -105,6 +110,7 @@ class _Table:
         self._names, self._seconds, self._told = request["names"], request["seconds"], Path(request["told"])
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
+        self.ran = False  # whether any of its code could be run
         self.lacking = False  # whether a type cannot be run on this machine
 
     def of_description(self, item: Check, kind: str, subject: Subject) -> None:
@@ -123,6 +129,7 @@ class _Table:
             self.skip(item, kind, lacks)
         else:
             found = self.add(item, kind, (subject, kind) if kind else (subject,))
+            self.ran = self.ran or bool(kind)
             if found is not None and item is FIRST:
                 if found.status is not Status.PASSED:
                     self._broken.add(kind)
@@ -226,7 +233,7 @@ def check_fmu(
             told(row)
 
     try:
-        archive = check_archive(path, but_for=("binary", "duplicates"))
+        archive = check_archive(path, but_for=("binary", "duplicates", "scheduled"))
     except ArchiveError as error:
         if error.check not in files.ARCHIVE_CHECKS:
             raise
@@ -238,6 +245,7 @@ def check_fmu(
         unpack(archive, unpacked)
         lines.touch()
         request = {"path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds}
+        request["runnable"] = bool(archive.kinds)
         request["names"] = None if names is None else list(names)
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
@@ -253,7 +261,7 @@ def check_fmu(
         version=done.value["version"],
         types=tuple(done.value["types"]),
         rows=tuple(rows),
-        unrunnable=not archive.kinds or done.value["lacking"],
+        unrunnable=done.value["lacking"],
     )
 
 

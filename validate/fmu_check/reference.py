@@ -81,7 +81,7 @@ class Signals:
 
 
 @dataclass(frozen=True)
-class Solution:
+class ErrorBounded:
     """values, bars: (rows, entries) of the watched variables [unit of each]; before: the same where an input jumps, just before that; events: times [s].
 
     how: by what it was found, in words.
@@ -116,7 +116,7 @@ def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVar
     return item
 
 
-def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: list[FmuVariable]) -> Solution:
+def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: list[FmuVariable]) -> ErrorBounded:
     """Values and error bars at some times.
 
     Parameters
@@ -128,7 +128,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
 
     Returns
     -------
-    Solution. Source: the comparison of two tolerances or steps (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4).
+    ErrorBounded. Source: the comparison of two tolerances or steps (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4).
 
     Raises
     ------
@@ -158,7 +158,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
                 "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
                 f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
             )
-    return Solution(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
+    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
 
 
 class _Run(NamedTuple):
@@ -334,7 +334,7 @@ def stored(subject: Subject) -> Finding:
             told[advice].append(f"the manifest of {LS_REF} has no {' and no '.join(missing)}")
     except FmuError as error:
         return failed(f"{str(error).rstrip('.')}.")
-    for result in results:
+    for result in results if subject.types else ():
         try:
             outcome, sentence = (advice, str(result)) if isinstance(result, FmuError) else _of_result(subject, result)
         except FmuError as error:
@@ -404,7 +404,7 @@ def _affordable(subject: Subject, kind: str, times: np.ndarray) -> int:
     return int(np.searchsorted(times[:most], subject.ends.get(kind, np.inf)))
 
 
-def _apart(watched: list[FmuVariable], theirs: np.ndarray, found: Solution, times: np.ndarray) -> np.ndarray:
+def _apart(watched: list[FmuVariable], theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
     """(rows, entries) how far stored values are off [unit of each]. At an event either value counts, and those between; of what is not continuous, the neighbours'."""
     apart = np.abs(theirs - found.values)
     discrete = np.array([not (item.is_float and item.variability == "continuous") for item in watched for _ in range(item.size)])

@@ -17,7 +17,7 @@ import numpy as np
 
 from validate.fmi.archive import DESCRIPTION, interfaces
 from validate.fmi.description import REAL
-from validate.fmi.instance import Instance, References
+from validate.fmi.instance import Instance, References, interface_of
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -110,11 +110,14 @@ class Subject:
 
     def interface(self, kind: str) -> Any:
         """FMPy's description of a type."""
-        return self.description.modelExchange if kind == "ME" else self.description.coSimulation
+        return interface_of(self.description, kind)
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
-        return self._interfaces.get({"ME": "ModelExchange", "CS": "CoSimulation"}[kind], {}).get(ability) in ("true", "1")
+        return self._interfaces.get({"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}[kind], {}).get(ability) in (
+            "true",
+            "1",
+        )
 
     @cached_property
     def _interfaces(self) -> dict[str, dict[str, str]]:
