@@ -81,8 +81,8 @@ STARTS, STARTS_EACH = 20, 5
 # Work of such a part, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
 # same best plans, and more of the starts end: docs/campaigns.md has the figures, and how to ask for more.
 STARTS_WORK = 12.0
-# Work of a plan for several worlds, in millions: about half a minute.
-ROBUST_WORK = 40.0
+# Work of a plan for several worlds, in millions: about 20 CPU s.
+ROBUST_WORK = 25.0
 
 
 def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
