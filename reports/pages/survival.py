@@ -21,6 +21,8 @@ from reports.wording import cost, count, listing, number
 
 # Costs that differ by less, relatively, are the same.
 _SAME_COST = 1e-3
+# Fewer pairs that differ by more than chance say nothing.
+_ENOUGH = 5
 # Costs that span more than this are drawn on a logarithmic axis.
 _WIDE = 20.0
 
@@ -88,13 +90,16 @@ def _cheaper(groups: Iterable[list[Survivor]]) -> str:
     if not pairs:
         return ""
     return (
-        f"Do cheaper plans break sooner? {_verdict(signs[1], signs[-1])}: of {count(len(pairs), 'pair')} of plans of one scene with different costs, the dearer one arrives in more worlds in {signs[1]}, "
+        f"Do cheaper plans break sooner? {_answer(signs[1], signs[-1], ('Mostly', 'No, dearer ones do'))}: of {count(len(pairs), 'pair')} of plans of one scene with different costs, the dearer one arrives in more worlds in {signs[1]}, "
         f"in fewer in {signs[-1]}; in the other {signs[0]} the difference may be chance."
     )
 
 
-def _verdict(more: int, fewer: int) -> str:
-    return "Mostly" if more > 2 * fewer else "Rather the dearer ones do" if fewer > 2 * more else "Neither can be said"
+def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
+    """What the pairs say in which one arrives in more worlds, and in fewer. words: where nearly all say the first, the second."""
+    if more + fewer < _ENOUGH:
+        return "That cannot be told yet"
+    return words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
 
 
 def _warm(groups: Iterable[list[Survivor]]) -> str:
@@ -105,9 +110,8 @@ def _warm(groups: Iterable[list[Survivor]]) -> str:
     if not pairs:
         return ""
     signs = Counter(_apart(warm.alone, cold.alone) for warm, cold in pairs)
-    said = "Yes" if signs[1] > 2 * signs[-1] else "No, fewer" if signs[-1] > 2 * signs[1] else "No"
     return (
-        f"Do exact plans survive more that begin with another method's plan? {said}: of {count(len(pairs), 'pair')} on one scene the one with a warm start arrives in more worlds in {signs[1]}, in fewer in "
+        f"Do exact plans survive more that begin with another method's plan? {_answer(signs[1], signs[-1], ('Yes', 'No, they survive less'))}: of {count(len(pairs), 'pair')} on one scene the one with a warm start arrives in more worlds in {signs[1]}, in fewer in "
         f"{signs[-1]}; the median difference is {100 * median(warm.alone.share - cold.alone.share for warm, cold in pairs):+.1f} points."
     )
 

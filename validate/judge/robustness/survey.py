@@ -22,7 +22,7 @@ from validate.judge.robustness.trials import Arena
 from validate.judge.robustness.worlds import Perturbation, PerturbationKind, draw, moved, perturbations
 
 # Worlds of a plan: shares are told to 6 %. Where they cost more internal steps than this in all, half as many, and so on down to the fewest.
-SAMPLES, FEWEST, MOST_STEPS = 256, 32, 2**20
+SAMPLES, FEWEST, MOST_STEPS = 256, 32, 2**19
 SEED = 0
 
 

@@ -18,11 +18,11 @@ from enum import Enum
 import numpy as np
 
 from models.scene import Scene
+from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START, size_of
 from models.trajectory import Trajectory
 from validate.judge.replay.tracking import input_scale, nominals
 from validate.judge.replay.wiring import Feedback, HeldInputs
 
-PARAMETER, START, GAIN, NOISE, DELAY = 0.05, 0.01, 0.02, 0.01, 1.0
 # Breaks of the inputs that are nearer to one another than this share of a step are one.
 _SAME = 1e-9
 
@@ -72,7 +72,7 @@ def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[PerturbationKi
     found = []
     for index, item in enumerate(scene.parameters):
         stated = item.uncertainty is not None
-        size = item.uncertainty if item.uncertainty is not None else PARAMETER * abs(item.value)
+        size = size_of(item)
         if size > 0.0:
             found.append(
                 Perturbation(
