@@ -1,4 +1,4 @@
-"""The worked examples of plans from other packages run, and their verdicts are those on the page (docs/examples/README.md). NumPy always, others by hand: -m peer."""
+"""The worked examples of plans from other packages run, and their verdicts are those on the page (docs/examples/README.md). NumPy and MuJoCo always, others by hand: -m peer."""
 
 import re
 import runpy
@@ -19,7 +19,9 @@ ROWS = re.findall(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("package", [name if name == "numpy" else pytest.param(name, marks=pytest.mark.peer) for name in EXAMPLES])
+@pytest.mark.parametrize(
+    "package", [name if name in ("numpy", "mujoco") else pytest.param(name, marks=pytest.mark.peer) for name in EXAMPLES]
+)
 def test_an_example_writes_a_plan_with_the_verdict_of_the_page(package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pydrake" if package == "drake" else package)
     verdict, cost, error = {name: told for name, *told in ROWS}[package]
@@ -33,4 +35,4 @@ def test_an_example_writes_a_plan_with_the_verdict_of_the_page(package: str, tmp
 
 
 def test_every_example_has_its_row():
-    assert sorted(name for name, *_ in ROWS) == EXAMPLES == ["casadi", "crocoddyl", "drake", "numpy"]
+    assert sorted(name for name, *_ in ROWS) == EXAMPLES == ["casadi", "crocoddyl", "drake", "mujoco", "numpy", "pydrake"]

@@ -133,7 +133,9 @@ def command(
     else:
         judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
     rows = _elsewhere(judgement, asked, limits) if asked else []
-    told = _told(judgement, warnings) | ({"engines": [row.as_json() for row in rows]} if asked else {})
+    told = _told(judgement, warnings)
+    if asked:
+        told["engines"] = [row.as_json() for row in rows]
     if out is not None:
         _write(out, told, judgement)
     if html_file is not None:

@@ -29,7 +29,7 @@ from validate.judge.judgement import Judgement
 from validate.judge.replay.error_estimate import ReplayNodes, difference
 from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
-from validate.judge.replay.wiring import Feedback, measure_effort
+from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort
 from validate.judge.score import Score, score, wants_feedback
 from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, finer, run_engine
 
@@ -37,7 +37,7 @@ REFERENCE = "fmu"
 # Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter of the one before at each level.
 ROWS, LEVELS = 4, (1, 4, 16)
 # What the last of them is shortened by once more where that has not decided; what softness and stiffness are changed by.
-_MUCH, _SOFTER, _STIFFER = 4, 4.0, 4.0
+_MUCH, _SOFTER, _STIFFER = 4, 4.0, (8.0, 64.0)
 # From which growth of an error on a motion is called unstable.
 _GROWS = 30.0
 _OF_THE_JUDGE = "of the judge's own health; what an engine loses or gains is what its motion is judged by"
@@ -167,7 +167,7 @@ class _Matrix:
             for item in found
         )
         agrees = all(level.verdict == self.ours.verdict.value for level in levels)
-        kind, sentence = (Kind.NONE, f"the same, {_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
+        kind, sentence = (Kind.NONE, f"{_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
         return EngineVerdict(
             engine=engine, came=Came.DONE, agrees=agrees, score=found[-1].score, levels=levels, kind=kind, sentence=sentence
         )
@@ -192,7 +192,7 @@ class _Matrix:
                 _Found(
                     replay=whole,
                     score=judged,
-                    distance=self._distance(motion.q, self.replay.q[self.replay.knots]),
+                    distance=self._distance(motion.q),
                     drive=drive,
                     motion=motion,
                 )
@@ -228,10 +228,10 @@ class _Matrix:
         applied = motion.applied[: len(found.knots) - 1]
         return replace(found, feedback=drive.feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, drive.feedback))
 
-    def _distance(self, q: np.ndarray, true: np.ndarray, times: slice = slice(None)) -> float:
-        """The largest distance of two motions (rows, nq) [m, rad] at the plan's nodes, in nominal sizes [-]; infinite where one diverged."""
-        one, other = (rows[:: (len(rows) - 1) // self.plan.steps] for rows in (q, true))
-        return float(np.nan_to_num(np.abs(one - other)[times] / self.nominal, nan=np.inf).max())
+    def _distance(self, q: np.ndarray, times: slice = slice(None)) -> float:
+        """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""
+        apart = np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times] / self.nominal
+        return float(np.nan_to_num(apart, nan=np.inf).max())
 
     def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Kind, str]:
         """The class of a disagreement, and what was measured."""
@@ -253,26 +253,40 @@ class _Matrix:
         growth = self.replay.growth
         if growth is not None and growth.amplification > _GROWS:
             begin = min(int(np.searchsorted(self.plan.t, growth.begin)) + 1, self.plan.steps)
-            apart = self._distance(last.motion.q, self.replay.q[self.replay.knots], slice(begin, begin + 1))
+            apart = self._distance(last.motion.q, slice(begin, begin + 1))
             if apart * growth.amplification >= end.distance / 3.0:
                 grows = f"{_size(apart)} at {self.plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
                 return Kind.UNSTABLE, f"{stays}; {grows}"
-        stiff = self._apart(last.drive, engine, _STIFFER)
-        same = end.distance / 2.0 < stiff < 2.0 * end.distance
-        return (Kind.GEOMETRY if same else Kind.LAW), f"{stays}; with contacts {_STIFFER:g} times as stiff {_size(stiff)}"
+        # What contacts give is less the stiffer they are; where they meet is not.
+        soft, stiff = (self._depths_apart(last.drive, engine, factor) for factor in _STIFFER)
+        kind = Kind.LAW if stiff < soft / 2.0 else Kind.GEOMETRY
+        said = f"its deepest contact is {_size(soft)} m from ours, with {_STIFFER[1] / _STIFFER[0]:g} times the stiffness {_size(stiff)} m"
+        return kind, f"{stays}; all contacts {_STIFFER[0]:g} times as stiff {said}"
 
-    def _apart(self, drive: Drive, engine: str, stiffer: float = 1.0) -> float:
-        """How far an engine is from our reference by that drive, both with contacts so much stiffer [-]; infinite where one comes to no end."""
+    def _apart(self, drive: Drive, engine: str) -> float:
+        """How far from ours an engine is by that drive, in nominal sizes [-]; infinite where it comes to no end."""
+        answer = run_engine(engine, [drive], limits=self.limits)
+        return self._distance(answer.motions[0].q) if answer.came is Came.DONE else np.inf
+
+    def _depths_apart(self, drive: Drive, engine: str, stiffer: float) -> float:
+        """How much deeper, or less deep, an engine's deepest contact is than our reference's, both with contacts so much stiffer [m]; infinite without a number."""
         contacts = tuple(replace(contact, stiffness=stiffer * contact.stiffness) for contact in drive.scene.contacts)
-        asked = replace(drive, scene=replace(drive.scene, contacts=contacts))
-        answers = [
+        held, plan, part = HeldInputs(self.plan), self.plan, np.arange(ROWS) / ROWS
+        h = np.diff(plan.t)[:, None]
+        t = np.append((plan.t[:-1, None] + h * part).ravel(), plan.t[-1])
+        u = (held.values[:, None] + held.slopes[:, None] * (h * part)[:, :, None]).reshape(len(t) - 1, -1)
+        nothing = np.zeros((len(t), 0))
+        fine = replace(plan, t=t, u=u, q=nothing, v=nothing, lam=nothing[1:], scheme=None)
+        scene = replace(drive.scene, contacts=contacts)
+        asked = replace(drive, scene=scene, plan=fine, parts=drive.parts // ROWS, rows=1)
+        told = [
             run_engine(engine, [asked], limits=self.limits),
             run_engine(REFERENCE, [replace(asked, tolerance=describe_engine(REFERENCE).tolerances[-1])], limits=self.limits),
         ]
-        if any(answer.came is not Came.DONE for answer in answers):
+        if any(answer.came is not Came.DONE for answer in told):
             return np.inf
-        one, other = (answer.motions[0].q for answer in answers)
-        return self._distance(one, other)
+        one, other = (self.kernel.penetration(answer.motions[0].q).max(axis=0) for answer in told)
+        return float(np.nan_to_num(np.abs(one - other), nan=np.inf).max())
 
 
 def scaled(apart: Difference | None, factor: float) -> Difference | None:

@@ -59,7 +59,7 @@ def test_what_a_mechanism_is_told_comes_from_the_scene():
     found = mechanism_of(scene)
     assert found.masses is not None
     assert found.touches[0].stiffness == 400.0
-    assert '<joint name="x_b" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="2.5"' in found.bodies
+    assert '<joint name="z" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="2.5"' in found.bodies
     stretched, at_rest = (np.array(found.smooth()(length, 0.0, 0.0, 0.0, 3.0)) for length in (0.2, 0.1))
     np.testing.assert_allclose(stretched - at_rest, [-10.0, 10.0], rtol=1e-12)
 
@@ -69,7 +69,7 @@ def test_what_a_mechanism_is_told_comes_from_the_scene():
     ("name", "words"),
     [
         ("push_box", "gap of contact rim"),
-        ("two_finger_of_another_name", "mass matrix is no constant diagonal"),
+        ("acrobot_limits_of_another_name", "mass matrix is no constant diagonal"),
     ],
 )
 def test_what_no_mechanism_expresses_is_said_in_a_sentence(name: str, words: str):
