@@ -38,7 +38,7 @@ class RobustOptions(Options):
     pairs: int = option(
         2, "numbers that are otherwise, each both ways: those that harm most; the work grows faster than their number", lower=1, upper=32
     )
-    weight: float = option(1.0, "what a mean miss of its limit costs, as a share of the cost of the plan for the scene alone", lower=0.0)
+    weight: float = option(3.0, "what a mean miss of its limit costs, as a share of the cost of the plan for the scene alone", lower=0.0)
     scale: float = option(1.0, "by how many of their sizes they are otherwise", lower=0.0, upper=10.0)
     max_iterations: int = option(1000, "most Ipopt iterations of the plan for all worlds", lower=1, upper=10**9)
 
