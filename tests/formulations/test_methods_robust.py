@@ -67,6 +67,7 @@ def test_a_robust_plan_ends_nearer_where_what_harms_most_is_otherwise_and_costs_
     assert (more + less == 0.0).all()
     assert np.flatnonzero(more).tolist() == [1], "the damping"
     assert found.cost == pytest.approx(load_kernel(SCENE).cost(plan.q, plan.v, plan.u))
+    assert found.cost is not None
     assert found.cost > alone.cost
     assert miss(SCENE, plan) < 1e-6
     c = SCENE.parameter_values[next(symbol for symbol in SCENE.parameter_values if symbol.name == "c")]
