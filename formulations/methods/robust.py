@@ -3,9 +3,9 @@
     copy 0: the scene itself, which reaches the goal        the others: the numbers that harm its own plan most, each moved by its size both ways
     least  mean over the copies of their cost  +  weight * cost of the plan for the scene alone * mean of (miss/limit)^2
 
-Numbers are parameters, gains of the inputs and the start, sizes those of models.scene.uncertainty. The copies are bodies that never meet, so they are one scene, and `mpcc` plans for it: each world has contact modes of its own, which begin as those of the
-plan for the scene alone. Noise and delay are left out: no input is known in advance that would be better against them. Where the end is free, what is
-averaged is the cost alone.
+Numbers are parameters, gains of the inputs and the start, sizes those of models.scene.uncertainty. The copies are bodies that never meet, so they are one scene:
+`mpcc` plans for the scene alone, and `strict_lcp` for all from what the inputs of that plan do in each world, where every contact law is met; so contacts begin in the modes of
+the exact plan. Noise and delay are left out: no input is known in advance that would be better against them. Where the end is free, what is averaged is the cost alone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from formulations.contact_modes.method import why_not
 from formulations.method import Clock, Kind, Method, Options, Session, option
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from models.codegen.kernel import load_kernel
+from models.codegen.kernel import Rollout, load_kernel
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.scene.uncertainty import GAIN, START, size_of
@@ -38,9 +38,9 @@ class RobustOptions(Options):
     pairs: int = option(
         2, "numbers that are otherwise, each both ways: those that harm most; the work grows faster than their number", lower=1, upper=32
     )
-    weight: float = option(1.0, "what a mean miss of its limit costs, as a share of the cost of the plan for the scene alone", lower=0.0)
+    weight: float = option(3.0, "what a mean miss of its limit costs, as a share of the cost of the plan for the scene alone", lower=0.0)
     scale: float = option(1.0, "by how many of their sizes they are otherwise", lower=0.0, upper=10.0)
-    work: float = option(100.0, "most work, as of mpcc, of the plan for all worlds", unit="millions", lower=0.0)
+    max_iterations: int = option(1000, "most Ipopt iterations of the plan for all worlds", lower=1, upper=10**9)
 
 
 def ensemble(scene: Scene, points: np.ndarray, weight: float) -> Scene:
@@ -80,16 +80,19 @@ def harmful(scene: Scene, plan: Trajectory, pairs: int) -> np.ndarray:
 
 def _harm(scene: Scene, plan: Trajectory, point: np.ndarray) -> float:
     """How far the inputs of a plan end from the goal in a world, in squares of limits; where the end is free, what they cost; by the scene's own time step."""
-    values, gains, start = _otherwise(scene, point)
-    moved, start = scene.with_parameters(**values), np.array(scene.task.start) + start
-    kernel, u = load_kernel(moved), plan.u * gains
-    motion = kernel.rollout(start, u, scene.task.step)
+    motion = _driven(scene, point, plan.u)
     if motion.diverged:
         return np.inf
     if not scene.task.has_goal:
-        return kernel.cost(motion.q, motion.v, plan.u)
+        return load_kernel(scene).cost(motion.q, motion.v, plan.u)
     missed = miss(np.concatenate([motion.q[-1], motion.v[-1]]), goal_state(scene.task))
     return sum(float(part @ part) / limit**2 for part, limit in zip(np.split(missed, 2), _limits(scene), strict=True) if limit)
+
+
+def _driven(scene: Scene, point: np.ndarray, u: np.ndarray) -> Rollout:
+    """What inputs (steps, nu) do in a world, by the scene's own time step."""
+    values, gains, moved = _otherwise(scene, point)
+    return load_kernel(scene.with_parameters(**values)).rollout(np.array(scene.task.start) + moved, u * gains, scene.task.step)
 
 
 def _width(scene: Scene) -> int:
@@ -170,8 +173,8 @@ class RobustSession(Session):
         weight = options.weight * abs(alone.cost)
         points = options.scale * harmful(scene, alone.trajectory, options.pairs)
         whole = ensemble(scene, points, weight)
-        with load_method("mpcc").open(whole, {"work": options.work, "first_work": options.work}) as session:
-            found = session.solve(eps=None, warm_start=_tiled(alone.trajectory, len(points) + 1), time_limit=max(1e-3, ends - monotonic()))
+        with load_method("strict_lcp").open(whole, {"max_iterations": options.max_iterations}) as session:
+            found = session.solve(eps=None, warm_start=_in_all(scene, points, alone.trajectory), time_limit=max(1e-3, ends - monotonic()))
         seconds = {name: value + getattr(alone.seconds, name) for name, value in asdict(found.seconds).items()}
         spent = {"seconds": replace(found.seconds, **seconds), "iterations": alone.iterations + found.iterations}
         if found.trajectory is None:
@@ -193,9 +196,14 @@ class RobustSession(Session):
         )
 
 
-def _tiled(plan: Trajectory, copies: int) -> Trajectory:
-    """The same motion in every copy."""
-    return replace(plan, q=np.tile(plan.q, (1, copies)), v=np.tile(plan.v, (1, copies)), lam=np.tile(plan.lam, (1, copies)))
+def _in_all(scene: Scene, points: np.ndarray, plan: Trajectory) -> Trajectory | None:
+    """What the inputs of a plan do in the scene and in all worlds, as a plan of `ensemble`; None where that diverges."""
+    motions = [_driven(scene, point, plan.u) for point in points]
+    if any(motion.diverged for motion in motions):
+        return None
+    return replace(
+        plan, **{name: np.hstack([getattr(plan, name), *(getattr(motion, name) for motion in motions)]) for name in ("q", "v", "lam")}
+    )
 
 
 class Robust(Method[RobustOptions]):
