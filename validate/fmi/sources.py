@@ -11,7 +11,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from models.codegen.compiler import find_compiler
-from models.fmu.description import find_standard, standard_headers
 from validate.fmi.archive import DESCRIPTION, FmuError
 
 # Seconds of compilation.
@@ -54,6 +53,8 @@ def _found(item: ElementTree.Element, name: str) -> Sources:
 
 def compile_sources(folder: Path, sources: Sources, major: int, library: Path) -> str:
     """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
+    from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
+
     place, compiler = (folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*sources.files, *sources.folders)]
     for path, name in zip(paths, (*sources.files, *sources.folders), strict=True):
