@@ -57,6 +57,11 @@ class Package:
         return self.description.coSimulation if "CoSimulation" in self.archive.kinds else None
 
 
+def interface_of(description: Any, kind: str) -> Any:
+    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution; None where the FMU does not offer it."""
+    return {"ME": description.modelExchange, "CS": description.coSimulation, "SE": getattr(description, "scheduledExecution", None)}[kind]
+
+
 def read_description(path: Path) -> Any:
     """FMPy's description of an FMU, or of the folder where one lies unpacked, not validated. Raises what FMPy raises."""
     import fmpy  # 0.04 s to import, and what names a Package need not

@@ -45,10 +45,10 @@ from fmpy.fmi3 import (
     fmi3LockPreemptionCallback,
     fmi3LogMessageCallback,
     fmi3UnlockPreemptionCallback,
-)
+)  # fmt: skip
 
 from validate.fmi.archive import FmuError
-from validate.fmi.description import Package
+from validate.fmi.description import Package, interface_of
 
 # Rounds of one event iteration before it is called endless.
 EVENT_ROUNDS = 100
@@ -272,18 +272,9 @@ class FMU3Scheduling(_Fmi3, _FMU3):
             raise RuntimeError("no instance")
 
 
-CLASSES = {
-    (2, "ME"): FMU2Exchange,
-    (2, "CS"): FMU2Stepping,
-    (3, "ME"): FMU3Exchange,
-    (3, "CS"): FMU3Stepping,
-    (3, "SE"): FMU3Scheduling,
-}
-
-
-def interface_of(description: Any, kind: str) -> Any:
-    """FMPy's description of an interface: "ME", "CS" or "SE", Scheduled Execution; None where the FMU does not offer it."""
-    return {"ME": description.modelExchange, "CS": description.coSimulation, "SE": getattr(description, "scheduledExecution", None)}[kind]
+CLASSES: dict[tuple[int, str], Any] = {
+    (2, "ME"): FMU2Exchange, (2, "CS"): FMU2Stepping, (3, "ME"): FMU3Exchange, (3, "CS"): FMU3Stepping, (3, "SE"): FMU3Scheduling,
+}  # fmt: skip
 
 
 class Instance:

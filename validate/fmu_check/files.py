@@ -18,8 +18,10 @@ from typing import Any
 
 from fmpy.validation import validate_fmu
 
-from validate.fmi.archive import binary_name, problems
+from models.errors import MachineError
+from validate.fmi.archive import FmuError, binary_name, problems
 from validate.fmi.instance import CLASSES
+from validate.fmi.sources import compile_sources, sources_of
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import FmuVariable, Subject
@@ -131,6 +133,25 @@ def archive(path: Path) -> Finding:
 def library_path(subject: Subject, kind: str) -> Path:
     """Where the binary for this machine must be."""
     return subject.folder / binary_name(subject.description.fmiVersion, subject.interface(kind).modelIdentifier)
+
+
+@check("sources compile", Scope.EACH, clauses=("2.3", "2.5.1.3"))
+def compiled(subject: Subject, kind: str) -> Finding:
+    """Where there is no binary for this machine, the sources that the FMU brings give one."""
+    path = library_path(subject, kind)
+    if path.is_file():
+        return not_offered("there is a binary for this machine.")
+    try:
+        sources = sources_of(subject.folder, subject.interface(kind).modelIdentifier)
+        if sources is None or not sources.files:
+            return not_offered("there is no binary for this machine, and no source.")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        compiler = compile_sources(subject.folder, sources, subject.major, path)
+    except FmuError as error:
+        return failed(f"{error}.")
+    except MachineError as error:
+        return not_offered(str(error))
+    return passed(f"{len(sources.files)} files, by {compiler}.")
 
 
 @check("exported functions", Scope.EACH, clauses=("2.1.1", "2.2.2"))

@@ -36,7 +36,7 @@ from validate.store.disk import temporary_folder
 STATIC: tuple[Check, ...] = (files.archive, files.valid)
 # If this one fails for a type, those after it are not run.
 FIRST = communication.lives
-READING: tuple[Check, ...] = (files.consistent, files.exports)
+READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
     FIRST,
     values.readable,
@@ -115,6 +115,8 @@ class _Table:
 
     def of_description(self, item: Check, kind: str, subject: Subject) -> None:
         """One check of a described FMU, if it can be run."""
+        if item is files.compiled and files.library_path(subject, kind).is_file():
+            return  # as of most FMUs: no row
         if item in READING:
             self.add(item, kind, (subject, kind) if kind else (subject,))
             return
@@ -167,7 +169,7 @@ class _Table:
             self._row(item, kind, not_offered(sentence), time.monotonic())
 
     def _wanted(self, item: Check) -> bool:
-        return self._names is None or item.name in self._names or item is FIRST
+        return self._names is None or item.name in self._names or item in (FIRST, files.compiled)
 
     def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
         row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status.name, "sentence": found.sentence}

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from validate.fmi.archive import DESCRIPTION, interfaces
-from validate.fmi.description import REAL
-from validate.fmi.instance import Instance, References, interface_of
+from validate.fmi.description import REAL, interface_of
+from validate.fmi.instance import Instance, References
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")

@@ -3,6 +3,7 @@
 import json
 import stat
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -198,3 +199,20 @@ def test_elf_of_our_own(sound_content):
     for broken in (b"", b"\x7fELF", data[:100], b"\x7fELF" + bytes(60)):
         with pytest.raises(NotElf):
             read_library(broken)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_an_fmu_of_sources_is_compiled_and_then_checked(version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path):
+    content = {name: data for name, data in sound_content(version).items() if not name.startswith("binaries/")}
+    report = check_fmu(_pack(tmp_path / "sources.fmu", content), names=["sources compile", "values stay finite"])
+    found = {(row.name, row.type): row.status for row in report.rows}
+    assert found["sources compile", "ME"] is Status.PASSED
+    assert found["values stay finite", "CS"] is Status.PASSED
+    assert not report.unrunnable
+    name = "sources/equations.h"
+    report = check_fmu(_pack(tmp_path / "broken.fmu", content | {name: content[name] + b"\n#error no\n"}), names=["sources compile"])
+    (row,) = [row for row in report.rows if (row.name, row.type) == ("sources compile", "ME")]
+    assert row.status is Status.FAILED
+    assert "sources/equations.h" in row.sentence
+    assert "#error no" in row.sentence

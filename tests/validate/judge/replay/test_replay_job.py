@@ -40,7 +40,7 @@ def package(*, exchange: bool = True, cosimulation: bool = True, once: bool = Fa
 
 
 def ended(ending: Ending, **more: Any) -> Any:
-    return SimpleNamespace(**({"ending": ending, "ok": ending is Ending.OK, "sentence": f"it was {ending.name}.", "cpu": 2.5, "strays": 0, "value": None, "arrays": None} | more))  # fmt: skip
+    return SimpleNamespace(**({"ending": ending, "ok": ending is Ending.OK, "sentence": f"it was {ending.name}.", "cpu": 2.5, "strays": 0, "value": None, "output": "", "arrays": None} | more))  # fmt: skip
 
 
 def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: int = 0) -> Any:
