@@ -43,7 +43,7 @@ _GROWS = 30.0
 _OF_THE_JUDGE = "of the judge's own health; what an engine loses or gains is what its motion is judged by"
 
 
-class Kind(Enum):
+class Otherwise(Enum):
     """Why an engine says something else."""
 
     NONE = ""
@@ -72,7 +72,7 @@ class EngineVerdict:
     agrees: bool | None = None
     score: Score | None = None
     levels: tuple[EngineLevel, ...] = ()
-    kind: Kind = Kind.NONE
+    kind: Otherwise = Otherwise.NONE
     sentence: str = ""
 
     @property
@@ -167,7 +167,7 @@ class _Matrix:
             for item in found
         )
         agrees = all(level.verdict == self.ours.verdict.value for level in levels)
-        kind, sentence = (Kind.NONE, f"{_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
+        kind, sentence = (Otherwise.NONE, f"{_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
         return EngineVerdict(
             engine=engine, came=Came.DONE, agrees=agrees, score=found[-1].score, levels=levels, kind=kind, sentence=sentence
         )
@@ -233,33 +233,33 @@ class _Matrix:
         apart = np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times] / self.nominal
         return float(np.nan_to_num(apart, nan=np.inf).max())
 
-    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Kind, str]:
+    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Otherwise, str]:
         """The class of a disagreement, and what was measured."""
         ours, about, last, first, end = self.ours.verdict.value, describe_engine(engine), found[-1], levels[0], levels[-1]
         step = "tolerance" if about.adaptive else "step"
         begun = f"{first.verdict} at a {step} of {first.step:.2g}, {_size(first.distance)} from ours"
         if end.verdict == ours:
-            return Kind.STEP, f"{begun}; {end.verdict} at {end.step:.2g}, {_size(end.distance)} from ours"
+            return Otherwise.STEP, f"{begun}; {end.verdict} at {end.step:.2g}, {_size(end.distance)} from ours"
         much = finer(last.drive, _MUCH)
         _, more = self._scored(engine, [much], last)
         told = much.tolerance if about.adaptive else much.step
         if more and (more[0].score.verdict.value == ours or more[0].distance < end.distance / 2.0):
-            return Kind.STEP, f"{begun}; {more[0].score.verdict.value} at {told:.2g}, {_size(more[0].distance)} from ours"
+            return Otherwise.STEP, f"{begun}; {more[0].score.verdict.value} at {told:.2g}, {_size(more[0].distance)} from ours"
         stays = f"{end.verdict} at a {step} of {end.step:.2g}, {_size(end.distance)} from ours, and no nearer at {told:.2g}"
         if about.softens and self.scene.nf:
             soft = self._apart(replace(last.drive, soft=_SOFTER), engine)
             if soft > _SOFTER / 2.0 * end.distance:
-                return Kind.FRICTION, f"{stays}; with its friction {_SOFTER:g} times as soft {_size(soft)}"
+                return Otherwise.FRICTION, f"{stays}; with its friction {_SOFTER:g} times as soft {_size(soft)}"
         growth = self.replay.growth
         if growth is not None and growth.amplification > _GROWS:
             begin = min(int(np.searchsorted(self.plan.t, growth.begin)) + 1, self.plan.steps)
             apart = self._distance(last.motion.q, slice(begin, begin + 1))
             if apart * growth.amplification >= end.distance / 3.0:
                 grows = f"{_size(apart)} at {self.plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
-                return Kind.UNSTABLE, f"{stays}; {grows}"
+                return Otherwise.UNSTABLE, f"{stays}; {grows}"
         # What contacts give is less the stiffer they are; where they meet is not.
         soft, stiff = (self._depths_apart(last.drive, engine, factor) for factor in _STIFFER)
-        kind = Kind.LAW if stiff < soft / 2.0 else Kind.GEOMETRY
+        kind = Otherwise.LAW if stiff < soft / 2.0 else Otherwise.GEOMETRY
         said = f"its deepest contact is {_size(soft)} m from ours, with {_STIFFER[1] / _STIFFER[0]:g} times the stiffness {_size(stiff)} m"
         return kind, f"{stays}; all contacts {_STIFFER[0]:g} times as stiff {said}"
 

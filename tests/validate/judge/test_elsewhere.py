@@ -12,7 +12,7 @@ from models.errors import SceneError
 from models.scene import Limit, Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge import elsewhere as room
-from validate.judge.elsewhere import EngineVerdict, Kind, elsewhere
+from validate.judge.elsewhere import EngineVerdict, Otherwise, elsewhere
 from validate.judge.judgement import Judgement, judge
 from validate.judge.simulator import Came, Drive, EngineAnswer, describe_engine, load_engine
 from validate.truth.problems import ground
@@ -65,7 +65,7 @@ def test_our_everyday_fmu_says_what_the_reference_says(thrown: Judgement, plante
     assert thrown.verdict.value == "consistent"
     assert ours.score is thrown.score
     assert other.agrees
-    assert other.kind is Kind.NONE
+    assert other.kind is Otherwise.NONE
     assert [level.verdict for level in other.levels] == ["consistent"] * 3
     assert other.levels[-1].distance < 1e-9
     assert [level.step for level in other.levels] == pytest.approx([0.01 / 4, 0.01 / 16, 0.01 / 64])
@@ -75,7 +75,7 @@ def test_our_everyday_fmu_says_what_the_reference_says(thrown: Judgement, plante
 def test_what_goes_away_with_the_step_is_a_step_error(thrown: Judgement, planted):
     planted[0] = lambda drive: replace(drive, start=drive.start + np.array([0.0, 8.0 * drive.step]))
     row = otherwise(thrown)
-    assert row.kind is Kind.STEP
+    assert row.kind is Otherwise.STEP
     assert row.levels[0].verdict == "undecided"
     assert "undecided at a step of 0.0025" in row.sentence
 
@@ -89,11 +89,11 @@ def of_contacts(drive: Drive, **change) -> Drive:
 def test_another_law_is_told_from_another_place_of_the_wall(thrown: Judgement, planted):
     planted[0] = lambda drive: of_contacts(drive, stiffness=lambda item: item.stiffness / 2)
     softer = otherwise(thrown)
-    assert softer.kind is Kind.LAW, softer.sentence
+    assert softer.kind is Otherwise.LAW, softer.sentence
     assert "8 times as stiff" in softer.sentence
     planted[0] = lambda drive: of_contacts(drive, penetration=lambda item: item.penetration + 0.05)
     nearer = otherwise(thrown)
-    assert nearer.kind is Kind.GEOMETRY, nearer.sentence
+    assert nearer.kind is Otherwise.GEOMETRY, nearer.sentence
 
 
 @pytest.mark.slow
@@ -101,7 +101,7 @@ def test_what_instability_makes_of_a_hair_is_told_as_such(planted):
     pole = left_alone(load_scene("cart_pole_walls").with_task(start=(0.0, 1e-3, 0.0, 0.0)), 0.05)
     planted[0] = lambda drive: replace(drive, start=drive.start + np.array([0.0, 2e-4, 0.0, 0.0]))
     row = otherwise(pole)
-    assert row.kind is Kind.UNSTABLE, row.sentence
+    assert row.kind is Otherwise.UNSTABLE, row.sentence
     assert "an error grows" in row.sentence
 
 
@@ -110,7 +110,7 @@ def test_a_block_that_creeps_in_drake_is_its_friction(planted):
     pytest.importorskip("pydrake")
     rests = left_alone(ground(math.atan(0.95 * 0.8), 0.8), 1e-5)
     row = otherwise(rests, "drake_continuous")
-    assert row.kind is Kind.FRICTION, row.sentence
+    assert row.kind is Otherwise.FRICTION, row.sentence
 
 
 def test_a_motion_that_leaves_every_bound_is_a_row(thrown: Judgement, planted, monkeypatch):
