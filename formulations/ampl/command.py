@@ -17,11 +17,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from formulations.ampl.nl import NlProblem
-    from formulations.mpec.result import MpecResult, PairState
+import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
+
+from formulations.ampl.nl import NlError, NlProblem, read_problem
+from formulations.ampl.sol import write_sol
+from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
+from formulations.mpec import MpecSettings, read_settings
+from formulations.mpec.result import MpecResult, PairState, is_feasible
+from formulations.mpec.solve import solve_mpec
+from formulations.solution import Outcome
 
 # Which bounds of its variable a row complements.
 _LOWER, _BOTH = 1, 3
@@ -75,14 +81,6 @@ class _Answer:
 
 
 def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
-    import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
-
-    from formulations.ampl.nl import NlError, read_problem
-    from formulations.ampl.sol import write_sol
-    from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
-    from formulations.mpec import read_settings
-    from formulations.mpec.solve import solve_mpec
-
     own, others = _split(words)
     try:
         problem = read_problem(stub, objective=own["objno"], relax_integers=bool(own["relax_integers"]))
@@ -140,8 +138,6 @@ def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _options_in_words() -> str:
-    from formulations.mpec import MpecSettings
-
     rows = [f"{name:28}{text}" for name, text in _OWN.items()]
     rows += [f"{item.name:28}of mpec_ipopt ({item.default})" for item in fields(MpecSettings) if item.name != "ipopt"]
     return "\n".join([*rows, "and every option of Ipopt, as max_iter, tol, print_level"])
@@ -154,9 +150,6 @@ def _sentence(result: MpecResult) -> str:
 
 def _code(result: MpecResult) -> int:
     """AMPL's code; a feasible point without a proof is 100."""
-    from formulations.mpec.result import is_feasible
-    from formulations.solution import Outcome
-
     codes = {
         Outcome.SOLVED: 0,
         Outcome.INFEASIBLE: 200,

@@ -8,8 +8,12 @@ from pathlib import Path
 import click
 
 from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.fmu.coupled import build_ssp
+from models.fmu.mjcf import build_robot, read_robot
 from validate.cli.options import scenes
 from validate.cli.table import warn
+from validate.plan.warnings import warnings_of
 from validate.store.disk import disk_error, make_folder, write_durably
 
 
@@ -67,10 +71,6 @@ def command(
     coupled: bool,
 ) -> int:
     """Export a scene, or a robot of MuJoCo, as an FMU: Co-Simulation and Model Exchange in one file."""
-    from models.fmu import build_fmu
-    from models.fmu.coupled import build_ssp
-    from validate.plan.warnings import warnings_of
-
     if (scene is None) == (mjcf is None):
         raise click.UsageError("give either a scene or --mjcf ROBOT.xml.")
     if mjcf is not None and (coupled or platforms):
@@ -98,8 +98,6 @@ def command(
 
 def _robot(mjcf: Path, contacts: tuple[str, ...], keyframe: str | None, output: Path, version: str) -> int:
     """A robot's FMU, and its map beside it: one that is there already may be somebody's work, and stays."""
-    from models.fmu.mjcf import build_robot, read_robot
-
     robot = read_robot(mjcf, contacts, keyframe)
     built = build_robot(robot, version)
     warn(robot.notes)

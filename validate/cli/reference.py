@@ -12,6 +12,7 @@ from validate.cli.options import FiniteRange
 from validate.cli.table import say
 from validate.fmi import references as files
 from validate.fmi.description import Package, read_package, unpacked
+from validate.fmu_check.reference import POINTS, reference_solution
 from validate.store.disk import make_folder, write_durably
 
 _EPILOG = """\b
@@ -65,8 +66,6 @@ def command(
 
     Beside the FMU are written FILE_ref.csv, FILE_ref_error.csv and FILE_ref.opt; `check` tries such results again, whoever stored them.
     """
-    from validate.fmu_check.reference import POINTS, reference_solution
-
     if cross_check and (output is not None or stop_time is not None or step is not None):
         raise click.UsageError(
             "--cross-check takes the experiment from FILE_ref.opt, and writes FILE_cc.csv; leave out -o, --stop-time and --step."

@@ -5,16 +5,21 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from models.catalog import load_scene
+from models.trajectory_netcdf import read_netcdf
+from reports.records.record import RunRecord, stage_files
+from reports.records.robustness_record import RobustnessRecord
+from validate.cli.group import INTERRUPTED
 from validate.cli.options import scenes, write, written_to
+from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
-
-if TYPE_CHECKING:
-    from reports.records.robustness_record import RobustnessRecord
-    from validate.judge.robustness import Robustness
+from validate.judge.judgement import as_trajectory
+from validate.judge.robustness import Robustness, robustness
+from validate.store.stored import CampaignError
 
 _KINDS = ("parameters", "start", "gain", "noise", "delay")
 
@@ -63,10 +68,6 @@ def command(
     Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of docs/robustness.md, all at once; then each by itself until
     the plan fails. Inputs alone and with feedback apart.
     """
-    from reports.records.robustness_record import RobustnessRecord
-    from validate.cli.group import INTERRUPTED
-    from validate.judge.robustness import robustness
-
     subject, trajectory, name = _plan_of(plan, scene, folder)
     found = robustness(
         subject,
@@ -93,13 +94,6 @@ def command(
 
 def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]:
     """The scene, the plan as a Trajectory, and what it is called: of a file, or of a run."""
-    from models.catalog import load_scene
-    from models.trajectory_netcdf import read_netcdf
-    from reports.records.record import RunRecord, stage_files
-    from validate.cli.show import find_run
-    from validate.judge.judgement import as_trajectory
-    from validate.store.stored import CampaignError
-
     if Path(plan).is_file() or Path(plan).suffix in (".csv", ".nc"):
         if scene is None:
             raise click.UsageError("a plan from a file needs --scene NAME.")

@@ -62,7 +62,7 @@ def mujoco() -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
+class GeomPair:
     """Two sides whose contact is asked for: of each its name, whether it is a body (all its geoms), its number."""
 
     names: tuple[str, str]
@@ -87,7 +87,7 @@ class Robot:
     model: Any
     start: Any
     keyframe: int
-    contacts: tuple[Contact, ...]
+    contacts: tuple[GeomPair, ...]
 
     @property
     def identifier(self) -> str:
@@ -211,7 +211,7 @@ def _check_carried(package: Any, path: Path, model: Any) -> None:
             )
 
 
-def _contact(package: Any, path: Path, model: Any, text: str) -> Contact:
+def _contact(package: Any, path: Path, model: Any, text: str) -> GeomPair:
     """`A:B`; names may hold colons themselves."""
     objects = package.mjtObj
 
@@ -227,7 +227,7 @@ def _contact(package: Any, path: Path, model: Any, text: str) -> Contact:
         names = ":".join(parts[:cut]), ":".join(parts[cut:])
         sides = [find(name) for name in names]
         if sides[0] is not None and sides[1] is not None and sides[0] != sides[1]:
-            return Contact(names=names, is_body=(sides[0][0], sides[1][0]), ids=(sides[0][1], sides[1][1]))
+            return GeomPair(names=names, is_body=(sides[0][0], sides[1][0]), ids=(sides[0][1], sides[1][1]))
     known = [model.geom(number).name for number in range(model.ngeom)] + [model.body(number).name for number in range(model.nbody)]
     missing = next((name for name in parts if find(name) is None), text)
     advice = did_you_mean(missing, [name for name in known if name], f"it has {', '.join([name for name in known if name][:8])} ..")

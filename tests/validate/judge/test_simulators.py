@@ -57,7 +57,6 @@ def test_a_package_that_is_missing_is_said(monkeypatch):
 def test_what_a_mechanism_is_told_comes_from_the_scene():
     scene = load_scene("hopper").with_parameters(m_b=2.5, k=400.0)
     found = mechanism_of(scene)
-    assert found.masses is not None
     assert found.touches[0].stiffness == 400.0
     assert '<joint name="z" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="2.5"' in found.bodies
     stretched, at_rest = (np.array(found.smooth()(length, 0.0, 0.0, 0.0, 3.0)) for length in (0.2, 0.1))
