@@ -71,7 +71,11 @@ def harmful(scene: Scene, plan: Trajectory, pairs: int) -> np.ndarray:
 
     Returns
     -------
-    points : (2*pairs, np + nu + 2*nq) as `ensemble` takes them
+    points : (2*pairs, np + nu + 2*nq) as `ensemble` takes them [-]
+
+    Raises
+    ------
+    ValueError : if the plan's inputs are not the scene's.
     """
     ways = np.eye(_width(scene))
     harm = [max(_harm(scene, plan, point), _harm(scene, plan, -point)) for point in ways]

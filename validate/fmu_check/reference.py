@@ -113,7 +113,7 @@ def no_variable(subject: Subject, where: str, name: str) -> FmuError:
 
 
 def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVariable:
-    """The variable of a column. Raises FmuError."""
+    """The variable of a column (rows, entries) [its unit]. Raises FmuError."""
     item = subject.by_name.get(name)
     if item is None:
         raise no_variable(subject, where, name)

@@ -127,7 +127,7 @@ class Plant:
         simulator.Initialize()
 
         def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
-            """Over count h [s] under u (nu,) [N, N m]: positions and velocities (nq,) [m, rad, m/s, rad/s]; NaN where Drake gives up."""
+            """Over count h [s] under u (nu,) [N, N m]: positions and velocities (nq,) [m, rad, m/s, rad/s]; NaN where Drake gives up. Raises nothing."""
             pieces, begin = count if slope.any() else 1, self.context.get_time()
             try:
                 for part in range(pieces):

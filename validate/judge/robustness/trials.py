@@ -122,7 +122,7 @@ class WorldTrial:
 
     @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """What the shares are of."""
+        """What the shares are of: (rows, 2*nq) [m or rad, then per second], (rows, nc) [m], the cost. Raises nothing."""
         return self.states, self.gaps, self.cost
 
     @property

@@ -134,7 +134,7 @@ def moved(world: World, causes: Sequence[Perturbation], sizes: np.ndarray, noise
     Parameters
     ----------
     sizes : (causes,) by how many sizes each is moved; kept within what it may be moved by
-    noise : (steps, nu) of standard deviation 1; None: without
+    noise : (steps, nu) [-] of standard deviation 1; None: without
 
     Raises
     ------
@@ -215,11 +215,11 @@ class WorldInputs(HeldInputs):
 
     @property
     def commands(self) -> np.ndarray:
-        """(steps, nu) what is commanded at the plan's nodes [unit of each input]: what an actuator makes of it, and when, is the world's."""
+        """(steps, nu) what is commanded at the plan's nodes [unit of each input]: what an actuator makes of it, and when, is the world's. Raises nothing."""
         return self._commands.values
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
-        """The input at the start of a step of these times: at a node a command is given, from its arrival on it is in force (`HeldInputs.begin`)."""
+        """The input at the start of a step of these times: at a node a command is given, from its arrival on it is in force (`HeldInputs.begin`): (nu,) [unit of each], state (2*nq,). Raises nothing."""
         if self.feedback is not None:
             node = int(self._lies_in[step])
             if self.rows[node] == step:
