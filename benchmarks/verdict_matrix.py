@@ -30,7 +30,7 @@ def as_markdown(engines: Sequence[str], rows: dict[str, tuple[str, str, list[Eng
     lines = [
         "# The verdict matrix",
         "",
-        f"Made by `python -m benchmarks verdict_matrix --engine {','.join(engines)}`; [engines.md](engines.md) says what is asked and how a class is measured.",
+        f"Made by `python -m benchmarks verdict-matrix --engine {','.join(engines)}`; [engines.md](engines.md) says what is asked and how a class is measured.",
         "",
         "A cell is the engine's own verdict at its finest step; **bold** where it is another than ours at that step or at one of two longer ones.",
         "",

@@ -52,7 +52,7 @@ def in_the_package(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(formulations.methods, "__path__", [str(methods)])
     yield
     sys.modules.pop("formulations.methods.steady", None)
-    asked_of_methods.plan_of.cache_clear()
+    asked_of_methods.first.cache_clear()
 
 
 def conformance(module: ModuleType, names: tuple[str, ...]) -> dict[str, Callable[[str], None]]:
@@ -73,7 +73,8 @@ def test_the_scene_is_one_of_the_bank(folder: Path, test):
 @pytest.mark.slow
 @pytest.mark.parametrize("test", OF_METHODS.values(), ids=OF_METHODS)
 def test_the_method_is_one_of_the_package(in_the_package: None, test, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(asked_of_methods, "ALL", ("steady",))
+    for names in ("ALL", "PLANS"):
+        monkeypatch.setattr(asked_of_methods, names, ("steady",))
     assert formulations.pipelines.method_names() == ("steady",)
     test("steady")
 

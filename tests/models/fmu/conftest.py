@@ -20,6 +20,7 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave
 from models.catalog import scene_path
 from models.dynamics import derive
 from models.fmu import build_fmu, variable_names
+from models.fmu.mjcf import read_robot
 from models.scene import Scene
 
 NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator")
@@ -282,3 +283,19 @@ def reference() -> Callable[[Scene], Reference]:
 @pytest.fixture
 def probe_points() -> Callable[[Scene], list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     return probes
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """robot(text, *contacts, keyframe=..) reads a robot from a text."""
+    pytest.importorskip("mujoco")
+    folder, count = tmp_path_factory.mktemp("robots"), 0
+
+    def made(text: str, *contacts: str, keyframe: str | None = None, suffix: str = ".xml"):
+        nonlocal count
+        count += 1
+        path = folder / f"robot{count}{suffix}"
+        path.write_text(text, encoding="utf-8")
+        return read_robot(path, contacts, keyframe)
+
+    return made

@@ -59,7 +59,7 @@ def test_pages_or_one_file(folder: Path):
     assert told.exception is None
     assert f"report:  {folder / 'report.html'}" in told.stdout
     assert {path.name for path in (folder / "pages").iterdir()} == {
-        *("scene-three_cart.html", "runs.html", "errata.html", "time-spent.html", "provenance.html"),
+        *("scene-three_cart.html", "runs.html", "robustness.html", "errata.html", "time-spent.html", "provenance.html"),
         *(f"{key[:16]}.html" for key in keys),
     }
     shutil.rmtree(folder / "pages")

@@ -12,9 +12,9 @@ from validate.fmu_check import Status, check_fmu
 
 _EQUATIONS, _EXCHANGE, _INSTANCE, _STEPPING = (f"sources/{name}.h" for name in ("equations", "exchange", "instance", "stepping"))
 _STEP = "    Model *m = &self->model;\n    const double wanted = *dt;\n"
-_RESTORE = "    memcpy(&self->model, &saved->model, sizeof self->model);\n"
-_SAVE = "    memcpy(&saved->model, &self->model, sizeof self->model);\n"
-_RATES = "    memcpy(rates, self->model.v, sizeof self->model.v);\n"
+_RESTORE = "    model_copy(&self->model, &saved->model);\n"
+_SAVE = "    model_copy(&saved->model, &self->model);\n"
+_RATES = "    model_rates(&self->model, rates);\n"
 _HOST, _LEAKS, _RESTORES, _AGREE = (
     "leaves its host as it was", "freed instances give memory back", "set state restores", "Model Exchange equals Co-Simulation",
 )  # fmt: skip
@@ -70,7 +70,7 @@ _DEFECTS = (
     (
         "derivatives of states are a ten-thousandth too large", "derivatives are those of the states", "der(v",
         (
-            (_EXCHANGE, "    memcpy(rates + NQ, self->model.a, sizeof self->model.a);\n", "    for (int i = 0; i < NQ; i++) rates[NQ + i] = 1.0001 * self->model.a[i];\n"),
+            (_EXCHANGE, _RATES, f"{_RATES}    for (int i = 0; i < NQ; i++) rates[NQ + i] = 1.0001 * self->model.a[i];\n"),
             (_EQUATIONS, "case KIND_VELOCITY_RATE: return m->a[i];", "case KIND_VELOCITY_RATE: return 1.0001 * m->a[i];"),
         ),
     ),

@@ -6,7 +6,7 @@ _EQUATIONS = "sources/equations.h"
 _INSTANCE = "sources/instance.h"
 _MODEL = "sources/model.h"
 _STEPPING = "sources/stepping.h"
-_RESTORE = "    memcpy(&self->model, &saved->model, sizeof self->model);\n"
+_RESTORE = "    model_copy(&self->model, &saved->model);\n"
 _SERIALIZE = "    memcpy(bytes, state, sizeof(SavedState));\n"
 _STEP = "    Model *m = &self->model;\n    const double wanted = *dt;\n"
 

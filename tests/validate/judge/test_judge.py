@@ -354,12 +354,15 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
     found = judge_fmu(Path("a.fmu"), {"t": plan.t}, feedback=True, limits="limits")  # type: ignore[arg-type]
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
-    assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "track": True})
+    assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "own_step": False, "track": True})
     assert scores[0] == (("model", plan, "replay 1"), {})
     assert len(replays) == len(scores) == 1 + again
     if again:
         other = replays[1][0][2]
-        assert (other.hold, replays[1][1]) == (Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER, {"limits": "limits"})
+        assert (other.hold, replays[1][1]) == (
+            Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER,
+            {"limits": "limits", "own_step": False},
+        )
         assert scores[1] == (("model", plan, "replay 1"), {"other_hold": "replay 2"})
 
 
@@ -374,12 +377,16 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
         subject, trajectory, run, feedback = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
-        assert (run.func, run.args, run.keywords) == (module.replay_foreign, (foreign, "package of a.fmu"), {"limits": module.Limits()})
+        assert (run.func, run.args, run.keywords) == (
+            module.replay_foreign,
+            (foreign, "package of a.fmu"),
+            {"limits": module.Limits(), "own_step": False},
+        )
         package, table, map_file, hold, where = asked[-1]
         assert (package, table.names[0], map_file, hold, where) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
     run = judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))[2]  # type: ignore[index]
-    assert run.keywords == {"limits": module.Limits(seconds=2.0)}
+    assert run.keywords == {"limits": module.Limits(seconds=2.0), "own_step": False}
     assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
     with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: .*no metric.*\(near it: replay_error"):
