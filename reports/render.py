@@ -40,7 +40,6 @@ from reports.pages import (
     runs,
     scene,
     stress_cases,
-    survival,
     sweeps,
     table1,
     tightening,
@@ -64,7 +63,7 @@ _OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (runs.build,),
-    "robustness": (survival.build,),
+    "robustness": (robustness.build,),
     "sweeps": (sweeps.build,),
     "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),
@@ -182,7 +181,7 @@ def render_checks(records: Sequence[CheckRecord]) -> str:
 def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None) -> str:
     """The text of the page of how much a plan can take. plan: what it is called; run, folder: of what moves in the player (reports.pages.robustness)."""
     title = f"How much {plan} can take on {record.scene}"
-    return page(Templates(), [robustness.build(record, run, folder)], title=title, lead=record.summary, again="")
+    return page(Templates(), [robustness.of_plan(record, run, folder)], title=title, lead=record.summary, again="")
 
 
 def render_truth(record: TruthRecord, again: str) -> str:

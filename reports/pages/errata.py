@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 from reports.pages.section import Report, Section
 from reports.paper import SCENE
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.records.record import ViolationPoint
 from reports.rows import Row
 from reports.wording import error, listing, number, seconds, small

@@ -10,13 +10,12 @@ from reports.causes import cause_of, deciding
 from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, last_cost, least_costs, three_findings
 from reports.judged import judged_metric
 from reports.pages.failures import notices
-from reports.pages.filmstrip import Strip, strip
 from reports.pages.pareto import SMALLEST, TICK, cpu, draw_front, keys, style_of
+from reports.pages.player import Strip, strip
 from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from reports.records.record import HOLD, CampaignRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import VERDICTS, cost, count, error, number, seconds, unit

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from reports.judged import TRACKED, is_tracked, judged_metric
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot, is_wide
 from reports.records.record import MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
@@ -33,8 +32,6 @@ _ENDS = (
     ("replay_terminal_position_error", "Cost against terminal position error, after the replay", "terminal position error"),
     ("replay_terminal_velocity_error", "Cost against terminal velocity error, after the replay", "terminal velocity error"),
 )
-# Costs that span more than this are drawn on a logarithmic axis.
-_WIDE = 20.0
 # What is better by less than this, relatively, is not worth a sentence: plans on one grid share its error, and two solves of one problem their cost.
 _SAME_ERROR, _SAME_COST = 0.05, 1e-3
 # Beyond this a ratio of errors says no more than that one of them is nearly none.
@@ -258,7 +255,7 @@ def _scatter(title: str, x: Axis, y: Axis, points: list[Point], front: list[Poin
 
 
 def _costs(prices: list[float]) -> Axis:
-    return Axis.fitted("cost", "", prices, log=min(prices) > 0 and max(prices) / min(prices) > _WIDE, margin=0.1)
+    return Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.1)
 
 
 def _against_time(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:

@@ -6,17 +6,15 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.again import again
-from reports.causes import cause_of, deciding
+from reports.causes import again, cause_of, deciding
 from reports.findings import integral_cost, last_cost
 from reports.judged import FEEDBACK, TRACKED, QuestionView, end_of, is_tracked, judged_metric, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.tolerance import windows_text
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
-from reports.records.collected import optima
+from reports.plots import Axis, Plot
+from reports.records.load import optima
 from reports.records.record import HOLD, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
 from reports.traces import Motion
 from reports.wording import capital, cost, count, percent, small, tail

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reports.judged import is_tracked
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot, over_time
+from reports.plots import Axis, Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, column, contact_phases, force, gap
 from reports.wording import ROUNDING, clean, error, number

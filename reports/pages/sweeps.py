@@ -13,8 +13,7 @@ from statistics import median
 from reports.findings import integral_cost, last_cost, solving_cpu
 from reports.judged import judged_metric
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot, is_wide
 from reports.records.record import HOLD, RunRecord, SceneRecord
 from reports.wording import capital, count, listing, number, spaced
 
@@ -26,8 +25,6 @@ _MARKERS = ("circle", "square", "diamond", "triangle")
 Style = tuple[str, str]
 # More curves than colours and markers tell apart are drawn in the order of the campaign.
 _COLOURS = 6
-# Values that span more than this are drawn on a logarithmic axis.
-_WIDE = 20.0
 # Runs that differ in more numbers than this are other runs, not a sweep.
 _MOST = 3
 _PAIR = 2
@@ -270,8 +267,8 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
     plot = Plot(
         f"{capital(name)} against {axis.name}",
-        Axis.fitted(axis.name, axis.unit, xs, log=_is_wide(xs) and axis.name != SEED, margin=0.06),
-        Axis.fitted(name, unit, ys, log=_is_wide(ys), margin=0.08),
+        Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06),
+        Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08),
     )
     said = []
     for curve, (style, _) in styles.items():
@@ -292,10 +289,6 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
         plot.point(mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link)
     plot.words = f"{'; '.join(said)}. Filled: the plan holds."
     return plot
-
-
-def _is_wide(values: Sequence[float]) -> bool:
-    return min(values) > 0 and max(values) / min(values) >= _WIDE
 
 
 def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:

@@ -11,7 +11,7 @@ from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.paper import TIGHTENING_FIGURES
-from reports.plots.figure import Key, Plot, over_time
+from reports.plots import Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Array, Trace, column, force, gap

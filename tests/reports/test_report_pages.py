@@ -6,7 +6,7 @@ import shlex
 import pytest
 from wording import unsaid
 
-from reports.again import again
+from reports.causes import again
 from reports.pages import pareto, table1, tightening
 from reports.pages.section import Report
 from reports.paper import TABLE_1

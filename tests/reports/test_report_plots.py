@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wording import unsaid
 
-from reports.pages.mathml import safe_mathml
+from reports.pages.scene import safe_mathml
 from reports.pages.stage_plots import stage_plots
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from reports.records.record import QuantityRecord, TrackedRecord
 from reports.traces import Motion, contact_phases
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
-from reports.again import again
+from reports.causes import again
 from reports.judged import is_tracked, questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord

@@ -21,7 +21,7 @@ from typing import Protocol
 from models.codegen.compiler import find_compiler
 from reports.findings import three_findings
 from reports.records.check_record import CheckRecord, divided
-from reports.records.collected import collected
+from reports.records.load import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
 from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask

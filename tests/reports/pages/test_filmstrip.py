@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from reports.pages.filmstrip import strip
+from reports.pages.player import strip
 from reports.records.record import ShapeRecord
 from reports.traces import Trace
 

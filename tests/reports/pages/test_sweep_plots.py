@@ -44,7 +44,7 @@ def test_curves_of_a_sweep():
 @pytest.mark.parametrize(
     ("xs", "ys", "logs"),
     [
-        ((1.0, 20.0), (1.0, 19.9), (True, False)), ((1.0, 19.9), (2.0, 40.0), (False, True)), ((0.0, 20.0), (-1.0, 20.0), (False, False)), ((1.0, 2.0), (3.0, 3.0), None),
+        ((1.0, 20.1), (1.0, 20.0), (True, False)), ((1.0, 20.0), (2.0, 40.1), (False, True)), ((0.0, 20.0), (-1.0, 20.0), (False, False)), ((1.0, 2.0), (3.0, 3.0), None),
         ((1.0, 1.0), (3.0, 4.0), None),
     ],
 )  # fmt: skip

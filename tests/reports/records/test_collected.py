@@ -3,7 +3,7 @@
 import pytest
 from wording import unsaid
 
-from reports.records.collected import collected, grouped, optima
+from reports.records.load import collected, grouped, optima
 from reports.records.record import RunRecord, SecondsRecord, StartRecord
 from tests.reports import record_factory as factory
 

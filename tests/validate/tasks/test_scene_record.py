@@ -10,7 +10,7 @@ from models.catalog import load_scene
 from models.codegen.operations import step_operations
 from models.dynamics import derive
 from models.scene import Limit
-from reports.pages.mathml import safe_mathml
+from reports.pages.scene import safe_mathml
 from reports.records.record import ContactRecord, QuantityRecord
 from validate.tasks import scene_record as module
 from validate.tasks.scene_record import equations, presentation, scene_record

@@ -7,8 +7,7 @@ import re
 import pytest
 from wording import unsaid
 
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from tests.reports.drawn import drawn
 
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports.plots.axis import Axis
-from reports.plots.series import packed
+from reports.plots import Axis, packed
 from tests.reports.drawn import unpacked
 
 

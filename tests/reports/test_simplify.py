@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from reports.plots.series import seen
+from reports.plots import seen
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from reports.plots.axis import Axis
+from reports.plots import Axis
 
 NAN, INF = math.nan, math.inf
 
