@@ -13,8 +13,7 @@ from reports.judged import is_tracked, questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails
-from validate.cli.metrics import print_metrics
-from validate.cli.table import one_line, print_table, say, short, wide_option
+from validate.cli.table import one_line, print_metrics, print_table, say, short, wide_option
 from validate.store.store import RECORD, Store
 from validate.store.stored import CampaignError, campaign_of, stored_names
 

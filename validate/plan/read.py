@@ -30,7 +30,7 @@ from validate.judge.score import check_limits, metric_names
 from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin
-from validate.tasks.variant import SceneReference, Variant, state_names, varied
+from validate.tasks.task import SceneReference, Variant, state_names, varied
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"

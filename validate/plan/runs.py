@@ -28,8 +28,7 @@ from validate.store.stored import CampaignError, identity, stored_campaign
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
-from validate.tasks.task import CheckTask, RunTask, task_to_json
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, RunTask, SceneReference, task_to_json
 
 NOTHING_STORED = "nothing is stored of it"
 # So many unknown words of a -k are answered.

@@ -9,7 +9,7 @@ from dataclasses import asdict
 import sympy as sp
 from sympy.printing.mathml import mathml
 
-from models.codegen.operations import step_operations
+from models.codegen.emit import step_operations
 from models.dynamics import Dynamics, derive
 from models.kinematics import goal_poses
 from models.scene import Coordinate, Input, Parameter, Scene

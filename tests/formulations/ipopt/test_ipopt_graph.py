@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.ipopt.differentiate import hessian_sparsity
-from formulations.ipopt.graph import Graph
+from formulations.ipopt.graph import Graph, hessian_sparsity
 from formulations.ipopt.shapes import generate, hoist
 
 X, P = 0.625, -1.75

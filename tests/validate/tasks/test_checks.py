@@ -14,8 +14,7 @@ from reports.records.check_record import CheckRecord
 from validate.execution.campaign import CampaignError, CampaignSettings, select
 from validate.store.provenance import check_key
 from validate.tasks.plugins import DEFAULT
-from validate.tasks.task import CheckTask, task_from_json, task_to_json
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, SceneReference, task_from_json, task_to_json
 
 # The time limit is for the one that hangs, beside which the others run.
 FAKES = ("--plugin", "check_fakes:PLUGIN", "--scene", "three_cart", "-k", "only_good or asked", "--time-limit", "12")

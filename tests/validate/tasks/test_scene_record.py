@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.codegen.operations import step_operations
+from models.codegen.emit import step_operations
 from models.dynamics import derive
 from models.scene import Limit
 from reports.pages.scene import safe_mathml
