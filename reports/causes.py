@@ -12,9 +12,8 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from reports.judged import FEEDBACK, TRACKED, is_tracked
 from reports.records.check_record import CheckRecord
-from reports.records.record import HOLD, MetricRecord, RunRecord, StageRecord
+from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, StageRecord
 from reports.wording import capital, spaced
 
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
@@ -70,7 +69,7 @@ def deciding(stage: StageRecord) -> MetricRecord | None:
         unsure = [metric for metric in alone if metric.ok is not True]
         return next((metric for metric in unsure if metric.question is None), None) or next(iter(unsure), None)
     if stage.verdict in HOLD:
-        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if is_tracked(stage) else alone
+        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if stage.is_tracked else alone
         return max((metric for metric in counted if metric.value is not None and metric.question), key=_share, default=None)
     return None
 
@@ -82,7 +81,7 @@ def _share(metric: MetricRecord) -> float:
 
 def cause_of(run: RunRecord) -> Cause | None:
     """Why a run does not hold; None where it does, or where nothing was asked of it."""
-    stage = run.stages[-1] if run.stages else None
+    stage = run.last
     if run.verdict in (*HOLD, "not applicable", "consistent"):
         return None
     if stage is None or run.verdict == "no plan":

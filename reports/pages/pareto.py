@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from reports.judged import TRACKED, is_tracked, judged_metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
-from reports.records.record import MetricRecord, SceneRecord
+from reports.records.record import TRACKED, MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
@@ -81,7 +80,7 @@ def cpu(row: Row) -> float:
 
 def replay_error(row: Row) -> MetricRecord | None:
     """Of the replay that is judged."""
-    return judged_metric(row.stage, "replay_error")
+    return row.stage.judged("replay_error")
 
 
 def arrives(row: Row) -> bool:
@@ -92,7 +91,7 @@ def arrives(row: Row) -> bool:
 def _terminal(row: Row) -> list[MetricRecord]:
     """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
     limited = [metric for metric in row.stage.metrics if "terminal" in metric.name and metric.limit is not None]
-    name = f"{TRACKED}replay_terminal" if is_tracked(row.stage) else "replay_terminal"
+    name = f"{TRACKED}replay_terminal" if row.stage.is_tracked else "replay_terminal"
     return [metric for metric in limited if metric.name.startswith(name)] or [
         metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
     ]

@@ -11,7 +11,6 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.judged import is_tracked
 from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord, StageRecord
 from reports.traces import Motion, Trace, at_all, force, gap
 from reports.wording import number
@@ -70,7 +69,7 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         "plan_force": _stepped_forces(pushes, push),
         "replay_force": _stepped_forces(pushed, push),
     }
-    how = "replayed with feedback" if is_tracked(stage) else "replayed"
+    how = "replayed with feedback" if stage.is_tracked else "replayed"
     goal = ", the goal dotted" if any(shape["goal"] for shape in data["shapes"]) else ""
     words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled){goal}, with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from statistics import median
 
-from reports.findings import integral_cost, last_cost, solving_cpu
-from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
 from reports.records.record import HOLD, RunRecord, SceneRecord
@@ -59,11 +58,6 @@ class SweptRun:
     curve: str
     x: float
     seed: float | None
-
-    @property
-    def integral(self) -> float | None:
-        """Its cost times the time step, which may stand beside that of another grid."""
-        return integral_cost(self.run.scene, last_cost(self.run))
 
 
 @dataclass(frozen=True)
@@ -211,16 +205,20 @@ def _name(names: Sequence[str], axis: Quantity) -> str:
 def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecord], float | None]]]:
     """(quantity, unit, value) of the plots that stand first."""
     runs = [item.run for item in swept]
-    whole = all(integral_cost(run.scene, last_cost(run)) is None for run in runs)
-    price = ("cost", "", last_cost) if whole else ("integral cost (cost times h)", "", lambda run: integral_cost(run.scene, last_cost(run)))
-    return [price, *((spaced(name), _unit(runs, name), _of(name)) for name in _FIRST), ("CPU time of solving", "s", solving_cpu)]
+    whole = all(run.integral_cost is None for run in runs)
+    price = ("cost", "", attrgetter("cost")) if whole else ("integral cost (cost times h)", "", attrgetter("integral_cost"))
+    return [
+        price,
+        *((spaced(name), _unit(runs, name), _of(name)) for name in _FIRST),
+        ("CPU time of solving", "s", attrgetter("solving_cpu")),
+    ]
 
 
 def _of(name: str) -> Callable[[RunRecord], float | None]:
     """The value of a metric of a run's last stage, of the replay that is judged."""
 
     def value(run: RunRecord) -> float | None:
-        metric = judged_metric(run.stages[-1], name)
+        metric = run.stages[-1].judged(name)
         return None if metric is None else metric.value
 
     return value

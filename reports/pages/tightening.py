@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.paper import TIGHTENING_FIGURES
@@ -68,7 +67,7 @@ def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, 
     marks, unit = [], ""
     for sweep in sweeps:
         for row in sweep.rows:
-            metric, eps = judged_metric(row.stage, name), row.stage.eps
+            metric, eps = row.stage.judged(name), row.stage.eps
             if metric is not None and metric.value is not None and eps:
                 unit = metric.unit
                 tip = f"{row.label}: {spaced(name)} {number(metric.value, 3)} {unit}, {row.stage.verdict}"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.findings import NOT_ASKED, last_cost
+from reports.findings import NOT_ASKED
 from reports.judged import end_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
@@ -138,12 +138,12 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
         return f"{scene.name}: nothing is asked of its {len(runs)} runs"
     holding = [run for run in asked if run.verdict in HOLD]
     said = f"{scene.name}: {len(holding)} of {len(asked)} runs that end with exact contact hold"
-    cheapest = min((run for run in holding if last_cost(run) is not None), key=lambda run: last_cost(run) or 0.0, default=None)
+    cheapest = min((run for run in holding if run.cost is not None), key=lambda run: run.cost or 0.0, default=None)
     if cheapest is None:
         return said
     end = end_of(cheapest.stages[-1], scene)
     off = f", its replay ends off the goal by {end}" if end not in ("", "free end") else ""
-    return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}{off}"
+    return f"{said}; the cheapest is {cheapest.pipeline}, cost {cheapest.cost:.2f}{off}"
 
 
 def _summary(record: RunRecord | CheckRecord) -> str:

@@ -9,7 +9,7 @@ import click
 
 from models.errors import did_you_mean
 from reports.causes import again
-from reports.judged import is_tracked, questions_of
+from reports.judged import questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails
@@ -100,7 +100,7 @@ def _tell_run(record: RunRecord) -> None:
         say(record.message)
     click.echo()
     _print_stages(record)
-    last = record.stages[-1] if record.stages else None
+    last = record.last
     if last is None:
         return
     if last.why and last.why != record.message:
@@ -137,13 +137,13 @@ def _print_stages(record: RunRecord) -> None:
 def _tell_score(stage: StageRecord) -> None:
     """Questions and their answers, the metrics, and what was not asked."""
     if stage.questions:
-        of = "the replay with feedback" if is_tracked(stage) else "the inputs alone"
+        of = "the replay with feedback" if stage.is_tracked else "the inputs alone"
         rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
         click.echo()
         print_table(["", f"question, of {of}", "answer"], rows, ("",))
     click.echo()
     rows = [(question.number, view.name, view.alone, view.followed) for question in questions_of(stage) for view in question.metrics]
-    print_metrics(rows, followed=stage.replay is not None and stage.replay.tracked is not None, tracked=is_tracked(stage))
+    print_metrics(rows, followed=stage.is_followed, tracked=stage.is_tracked)
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
 

@@ -91,7 +91,7 @@ def test_what_goes_with_the_axis_is_told_by_it(factory):
     runs = [run(factory, "strict", scene(factory, f"s_{steps}", steps=steps, step=5.0 / steps), 4.9 * steps) for steps in (100, 200, 400)]
     (sweep,) = found(*runs)
     assert sweep.keys == []
-    assert [item.integral for item in sweep.runs] == [pytest.approx(24.5)] * 3
+    assert [item.run.integral_cost for item in sweep.runs] == [pytest.approx(24.5)] * 3
     assert not unsaid(sweep.words, "Grids differ: … integral costs, not sums")
     assert "Integral cost (cost times h) against step h" not in [plot.title for plot in sweep.first], "24.5 on every grid: nothing to draw"
 
