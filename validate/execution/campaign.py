@@ -28,7 +28,8 @@ from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, open_local
 from validate.execution.process import interrupts_wait
 from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_last_failed, select, with_stored
-from validate.plan.warnings import doubts, time_steps
+from validate.plan.time_steps import time_steps
+from validate.plan.warnings import doubts
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
 from validate.store.results import write_tables

@@ -1,27 +1,20 @@
-"""What is told of scenes before anything runs: what is possible, but probably a mistake, and time steps that are unstable in contact. It stops nothing.
+"""Plausibility warnings: what is possible in a scene, but probably a mistake; they stop nothing.
 
 scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
-time_steps(scenes, Path("runs/all/campaign.json"))     # one record a scene; those of an earlier campaign are used again where the scene is the same
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import math
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
-from pathlib import Path
 
 import sympy as sp
-from pydantic import ValidationError
 
 from models.catalog import load_scene, scene_names
 from models.errors import MachineError
 from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
-from reports.records.record import CampaignRecord, TimeStepRecord
 from validate.judge.score.table import TABLE
 
 # Scenes of the bank start at most one nominal penetration deep.
@@ -98,25 +91,3 @@ def _idle_limits(scene: Scene) -> list[str]:
 
 def _symbols(parts: Iterable[sp.Expr | None]) -> set[sp.Basic]:
     return {symbol for part in parts if part is not None for symbol in part.free_symbols}
-
-
-def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord, ...]:
-    """campaign: campaign.json of the folder, which need not be there. Raises MachineError without a compiler."""
-    known = {(item.scene, item.digest): item for item in _stored(campaign)}
-    found = []
-    for scene in scenes:
-        digest = hashlib.sha256(scene_text(scene).encode()).hexdigest()
-        if (scene.name, digest) in known:
-            found.append(known[scene.name, digest])
-            continue
-        stability = step_stability(scene)
-        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
-        found.append(TimeStepRecord(**{**asdict(stability), "largest_step": largest, "digest": digest, "warning": stability.sentence}))
-    return tuple(found)
-
-
-def _stored(campaign: Path) -> tuple[TimeStepRecord, ...]:
-    try:
-        return CampaignRecord.model_validate_json(campaign.read_bytes()).time_steps
-    except (OSError, ValidationError):
-        return ()

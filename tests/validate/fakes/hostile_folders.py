@@ -61,7 +61,7 @@ def resume(path: Path) -> None:
     from reports.records.load import load
     from validate.cli.compare import compare
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
-    from validate.plan.warnings import time_steps
+    from validate.plan.time_steps import time_steps
     from validate.store.store import Store
     from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema
 

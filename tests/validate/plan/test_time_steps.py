@@ -8,8 +8,8 @@ import pytest
 from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid, write_csv
-from validate.plan import warnings as room
-from validate.plan.warnings import time_steps
+from validate.plan import time_steps as room
+from validate.plan.time_steps import time_steps
 
 UNSTABLE = """from models.catalog import load_scene
 from dataclasses import replace
