@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
@@ -107,7 +107,7 @@ def _slow(run: RunRecord, link: str, longest: float) -> Slow:
 
 def _sentence(runs: list[RunRecord]) -> str:
     """What the wall time of all profiled runs was spent on, largest first."""
-    spent: Counter[str] = Counter()
+    spent: defaultdict[str, float] = defaultdict(float)
     for run in runs:
         for phase, took in run.profile.items():
             spent[_known(phase)[0]] += took

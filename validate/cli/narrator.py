@@ -147,25 +147,12 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
 
 
 def _summary(record: RunRecord | CheckRecord) -> str:
+    ended = record.outcome.replace("_", " ")
+    times = f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"
     if isinstance(record, CheckRecord):
-        return _checked(record)
-    last = record.stages[-1]
-    which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
-    parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome.replace('_', ' ')}"]
-    if record.verdict != "no plan":
-        parts.append(record.verdict)
-    if last.cost is not None:
-        parts.append(f"cost {last.cost:.2f}")
-    parts.append(_times(record))
-    if record.verdict in ("no plan", "not applicable") and record.message:
-        parts.append(record.message)
-    return ", ".join(parts)
-
-
-def _checked(record: CheckRecord) -> str:
-    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome.replace("_", " ")
-    return f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}"
-
-
-def _times(record: RunRecord | CheckRecord) -> str:
-    return f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"
+        ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else ended
+        return f"{record.title}: {ended}, {times}, {record.found or record.message}"
+    verdict = record.verdict if record.verdict != "no plan" else ""
+    cost = "" if record.cost is None else f"cost {record.cost:.2f}"
+    why = record.message if record.verdict in ("no plan", "not applicable") else ""
+    return ", ".join(filter(None, [f"{record.title}: {ended}", verdict, cost, times, why]))

@@ -85,12 +85,8 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
         if found:
             shown = "; ".join(f"{names[record.key]} ({record.key[:12]})" for record in found[:8])
             raise CampaignError(f"{run!r} means {len(found)} runs: {shown}{' and more' if len(found) > 8 else ''}. Give one of these keys.")
-    raise CampaignError(f"there is no run {run!r} in {folder}; {_hint(run, list(names.values()), folder)}")
-
-
-def _hint(run: str, names: list[str], folder: Path) -> str:
     what = f"its runs are listed in {folder / 'results.csv'}, which `python -m validate report {folder}` writes again."
-    return did_you_mean(run, names, what, 0.4)
+    raise CampaignError(f"there is no run {run!r} in {folder}; {did_you_mean(run, list(names.values()), what, 0.4)}")
 
 
 def _tell_run(record: RunRecord) -> None:
