@@ -30,31 +30,6 @@ def test_a_broken_record_is_named_and_the_rest_is_read(factory, tmp_path, name):
     assert stored.missing == ()
 
 
-def test_a_folder_without_its_record_is_named(factory, tmp_path):
-    folder = factory.store(tmp_path / "all", factory.runs()[:1])
-    (folder / "runs" / "half").mkdir()
-    (folder / "runs" / ".being-written").mkdir()
-    assert [item.path for item in load(folder).unreadable] == ["runs/half/record.json"]
-
-
-def test_without_the_campaign_every_run_is_shown(factory, tmp_path):
-    records = factory.runs()
-    folder = factory.store(tmp_path / "all", records)
-    (folder / "campaign.json").write_text("{")
-    stored = load(folder)
-    assert stored.campaign is None
-    assert {run.key for run in stored.runs} == {record.key for record in records}
-
-
-def test_the_order_is_the_campaigns_and_strangers_are_counted(factory, tmp_path):
-    records = factory.runs()
-    campaign = factory.campaign(records[:3], keys=(records[2].key, "lost", records[0].key))
-    stored = load(factory.store(tmp_path / "all", records, campaign))
-    assert [run.key for run in stored.runs] == [records[2].key, records[0].key]
-    assert stored.missing == ("lost",)
-    assert stored.foreign == len(records) - 2
-
-
 def test_no_folder_is_one_sentence(tmp_path):
     with pytest.raises(ReportError, match="there is no such folder"):
         load(tmp_path / "nowhere")
