@@ -1,12 +1,17 @@
-"""The page as its reader meets it: headless Chromium, network off, light and dark, desk and telephone, keyboard alone."""
+"""The report in a browser: read, zoomed, saved, played, sorted and filtered; every way to use it without a mouse."""
 
 import csv
+import io
 import re
 from itertools import pairwise
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
+from wording import unsaid
 
-from reports.render import write_report, write_single
+from reports.records.check_record import CheckRecord
+from reports.render import PAGES, write_report, write_single
 
 # Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for small text.
 _CONTRAST = 4.5
@@ -265,3 +270,299 @@ def test_arrows_of_contact_forces_are_drawn(chromium, run_file):
     counts = [desk.evaluate(count.replace("FRAME", str(frame))) for frame in range(0, 151, 10)]
     assert counts[0] == 0
     assert max(counts) > 50
+
+
+# A4 across, less the margins of 12 mm, in pixels of CSS.
+_PAPER = 1032
+
+
+@pytest.fixture(scope="module")
+def many(factory, tmp_path_factory):
+    """The folder of one pipeline's runs on sixteen scenes, and of stress cases whose sentences are long."""
+    one = factory.run("strict", None, "strict_lcp")
+    runs = [
+        one.model_copy(update={"key": f"strict-{place:016d}", "scene": factory.scene(f"a_scene_of_number_{place}")}) for place in range(16)
+    ]
+    cases = [
+        CheckRecord(
+            key=f"{place:064d}",
+            kind="stress case",
+            name=f"{place:02d} A case",
+            expected="What is expected of it, at some length. " * 4,
+            outcome="answered",
+            passed=True,
+            found="What happened to it, with figures of every kind. " * 5,
+            wall_seconds=2.0,
+            cpu_seconds=1.5,
+            provenance=factory.provenance(),
+        )
+        for place in (1, 2)
+    ]
+    keys = tuple(item.key for item in (*runs, *cases))
+    return factory.store(tmp_path_factory.mktemp("many") / "all", [*runs, *cases], factory.campaign(runs, keys=keys))
+
+
+@pytest.fixture(scope="module")
+def many_file(many):
+    return write_report(many)
+
+
+@pytest.mark.slow
+def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
+    page = chromium.open(many_file, width=_PAPER)
+    page.call("Emulation.setEmulatedMedia", media="print")
+    past = page.evaluate("""(() => {
+      const cells = [...document.querySelectorAll(".grid-of-runs th, .grid-of-runs td")];
+      const over = cells.filter((cell) => cell.scrollWidth > cell.clientWidth + 1 || cell.getBoundingClientRect().right > innerWidth);
+      return [cells.length, over.length];
+    })()""")
+    assert past == [2 * 17, 0]
+
+
+@pytest.mark.slow
+def test_one_word_opens_for_paper_what_is_closed_but_the_runs(chromium, many):
+    """Motion, stages and log of hundreds of runs would be a thousand pages; a run that is open is printed whole."""
+    page = chromium.open(write_single(many))
+    page.evaluate("document.querySelector('#run-2 details.whole > summary').click()")
+    told = page.evaluate("""(() => {
+      const open = document.querySelectorAll("main details[open]").length;
+      dispatchEvent(new Event("beforeprint"));
+      const shut = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.parentElement.closest(".whole:not([open])"));
+      const inside = document.querySelectorAll("#run-2 details:not([open])").length;
+      dispatchEvent(new Event("afterprint"));
+      return [shut.length, shut.every((item) => item.matches("article.run > .whole")), inside, open - document.querySelectorAll("main details[open]").length];
+    })()""")
+    assert told[:3] == [15, True, 0]
+    assert told[3] == 0, "what was open is open, and nothing else"
+    assert page.messages == []
+
+
+def test_stress_cases_are_read_on_a_telephone_without_scrolling_sideways(chromium, many_file):
+    page = chromium.open(many_file.parent / PAGES / "stress-cases.html", width=390)
+    assert page.evaluate(
+        "(() => { const box = document.querySelector('.cases').parentElement; return box.scrollWidth <= box.clientWidth; })()"
+    )
+    texts = page.evaluate("[...document.querySelectorAll('.cases td.text')].map((cell) => cell.getBoundingClientRect().width)")
+    assert len(texts) == 6
+    assert min(texts) > 250
+
+
+# Presses every button of the page: what it calls each file, and its text.
+_SAVED = """(async () => {
+  document.querySelectorAll("details").forEach((item) => { item.open = true; });
+  const [blobs, names] = [[], []];
+  URL.createObjectURL = (blob) => { blobs.push(blob); return "blob:none"; };
+  HTMLAnchorElement.prototype.click = function () { names.push(this.download); };
+  document.querySelectorAll("button.take").forEach((button) => button.click());
+  return Promise.all(blobs.map(async (blob, place) => [names[place], await blob.text()]));
+})()"""
+
+
+def _saved(page) -> dict[str, list[list[str]]]:
+    found = page.evaluate(_SAVED)
+    tables = {name: list(csv.reader(io.StringIO(text.lstrip("\ufeff"), newline=""), strict=True)) for name, text in found}
+    assert len(tables) == len(found) == page.evaluate("document.querySelectorAll('table').length"), "each has a name of its own"
+    return tables
+
+
+@pytest.fixture(scope="module")
+def tables(chromium, page_file):
+    return _saved(chromium.open(page_file))
+
+
+@pytest.mark.slow
+def test_every_file_has_one_head_and_rows_of_its_length(tables):
+    assert len(tables) > 50
+    for name, rows in tables.items():
+        assert re.fullmatch(r"[^\W_][\w-]{2,150}\.csv", name), name
+        assert not name.endswith("-csv.csv")
+        assert {len(row) for row in rows} == {len(rows[0])}, name
+        assert all(rows[0]), name
+        assert len(set(rows[0])) == len(rows[0]), (name, rows[0])
+
+
+def test_units_and_second_numbers_have_columns_of_their_own(tables):
+    score = next(rows for name, rows in tables.items() if name == "strict-on-three_cart-stage-1-judgement-of-this-stage.csv")
+    value, unit = score[0].index("Value"), score[0].index("Value, unit")
+    told = [row for row in score[1:] if row[value]]
+    assert len(told) > 5
+    named = [row for row in told if not row[0].endswith("?")]  # a question has its answer there
+    assert all(float(row[value]) >= 0 for row in named)
+    assert {"m", "N s"} <= {row[unit] for row in named}
+    own, against = score[0].index("Value, own error"), score[0].index("Value, against its limit")
+    assert {row[own] for row in named} == {"", "3e-09"}
+    assert {row[against] for row in named} == {"", "✓ within"}
+
+
+@pytest.mark.slow
+def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp")
+    (stage,) = run.stages
+    metrics = [
+        item.model_copy(update={"value": 1.25e-3}) if item.name == "replay_terminal_position_error" else item for item in stage.metrics
+    ]
+    stage = stage.model_copy(update={"metrics": tuple(metrics)})
+    folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
+    head, row, *_ = _saved(chromium.open(write_single(folder)))["three_cart-stages.csv"]
+    place = head.index("Terminal error: position [m], below velocity [m/s] replay, velocity")
+    assert head[place - 1] == "Terminal error: position [m], below velocity [m/s] replay"
+    assert (float(row[place - 1]), float(row[place])) == (1.25e-3, pytest.approx(0.6 * 4.1e-3))
+
+
+def test_what_is_not_there_is_empty_and_says_why(tables):
+    head, *rows = tables["strict-on-three_cart-stage-1-judgement-of-this-stage.csv"]
+    assert head[-1] == "Why a value is not there"
+    limit = head.index("Limit")
+    rows = [row for row in rows if not row[0].endswith("?") and row[0] != "Shown, not judged"]
+    assert {bool(row[limit]) for row in rows} == {True, False}
+    assert all(row[-1] == ("" if row[limit] else "no limit") for row in rows)
+    assert all(float(row[limit]) > 0 for row in rows if row[limit])
+
+
+def test_tables_without_heads_are_saved_with_one(tables):
+    seconds = tables["strict-on-three_cart-stage-1-seconds.csv"]
+    assert seconds[0] == ["Quantity", "Seconds"]
+    assert all(float(value) >= 0 for _, value in seconds[1:] if value)
+
+
+@pytest.mark.slow
+def test_nothing_that_a_spreadsheet_would_run_is_saved(chromium, hostile_folder, factory, tmp_path):
+    run = factory.run("=cmd|'/C calc'!A0", None, "strict_lcp", scene=factory.scene('@SUM(1+1)"\n,x'))
+    pages = [hostile_folder, factory.store(tmp_path / "formula", [run])]
+    for folder in pages:
+        for name, rows in _saved(chromium.open(write_single(folder))).items():
+            assert re.fullmatch(r"[\w-]+\.csv", name), name
+            for field in (field for row in rows for field in row if not re.fullmatch(r"-?[\d.]+(e-?\d+)?", field)):
+                assert not field.startswith(("=", "+", "-", "@", "\t", "\r", "−")), (name, field)
+
+
+@pytest.fixture(scope="module")
+def pages(full_folder):
+    """report.html and the folder of its pages."""
+    report = write_report(full_folder)
+    return report, report.parent / "pages"
+
+
+def _settled(page, expression: str):
+    """The value once the address has been followed."""
+    return page.evaluate(f"new Promise((done) => setTimeout(done, 100)).then(() => ({expression}))")
+
+
+@pytest.mark.slow
+def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, run_file, page_file):
+    for path in (run_file, pages[0], page_file):
+        page = chromium.open(path, script=False)
+        shown = "(e) => e.getClientRects().length > 0"
+        assert page.evaluate(f"[...document.querySelectorAll('button, input, select, canvas')].filter({shown}).length") == 0
+        assert "sorts by it" not in page.evaluate("document.body.innerText")
+        assert page.messages == []
+    page = chromium.open(page_file, script=False)
+    assert not unsaid(page.evaluate("document.querySelector('.scriptless').textContent"), "drawn by the page's script")
+    assert page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "block"
+    page = chromium.open(page_file)
+    assert page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "none"
+    assert page.evaluate("document.querySelectorAll('button.take').length") > 2
+
+
+def test_the_player_is_stepped_on_its_button_and_told_once(chromium, run_file):
+    page = chromium.open(run_file)
+    page.evaluate("document.querySelector('[data-player] .play').focus()")
+    told = "document.querySelector('[data-player] output').textContent"
+    last = page.evaluate("document.querySelector('[data-player] input').max")
+    page.press("End")
+    assert page.evaluate("document.querySelector('[data-player] input').value") == last
+    ended = page.evaluate(told)
+    page.press("ArrowRight")
+    assert page.evaluate(told) == ended
+    page.press("Home")
+    page.press("ArrowRight")
+    assert page.evaluate("document.querySelector('[data-player] input').value") == "1"
+    assert page.evaluate("document.activeElement.className") == "play"
+    # The slider speaks for itself; time running by is not read out.
+    assert page.evaluate("document.querySelector('[data-player] output').ariaLive") == "off"
+
+
+@pytest.mark.slow
+def test_the_address_and_what_is_shown_agree_on_the_way_back(chromium, page_file):
+    page = chromium.open(page_file, fragment="#runs?violates")
+    page.evaluate("document.querySelector('nav a[href=\"#runs\"]').click()")
+    assert _settled(page, "document.getElementById('filter').value") == ""
+    page.evaluate("history.back()")
+    assert _settled(page, "document.getElementById('filter').value") == "violates"
+    page.evaluate("location.hash = '#runs?crashed'")
+    assert _settled(page, "document.querySelectorAll('article.run[hidden]').length") > 0
+    page.evaluate("location.hash = '#runs'")
+    assert _settled(page, "document.querySelectorAll('article.run[hidden]').length") == 0
+    assert page.messages == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "fragment",
+    [
+        "#%", "#%E0%A4%A", "#matrix?scene=%ZZ&sort=__proto__&x=1", "#runs?%E0%A4%A", "#<script>alert(1)</script>", "#runs?☃", "#" + "x" * 20_000,
+    ],
+    ids=range(7),
+)  # fmt: skip
+def test_no_address_is_an_error(chromium, page_file, fragment):
+    page = chromium.open(page_file, fragment=fragment)
+    assert _settled(page, "document.querySelectorAll('th[aria-sort]').length") == 0
+    assert page.messages == []
+    assert len(page.requests) == 1
+
+
+def test_links_lead_from_page_to_page_and_back(chromium, pages):
+    """Followed as the browser understands them: the address of the link, opened."""
+
+    def led(page, link: str) -> Path:
+        return Path(unquote(urlsplit(page.evaluate(f"document.querySelector({link!r}).href")).path))
+
+    page = chromium.open(pages[0])
+    run, scene = (chromium.open(led(page, link)) for link in (".grid-of-runs td a", "#index tbody a"))
+    assert run.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
+    assert scene.evaluate("document.querySelectorAll('[id^=tightening] svg.plot').length") > 8
+    assert [led(one, "nav.contents a") for one in (run, scene)] == [pages[0].resolve()] * 2
+    assert [one.messages for one in (page, run, scene)] == [[]] * 3
+
+
+def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
+    page = chromium.open(next(pages[1].glob("softplus_dc-strict*.html")))
+    first = "document.querySelector('details.stage')"
+    assert page.evaluate(f"{first}.open") is False
+    page.evaluate(f"document.querySelector(`nav.contents a[href='#${{{first}.id}}']`).click()")
+    assert _settled(page, f"{first}.open") is True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (375, False), (375, True)])
+def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
+    """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: a page of each kind, and all in one file, with everything open."""
+    axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed (extra [test])")
+    script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
+    for path in (pages[0], next(pages[1].glob("softplus_dc-strict*.html")), next(pages[1].glob("scene-*.html")), page_file):
+        page = chromium.open(path, width=width, dark=dark)
+        assert page.messages == []
+        assert page.requests == [path.resolve().as_uri()]
+        # Two runs with all they hold stand for the others: hundreds of plots more are the same markup.
+        page.evaluate("document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })")
+        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        page.evaluate(script + ";0")
+        found = page.evaluate(
+            "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((result) => "
+            "[result.passes.length, result.violations.map((one) => [one.id, one.nodes.length, one.nodes[0].html.slice(0, 200)])])"
+        )
+        assert found[1] == []
+        assert found[0] > 15, "axe looked"
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_no_page_complains_asks_or_scrolls_sideways(chromium, pages, width):
+    """Every page that is no run's, of whatever it tells, with all it folds open."""
+    kinds = [path for path in (pages[0], *sorted(pages[1].glob("*.html"))) if not path.name.endswith(("-0123456789abcdef.html", "-0.html"))]
+    assert {path.stem for path in kinds} == {"report", "runs", "errata", "provenance", "scene-three_cart"}
+    for path in kinds:
+        page = chromium.open(path, width=width)
+        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        assert (page.messages, page.requests) == ([], [path.resolve().as_uri()])
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
+        page.call("Page.close")
