@@ -76,6 +76,7 @@ class ShootingMethod(Method[AnyOptions]):
     """Single shooting under one contact law. PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without."""
 
     law: ContactLaw
+    minimiser: str  # of formulations.shooting.session
 
     def accepts(self, scene: Scene) -> str | None:
         """Refuse scenes without inputs."""
@@ -85,26 +86,23 @@ class ShootingMethod(Method[AnyOptions]):
         """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
         return None
 
+    def session(self, scene: Scene, options: AnyOptions, clock: Clock) -> Session:
+        """Open a session, which imports PyTorch."""
+        from formulations.shooting import session
+
+        minimise = getattr(session, self.minimiser)
+        return session.ShootingSession(self, scene, options, clock, law=self.law, minimise=minimise, loss=self.loss(scene))
+
 
 class DescentMethod(ShootingMethod[DescentOptions]):
     """By gradient descent."""
 
     options = DescentOptions
-
-    def session(self, scene: Scene, options: DescentOptions, clock: Clock) -> Session:
-        """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, descend
-
-        return ShootingSession(self, scene, options, clock, law=self.law, minimise=descend, loss=self.loss(scene))
+    minimiser = "descend"
 
 
 class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
     """By L-BFGS within the bounds of the inputs."""
 
     options = QuasiNewtonOptions
-
-    def session(self, scene: Scene, options: QuasiNewtonOptions, clock: Clock) -> Session:
-        """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, quasi_newton
-
-        return ShootingSession(self, scene, options, clock, law=self.law, minimise=quasi_newton, loss=self.loss(scene))
+    minimiser = "quasi_newton"

@@ -9,7 +9,7 @@ from statistics import median
 from reports.causes import cause_of, deciding
 from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, least_costs, three_findings
 from reports.pages.failures import notices
-from reports.pages.pareto import SMALLEST, TICK, cpu, draw_front, keys, style_of
+from reports.pages.pareto import TICK, cpu, draw_front, keys, style_of, told_error
 from reports.pages.player import Strip, strip
 from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
@@ -115,10 +115,9 @@ def _speed(report: Report) -> Plot | None:
     """CPU seconds against replay error: a mark for what each method came to, and the names of the pipelines whose medians over their scenes no other beats."""
     points = []
     for row in report.rows:
-        metric = row.stage.judged("replay_error")
-        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and metric is not None and metric.value is not None:
-            own = (row.stage.replay.error_estimate if row.stage.replay else None) or 0.0
-            points.append((max(cpu(row), TICK), max(metric.value, own, SMALLEST), row))
+        missed = told_error(row)
+        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and missed is not None:
+            points.append((max(cpu(row), TICK), missed, row))
     if not points:
         return None
     plot = Plot(

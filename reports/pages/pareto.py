@@ -108,7 +108,7 @@ def _why_absent(row: Row) -> str:
 
 
 def _error_view(rows: list[Row]) -> ParetoView | None:
-    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
+    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None]
     if not points:
         return None
     unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
@@ -123,7 +123,7 @@ def _error_view(rows: list[Row]) -> ParetoView | None:
     return ParetoView(plot, said or _nothing_holds(len(points)))
 
 
-def _told_error(row: Row) -> float | None:
+def told_error(row: Row) -> float | None:
     """The replay error, or the replay's own error where that is larger: less cannot be told apart."""
     metric, replay = replay_error(row), row.stage.replay
     if metric is None or metric.value is None:

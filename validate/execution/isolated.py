@@ -151,7 +151,8 @@ def run_isolated(
     try:
         _write_request(folder, function, request, arrays, limits)
         began = time.monotonic()
-        with closing(_start(folder, ours)) as child:
+        begin = Fork if ours and can_fork() else Child
+        with closing(begin("validate.execution.isolated:main", folder, output=folder / OUTPUT)) as child:
             over_time = not child.wait(limits.seconds)
             ended = child.end()
             return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
@@ -172,11 +173,7 @@ def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[st
 
             np.savez(folder / GIVEN, allow_pickle=False, **arrays)
     except OSError as error:
-        raise _refused_by_disk(folder, error) from error
-
-
-def _refused_by_disk(folder: Path, error: OSError) -> MachineError:
-    return MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.")
+        raise MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.") from error
 
 
 def _see_room(folder: Path) -> None:
@@ -210,11 +207,6 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
         wall=wall,
         memory=peak,
     )
-
-
-def _start(folder: Path, ours: bool) -> Child | Fork:
-    child = Fork if ours and can_fork() else Child
-    return child("validate.execution.isolated:main", folder, output=folder / OUTPUT)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -8,8 +8,9 @@ import pyomo.environ as pyo
 import pytest
 from cyipopt import CyIpoptEvaluationError
 
-from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
+from formulations.ipopt import Start, compile_model, solve
 from formulations.ipopt.problem import Evaluations
+from formulations.ipopt.result import STATUS, outcome_of, residuals
 from formulations.ipopt.solve import IpoptExit
 from formulations.solution import Outcome
 from tests.formulations.ipopt.problems import quadratic, three_carts
@@ -18,8 +19,8 @@ from tests.formulations.ipopt.problems import quadratic, three_carts
 def test_every_status_of_ipopt_has_a_name_and_an_outcome():
     # IpReturnCodes_inc.h of Ipopt 3.14
     codes = [0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -10, -11, -12, -13, -100, -101, -102, -199]
-    assert sorted(codes) == sorted(STATUS_MAP) == sorted(STATUS_NAMES)
-    assert {code for code in codes if STATUS_MAP[code] is Outcome.SOLVED} == {0, 1, 6}
+    assert sorted(codes) == sorted(STATUS)
+    assert {code for code in codes if outcome_of(code) is Outcome.SOLVED} == {0, 1, 6}
     for unknown in (7, -6, 42, -1000, 10**6):
         assert outcome_of(unknown) is Outcome.FAILED
 

@@ -5,7 +5,8 @@ import pathlib
 import numpy as np
 import pytest
 
-from formulations.ipopt import Start, UnknownOptionError, compile_model, known_options, solve
+from formulations.ipopt import Start, UnknownOptionError, compile_model, solve
+from formulations.ipopt.options import known_options
 from formulations.solution import Outcome
 from tests.formulations.ipopt.problems import quadratic
 
