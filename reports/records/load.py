@@ -5,6 +5,7 @@ stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadabl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
-from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StageRecord, StartRecord
+from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
 from reports.wording import clean
 
 # A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
@@ -173,15 +174,21 @@ def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]
 
 def _together(parts: list[RunRecord]) -> RunRecord:
     crashed = next((part for part in parts if part.outcome == "crashed"), None)
-    best = min(parts, key=lambda part: (_RANKS.get(part.verdict, len(_RANKS)), _cost(part)))
+    best = min(parts, key=lambda part: (_RANKS.get(part.verdict, len(_RANKS)), math.inf if part.cost is None else part.cost))
     starts = tuple(sorted((start for part in parts for stage in part.stages for start in stage.starts), key=lambda start: start.number))
-    message = " ".join(part for part in (_spread(starts), _lacking(parts), best.message if crashed is None else crashed.message) if part)
-    stages = best.stages
+    whole, said = best.parts, best.message if crashed is None else crashed.message
+    lacking = "" if len(parts) == whole else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
+    message = " ".join(filter(None, (_spread(starts), lacking, said)))
+    stages, ends = best.stages, [part.last for part in parts if part.last]
     if stages:
-        last = stages[-1].model_copy(
-            update={"starts": starts, "seconds": _seconds(parts), "iterations": _iterations(parts), "message": message}
-        )
-        stages = (*stages[:-1], last)
+        spent = {name: sum(getattr(stage.seconds, name) for stage in ends) for name in SecondsRecord.model_fields}
+        iterations = sum(stage.iterations for stage in ends)
+        told = {"starts": starts, "seconds": SecondsRecord(**spent), "iterations": iterations, "message": message}
+        stages = (*stages[:-1], stages[-1].model_copy(update=told))
+    profile: dict[str, float] = {}
+    for part in parts:
+        for phase, seconds in part.profile.items():
+            profile[phase] = profile.get(phase, 0.0) + seconds
     return best.model_copy(
         update={
             "stages": stages,
@@ -189,17 +196,9 @@ def _together(parts: list[RunRecord]) -> RunRecord:
             "message": message,
             "wall_seconds": sum(part.wall_seconds for part in parts),
             "cpu_seconds": sum(part.cpu_seconds for part in parts),
-            "profile": {
-                phase: sum(part.profile.get(phase, 0.0) for part in parts)
-                for phase in dict.fromkeys(phase for part in parts for phase in part.profile)
-            },
+            "profile": profile,
         }
     )
-
-
-def _cost(run: RunRecord) -> float:
-    cost = run.stages[-1].cost if run.stages else None
-    return float("inf") if cost is None else cost
 
 
 def _spread(starts: tuple[StartRecord, ...]) -> str:
@@ -213,21 +212,3 @@ def _spread(starts: tuple[StartRecord, ...]) -> str:
         else "all of them at the same optimum"
     )
     return f"{solved} of {len(starts)} starts were solved, {ways}; {len(found[0][1])} reached the cheapest."
-
-
-def _lacking(parts: list[RunRecord]) -> str:
-    whole = parts[0].parts
-    return "" if len(parts) == whole else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
-
-
-def _last(parts: list[RunRecord]) -> list[StageRecord]:
-    return [part.stages[-1] for part in parts if part.stages]
-
-
-def _seconds(parts: list[RunRecord]) -> SecondsRecord:
-    names = SecondsRecord.model_fields
-    return SecondsRecord(**{name: sum(getattr(stage.seconds, name) for stage in _last(parts)) for name in names})
-
-
-def _iterations(parts: list[RunRecord]) -> int:
-    return sum(stage.iterations for stage in _last(parts))
