@@ -8,11 +8,12 @@ The judge tells causes apart (`StageRecord.cause`); here they have their words. 
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from reports.judged import FEEDBACK, TRACKED, is_tracked
-from reports.records.record import HOLD, MetricRecord, RunRecord, StageRecord
+from reports.records.check_record import CheckRecord
+from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, StageRecord
 from reports.wording import capital, spaced
 
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
@@ -68,7 +69,7 @@ def deciding(stage: StageRecord) -> MetricRecord | None:
         unsure = [metric for metric in alone if metric.ok is not True]
         return next((metric for metric in unsure if metric.question is None), None) or next(iter(unsure), None)
     if stage.verdict in HOLD:
-        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if is_tracked(stage) else alone
+        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if stage.is_tracked else alone
         return max((metric for metric in counted if metric.value is not None and metric.question), key=_share, default=None)
     return None
 
@@ -80,7 +81,7 @@ def _share(metric: MetricRecord) -> float:
 
 def cause_of(run: RunRecord) -> Cause | None:
     """Why a run does not hold; None where it does, or where nothing was asked of it."""
-    stage = run.stages[-1] if run.stages else None
+    stage = run.last
     if run.verdict in (*HOLD, "not applicable", "consistent"):
         return None
     if stage is None or run.verdict == "no plan":
@@ -106,3 +107,35 @@ def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
         if cause is not None:
             found.setdefault(cause, []).append(run)
     return sorted(found.items(), key=lambda item: -len(item[1]))
+
+
+# Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
+_KEPT = ("--scene", "--plugin", "--tools", "--time-limit")  # --tools: in records from before it was called --plugin
+_WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
+
+
+def again(record: RunRecord | CheckRecord) -> str:
+    """Into a folder of its own, because a campaign of one run would take the place of the whole one; the recorded command, if it is no campaign's."""
+    try:
+        words = shlex.split(record.provenance.command)
+    except ValueError:
+        return record.provenance.command
+    if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
+        return record.provenance.command
+    title = record.title if isinstance(record, CheckRecord) else f"{record.scene.name} x {record.pipeline}"
+    quoted = title.replace('"', '""')
+    return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"])
+
+
+def _kept(words: list[str]) -> list[str]:
+    """Of the words of a campaign's command those that say which runs there are: the options above and the campaign's file."""
+    kept: list[str] = []
+    place = 0
+    while place < len(words):
+        word = words[place]
+        width = 2 if word in _WITH_A_WORD else 1
+        # What belongs to no option is the campaign's file, whatever it is called.
+        if word in _KEPT or word.startswith(tuple(f"{option}=" for option in _KEPT)) or not word.startswith("-"):
+            kept += words[place : place + width]
+        place += width
+    return kept

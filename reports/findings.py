@@ -9,8 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from reports.judged import judged_metric
-from reports.records.record import FINAL_COST, HOLD, RunRecord, SceneRecord, StageRecord
+from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rows import rows_of
 from reports.wording import count, error, listing, number, seconds, unit
 
@@ -42,26 +41,11 @@ def three_findings(runs: Sequence[RunRecord]) -> tuple[str, ...]:
     return tuple(said for said in (_relaxed(runs), _exact(runs), _first(standings(runs))) if said)
 
 
-def solving_cpu(run: RunRecord) -> float:
-    """CPU seconds [s] of solving, over all stages of a run, wherever they ran."""
-    return sum(stage.seconds.stage_cpu for stage in run.stages)
-
-
-def last_cost(run: RunRecord) -> float | None:
-    """What the plan costs that a run is judged by; None where there is none."""
-    return run.stages[-1].cost if run.stages else None
-
-
-def integral_cost(scene: SceneRecord, cost: float | None) -> float | None:
-    """A cost times the time step, which does not depend on the grid as a sum over steps does; None where the last state is in the cost."""
-    return None if cost is None or any(equation.caption == FINAL_COST for equation in scene.equations) else cost * scene.step
-
-
 def least_costs(runs: Iterable[RunRecord]) -> dict[str, float]:
     """Scene -> cost of its cheapest plan that holds."""
     least: dict[str, float] = {}
     for run in runs:
-        price = last_cost(run)
+        price = run.cost
         if run.verdict in HOLD and price is not None:
             least[run.scene.name] = min(price, least.get(run.scene.name, price))
     return least
@@ -69,7 +53,7 @@ def least_costs(runs: Iterable[RunRecord]) -> dict[str, float]:
 
 def cost_ratio(run: RunRecord, least: Mapping[str, float]) -> float | None:
     """Cost over that of the cheapest plan that holds on the scene; None where the run does not hold, or the cheapest costs nothing."""
-    price, best = last_cost(run), least.get(run.scene.name, 0.0)
+    price, best = run.cost, least.get(run.scene.name, 0.0)
     return price / best if run.verdict in HOLD and price is not None and best > 0.0 else None
 
 
@@ -81,7 +65,7 @@ def standings(runs: Sequence[RunRecord]) -> list[Standing]:
         holding = [run for run in mine if run.verdict in HOLD]
         ratios = [ratio for run in holding if (ratio := cost_ratio(run, least)) is not None]
         if mine:
-            cpu = median(map(solving_cpu, holding)) if holding else None
+            cpu = median(run.solving_cpu for run in holding) if holding else None
             found.append(Standing(name, len(holding), len(mine), median(ratios) if ratios else None, cpu))
     return sorted(found, key=lambda standing: standing.rank)
 
@@ -100,7 +84,7 @@ def _relaxed(runs: Sequence[RunRecord]) -> str:
 
 def _missed(stages: Sequence[StageRecord], part: str) -> str:
     """`0.42 m or rad`: the median over the judged replays; empty where none was measured."""
-    found = [metric for stage in stages if (metric := judged_metric(stage, f"replay_terminal_{part}_error")) is not None]
+    found = [metric for stage in stages if (metric := stage.judged(f"replay_terminal_{part}_error")) is not None]
     values = [metric.value for metric in found if metric.value is not None]
     units = " or ".join(sorted({unit(metric.unit) for metric in found if metric.value is not None and "," not in metric.unit} - {""}))
     return f"{error(median(values))} {units}".strip() + (f" ({part})" if not units else "") if values else ""

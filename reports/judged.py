@@ -1,4 +1,4 @@
-"""Of which of a stage's two replays its verdict is, and its metrics by question: of the inputs alone, and with feedback.
+"""The metrics of a stage by question, of the inputs alone and with feedback; and where its motions end.
 
 questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->  "replay_error", 0.6, 0.004
 """
@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.records.record import MetricRecord, SceneRecord, StageRecord
+from reports.records.record import FEEDBACK, TRACKED, MetricRecord, SceneRecord, StageRecord
 from reports.wording import measured
 
-# As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.
-TRACKED, FEEDBACK = "tracked_", "feedback_"
 _JUDGE, SHOWN = "Is the judge well?", "Shown, not judged"
 
 
@@ -52,16 +50,6 @@ class QuestionView:
     metrics: tuple[MetricView, ...]
 
 
-def is_tracked(stage: StageRecord) -> bool:
-    """Whether the verdict is of the replay with feedback."""
-    return stage.replay is not None and stage.replay.judged == "feedback"
-
-
-def judged_metric(stage: StageRecord, name: str) -> MetricRecord | None:
-    """A metric; where it is of a replay, that of the replay which is judged."""
-    return (stage.metric(f"{TRACKED}{name}") if is_tracked(stage) else None) or stage.metric(name)
-
-
 def questions_of(stage: StageRecord) -> list[QuestionView]:
     """The questions in order, then what was measured of the judge, and what is only shown; a metric that was not asked is in `stage.not_asked`."""
     views = _views(stage)
@@ -91,7 +79,7 @@ def _views(stage: StageRecord) -> list[MetricView]:
 
 def end_of(stage: StageRecord, scene: SceneRecord, *, tracked: bool | None = None) -> str:
     """Where a replay ends: `position 0.11 m, velocity 0.10 m/s`, `free end`, or empty where it was not replayed. tracked: None takes the judged one."""
-    prefix = TRACKED if (is_tracked(stage) if tracked is None else tracked) else ""
+    prefix = TRACKED if (stage.is_tracked if tracked is None else tracked) else ""
     found = distance_of(stage, f"{prefix}replay_")
     if found or stage.replay is None:
         return found

@@ -40,7 +40,6 @@ from reports.pages import (
     runs,
     scene,
     stress_cases,
-    survival,
     sweeps,
     table1,
     tightening,
@@ -51,7 +50,7 @@ from reports.pages import (
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
 from reports.records.check_record import CheckRecord
 from reports.records.load import ReportError, Stored, load, record_files
-from reports.records.record import RunRecord, SceneRecord
+from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from reports.records.truth_record import TruthRecord
 
@@ -64,7 +63,7 @@ _OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (runs.build,),
-    "robustness": (survival.build,),
+    "robustness": (robustness.build,),
     "sweeps": (sweeps.build,),
     "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),
@@ -118,14 +117,19 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
     """Write report.html and all other pages, those of runs only if they are out of date; on so many processes (all cores). Raises ReportError."""
     templates = Templates()
     report = Report(load(folder), folder)
-    _make(folder / PAGES)
+    try:
+        (folder / PAGES).mkdir(exist_ok=True)
+    except OSError as problem:
+        raise _refused(folder / PAGES, "pages", problem) from problem
     beside = Report(report.stored, folder, at="")
     others = _others(beside)
     for name, sections in others.items():
         text = page(templates, sections, title=sections[0].title, lead=_title(report), again=_AGAIN, back=_BACK)
         write_page(folder / PAGES / f"{name}.html", text, folder)
     for one in report.scenes:
-        write_page(folder / PAGES / scene_page(one), _of_scene(templates, beside, one), folder)
+        back = [*_BACK, (f"../{REPORT}#index", "All pages")]
+        text = page(templates, _built(_OF_SCENE, beside, one), title=one.name, lead=one.title, again=_AGAIN, back=back)
+        write_page(folder / PAGES / scene_page(one), text, folder)
     _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
     # Last: a report that is younger than the folder of its pages has all of them.
     write_page(folder / REPORT, _campaign_page(templates, report, _across(report, others)), folder)
@@ -147,7 +151,7 @@ def write_single(folder: Path) -> Path:
     """Write all that `write_report` writes into one file. Raises ReportError."""
     report = Report(load(folder), folder, single=True)
     others = _others(report)
-    sections = [*_across(report, others), *(section for one in report.scenes for section in _scene_sections(report, one))]
+    sections = [*_across(report, others), *(section for one in report.scenes for section in _built(_OF_SCENE, report, one))]
     sections += [section for found in others.values() for section in found]
     write_page(folder / SINGLE, _campaign_page(Templates(), report, sections), folder)
     return folder / SINGLE
@@ -182,7 +186,7 @@ def render_checks(records: Sequence[CheckRecord]) -> str:
 def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None) -> str:
     """The text of the page of how much a plan can take. plan: what it is called; run, folder: of what moves in the player (reports.pages.robustness)."""
     title = f"How much {plan} can take on {record.scene}"
-    return page(Templates(), [robustness.build(record, run, folder)], title=title, lead=record.summary, again="")
+    return page(Templates(), [robustness.of_plan(record, run, folder)], title=title, lead=record.summary, again="")
 
 
 def render_truth(record: TruthRecord, again: str) -> str:
@@ -228,18 +232,11 @@ def write_page(target: Path, text: str, aside: Path | None = None) -> None:
     except OSError as problem:
         with contextlib.suppress(OSError):
             part.unlink()
-        raise ReportError(
-            f"{target}: the report cannot be written ({problem.strerror}); free the place or choose another folder."
-        ) from problem
+        raise _refused(target, "report", problem) from problem
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as problem:
-        raise ReportError(
-            f"{folder}: the pages cannot be written ({problem.strerror}); free the place or choose another folder."
-        ) from problem
+def _refused(place: Path, what: str, problem: OSError) -> ReportError:
+    return ReportError(f"{place}: the {what} cannot be written ({problem.strerror}); free the place or choose another folder.")
 
 
 def _built(makers: Sequence[Callable[..., Section | None]], *words: object) -> list[Section]:
@@ -266,21 +263,6 @@ def _campaign_page(templates: Templates, report: Report, sections: Sequence[Sect
     campaign = report.stored.campaign
     again = f"{_AGAIN} --single-file" if report.single else _AGAIN
     return page(templates, sections, title=_title(report), lead=_LEAD, again=again, quick=bool(campaign and campaign.quick))
-
-
-def _of_scene(templates: Templates, report: Report, one: SceneRecord) -> str:
-    back = [*_BACK, (f"../{REPORT}#index", "All pages")]
-    return page(templates, _scene_sections(report, one), title=one.name, lead=one.title, again=_AGAIN, back=back)
-
-
-def _scene_sections(report: Report, one: SceneRecord) -> list[Section]:
-    return _built(_OF_SCENE, report, one)
-
-
-def _of_run(templates: Templates, report: Report, one: RunRecord) -> str:
-    back = [*_BACK, (report.scene_link(one.scene), f"The scene {one.scene.name}"), (report.page_link("runs"), "All runs")]
-    title = f"{one.pipeline} on {one.scene.name}"
-    return page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again=_AGAIN, back=back)
 
 
 def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
@@ -311,7 +293,10 @@ def _write_some(templates: Templates, report: Report, some: Sequence[RunRecord])
 
 
 def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
-    write_page(report.folder / PAGES / run_page(one), _of_run(templates, report, one), report.folder)
+    back = [*_BACK, (report.scene_link(one.scene), f"The scene {one.scene.name}"), (report.page_link("runs"), "All runs")]
+    title = f"{one.pipeline} on {one.scene.name}"
+    text = page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again=_AGAIN, back=back)
+    write_page(report.folder / PAGES / run_page(one), text, report.folder)
 
 
 def _program() -> int:
@@ -355,19 +340,3 @@ def _asset(name: str) -> str:
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-__all__ = [
-    "PAGES",
-    "REPORT",
-    "Templates",
-    "is_current",
-    "page",
-    "render",
-    "render_checks",
-    "render_players",
-    "render_run",
-    "write_page",
-    "write_report",
-    "write_single",
-]

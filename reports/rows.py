@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from reports.judged import end_of, judged_metric
+from reports.judged import end_of
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
 from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
@@ -53,7 +53,7 @@ class Row:
 
     def metric(self, name: str) -> float | None:
         """Its value; of a replay, that of the replay that is judged."""
-        metric = judged_metric(self.stage, name)
+        metric = self.stage.judged(name)
         return metric.value if metric is not None else None
 
     @property

@@ -16,7 +16,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.judged import is_tracked
 from reports.records.record import RunRecord, SceneRecord, StageRecord, stage_files, thin
 
 Array = NDArray[np.float64]
@@ -50,7 +49,7 @@ class Motion:
 
     def judged(self, stage: StageRecord) -> Trace | None:
         """The motion of the replay that the verdict of the stage is of."""
-        return self.tracked if is_tracked(stage) else self.replay
+        return self.tracked if stage.is_tracked else self.replay
 
 
 def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 
 # Style and marker of a series, in order.
 LOOKS = tuple((f"c{place % 6}", marker) for marker in ("circle", "square", "diamond") for place in (5, 1, 4, 2, 0, 3))

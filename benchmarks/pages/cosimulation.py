@@ -9,8 +9,7 @@ from itertools import pairwise
 
 from benchmarks.records import AnyRecord, CosimCase, CosimMaster, CosimRecord
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.wording import clean, error, listing, number, small
 
 # Master -> words, CSS class, marker.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, OrderAnswer, OrderChoice, OrderRecord, OrderRow, OrderScene
 from reports.pages.section import Section
-from reports.plots.figure import Plot
+from reports.plots import Plot
 from reports.wording import error, listing, power, seconds, small, spaced, times
 
 _NAMES = {

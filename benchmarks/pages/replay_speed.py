@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ReplaySpeedRecord, SpeedRow, SpeedScene
 from reports.pages.section import Section
-from reports.plots.figure import Plot
+from reports.plots import Plot
 from reports.wording import error, listing, number, small, spaced
 
 # Errors that a reader may want [m]: what judges a plan, and what judges the replay itself.

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from benchmarks.records import AnyRecord, RigidLimitCase, RigidLimitRecord, StiffnessRow
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.wording import number
 
 # A plan this near to the rigid optimum is said to have reached it, as a share of that optimum.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ScalingRecord, ScalingRow, ScalingStage
 from reports.pages.section import Section
-from reports.plots.figure import Plot
+from reports.plots import Plot
 from reports.wording import error, listing, spaced
 
 # What counts as about linear: in time, and in memory.

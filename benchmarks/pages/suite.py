@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, SuiteFigure, SuiteRecord, SuiteRow, middle, spread
 from reports.pages.section import Section
-from reports.plots.figure import Plot
+from reports.plots import Plot
 from reports.wording import Sign, count, error, listing, number, seconds, spaced, times
 
 OURS = "touchstone"

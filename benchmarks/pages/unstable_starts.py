@@ -8,8 +8,7 @@ from statistics import median
 
 from benchmarks.records import AnyRecord, BalanceRecord, BalanceStart
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.wording import error, number
 
 # Style, marker and words of a start: balanced without a wall, by a wall, not balanced.

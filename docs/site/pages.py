@@ -30,8 +30,8 @@ from formulations.pipelines import PIPELINES, load_method, method_names
 from models.catalog import load_scene, scene_names
 from models.kinematics import pose_columns
 from models.scene import Scene
-from reports.pages.filmstrip import placed
-from reports.pages.mathml import safe_mathml
+from reports.pages.player import placed
+from reports.pages.scene import safe_mathml
 from reports.records.record import ShapeRecord
 from reports.render import render_players
 from validate.judge.score.table import FEEDBACK, TABLE

@@ -20,30 +20,23 @@ L = f + lagrange' g - zl' x + zu' x, for the minimised objective `problem.sense 
 from __future__ import annotations
 
 from formulations.ipopt.model import MissingValueError, ModelRefusedError, StructureChangedError
-from formulations.ipopt.options import UnknownOptionError, known_options
+from formulations.ipopt.options import UnknownOptionError
 from formulations.ipopt.problem import IpoptProblem, compile_model
 from formulations.ipopt.pyomo_solver import TouchstoneIpopt
-from formulations.ipopt.result import STATUS_MAP, STATUS_NAMES, IpoptResult, IpoptSeconds, Iteration, Residuals, load, outcome_of, residuals
+from formulations.ipopt.result import IpoptResult, Iteration, load
 from formulations.ipopt.solve import Start, solve
 
 __all__ = [
-    "STATUS_MAP",
-    "STATUS_NAMES",
     "IpoptProblem",
     "IpoptResult",
-    "IpoptSeconds",
     "Iteration",
     "MissingValueError",
     "ModelRefusedError",
-    "Residuals",
     "Start",
     "StructureChangedError",
     "TouchstoneIpopt",
     "UnknownOptionError",
     "compile_model",
-    "known_options",
     "load",
-    "outcome_of",
-    "residuals",
     "solve",
 ]

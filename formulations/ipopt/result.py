@@ -1,6 +1,6 @@
 """What a solve hands back, frozen, and the explicit step that writes it into the Pyomo model.
 
-`_STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
+`STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
 `residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's
 report.
 """
@@ -20,7 +20,7 @@ from formulations.solution import Outcome
 
 # Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is Ipopt's opinion; `solve` keeps it only if the
 # unscaled residuals agree.
-_STATUS = {
+STATUS = MappingProxyType({
     0: ("Solve_Succeeded", Outcome.SOLVED),
     1: ("Solved_To_Acceptable_Level", Outcome.SOLVED),
     2: ("Infeasible_Problem_Detected", Outcome.INFEASIBLE),
@@ -41,9 +41,7 @@ _STATUS = {
     -101: ("NonIpopt_Exception_Thrown", Outcome.FAILED),
     -102: ("Insufficient_Memory", Outcome.CRASHED),
     -199: ("Internal_Error", Outcome.CRASHED),
-}
-STATUS_NAMES = MappingProxyType({code: name for code, (name, _) in _STATUS.items()})
-STATUS_MAP = MappingProxyType({code: outcome for code, (_, outcome) in _STATUS.items()})
+})  # fmt: skip
 
 # The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds, a false constraint of numbers.
 NOT_SENT = -1000
@@ -51,12 +49,12 @@ NOT_SENT = -1000
 
 def outcome_of(status: int) -> Outcome:
     """The outcome Ipopt's code claims; FAILED for a code that nobody has named."""
-    return STATUS_MAP.get(status, Outcome.FAILED)
+    return STATUS[status][1] if status in STATUS else Outcome.FAILED
 
 
 def name_of(status: int) -> str:
     """Ipopt's name of a status."""
-    return "decided without Ipopt" if status == NOT_SENT else STATUS_NAMES.get(status, f"unknown Ipopt status {status}")
+    return "decided without Ipopt" if status == NOT_SENT else STATUS[status][0] if status in STATUS else f"unknown Ipopt status {status}"
 
 
 # Judging a point solved: violation of a constraint or bound relative to max(1, |bound|); stationarity relative to the largest term of its

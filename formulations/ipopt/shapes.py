@@ -21,8 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from formulations.ipopt.differentiate import gradient, hessian_sparsity, split_linear
-from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Graph
+from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Graph, gradient, hessian_sparsity, split_linear
 from formulations.ipopt.read import Bucket
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}

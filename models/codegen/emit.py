@@ -6,21 +6,25 @@ depends on q gets a Cholesky factorisation.
 
 Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
 
-Solving M x = b for a mass matrix that depends on q: Cholesky, written out for the entries that are not always zero.
+The Cholesky factorisation is written out for the entries that are not always zero: two fingers and a disc have seven coordinates, but only two blocks of two
+in their mass matrix. The order of operations is that of the usual loops.
 
-Two fingers and a disc have seven coordinates, but only two blocks of two in their mass matrix: what is zero for every q is not computed. The
-order of operations is that of the usual loops.
+Hand-written C has what damped contacts need between `#ifdef DAMPING` and `#else` or `#endif`, or in one line as `DAMPED(statement;)`. `for_scene` leaves that
+out of the sources of a scene that has none, so that they are the same, byte for byte, as if there were no damping at all.
 
-What a scene with damped contacts adds to the generated C: their coefficients and laws, and how the rates of penetration change.
+How much arithmetic the equations cost (`step_operations`) is counted in that C, function by function:
 
-Hand-written C has it between `#ifdef DAMPING` and `#else` or `#endif`, or in one line as `DAMPED(statement;)`. `for_scene` leaves that out of the sources of a scene that has none, so that they are
-the same, byte for byte, as if there were no damping at all.
+    count_operations(emit_model(scene))["scene_acceleration"]      # Operations(add=6, multiply=6, divide=1, call=0)
 
-What a scene with friction adds to the generated C: slips, their rates, and the limits mu N of the forces.
+A sign is not counted (it becomes a subtraction or goes into a constant), nor is arithmetic among numbers, which the compiler does. A power written as a
+product counts its multiplications.
 """
 
 from __future__ import annotations
 
+import ast
+import re
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import sympy as sp
@@ -322,3 +326,85 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
         backward_function("void scene_force_vjp", (*x.arguments, a, w), residual, w, moving),
         _SOLVES,
     ]
+
+
+_FUNCTION = re.compile(r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
+# What a time step evaluates once, before the contact law and the two updates.
+_OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_solve", "scene_acceleration")
+
+
+@dataclass(frozen=True)
+class Operations:
+    """Additions and subtractions, multiplications, divisions, and calls (square roots, sines ..)."""
+
+    add: int = 0
+    multiply: int = 0
+    divide: int = 0
+    call: int = 0
+
+    def __add__(self, other: Operations) -> Operations:
+        return Operations(*(mine + its for mine, its in zip(astuple(self), astuple(other), strict=True)))
+
+    @property
+    def total(self) -> int:
+        """The operations of all kinds."""
+        return sum(astuple(self))
+
+
+_KINDS: dict[type[ast.operator], Operations] = {
+    ast.Add: Operations(add=1),
+    ast.Sub: Operations(add=1),
+    ast.Mult: Operations(multiply=1),
+    ast.Div: Operations(divide=1),
+}
+
+
+def step_operations(scene: Scene) -> Operations:
+    """Operations of the equations that one time step of the scene evaluates: gaps, slips, and accelerations under given forces.
+
+    The contact law (two operations a contact) and the updates of v and q (four a coordinate) are the same for every scene, and not in it.
+    """
+    found = count_operations(model_source(scene))
+    return sum((found.get(name, Operations()) for name in _OF_A_STEP), Operations())
+
+
+def count_operations(source: str) -> dict[str, Operations]:
+    """The operations of every function of `emit_model`'s text, by its name; calls of functions of this text are left out."""
+    return {name: sum((_of_statement(line) for line in body.splitlines()), Operations()) for name, body in _FUNCTION.findall(source)}
+
+
+def _of_statement(line: str) -> Operations:
+    """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`; declarations, casts to void and braces have none."""
+    text = line.strip().removesuffix(";")
+    if text.startswith(("if ", "for ")):
+        return Operations()
+    if text.startswith("return "):
+        own, text = Operations(), text.removeprefix("return ")
+    elif " += " in text or " -= " in text:
+        own, text = Operations(add=1), text.partition("= ")[2]
+    elif " /= " in text:
+        own, text = Operations(divide=1), text.partition("= ")[2]
+    elif " = " in text:
+        own, text = Operations(), text.partition(" = ")[2]
+    else:
+        return Operations()
+    return own + _of_expression(ast.parse(text, mode="eval").body)[0]
+
+
+def _of_expression(node: ast.expr) -> tuple[Operations, bool]:
+    """Of numbers, names, subscripts, calls and + - * /, which C writes as Python does; and whether it is a number."""
+    match node:
+        case ast.UnaryOp():
+            return _of_expression(node.operand)
+        case ast.BinOp():
+            (left, is_left), (right, is_right) = _of_expression(node.left), _of_expression(node.right)
+            own = Operations() if is_left and is_right else _KINDS[type(node.op)]
+            return left + right + own, is_left and is_right
+        case ast.Call():
+            found = [_of_expression(argument) for argument in node.args]
+            is_number = all(is_one for _, is_one in found)
+            ours = is_number or ast.unparse(node.func).startswith("scene_")
+            return sum((inside for inside, _ in found), Operations() if ours else Operations(call=1)), is_number
+        case ast.Subscript():
+            return _of_expression(node.slice)[0], False
+    return Operations(), isinstance(node, ast.Constant)

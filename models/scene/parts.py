@@ -136,6 +136,13 @@ class _Named:
         """That of its symbol."""
         return self.symbol.name
 
+    def _checked(self, kind: str, symbol: str = "symbol") -> str:
+        """What it is called in messages, once its symbol, of any value, has a name that may be one. symbol: the field."""
+        where = f"{kind} {self.symbol}"
+        check_moving(f"{where}: {symbol}", getattr(self, symbol))
+        check_name(where, getattr(self, symbol).name)
+        return where
+
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(_Named):
@@ -191,10 +198,8 @@ class Coordinate(_Named):
     description: str = ""
 
     def __post_init__(self) -> None:
-        where = f"coordinate {self.symbol}"
-        for field, symbol in (("symbol", self.symbol), ("velocity", self.velocity)):
-            check_moving(f"{where}: {field}", symbol)
-            check_name(where, symbol.name)
+        where = self._checked("coordinate")
+        self._checked("coordinate", "velocity")
         check_unit(where, self.unit)
         settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
         if self.nominal <= 0:
@@ -228,9 +233,7 @@ class Input(_Named):
     description: str = ""
 
     def __post_init__(self) -> None:
-        where = f"input {self.symbol}"
-        check_moving(f"{where}: symbol", self.symbol)
-        check_name(where, self.symbol.name)
+        where = self._checked("input")
         check_unit(where, self.unit)
         settle_bounds(self, where, "lower", "upper")
 

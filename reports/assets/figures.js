@@ -15,7 +15,7 @@
   };
   const withUnit = (text, unit) => (unit && unit !== "1" ? `${text} ${unit}` : text);
 
-  // The numbers of a plot, as reports/plots/series.py writes them: [xs, ys] of each series.
+  // The numbers of a plot, as reports/plots.py writes them: [xs, ys] of each series.
   const unpacked = async (svg, { x, y }) => {
     const bytes = Uint8Array.from(atob(svg.dataset.v), (sign) => sign.charCodeAt(0));
     const planes = new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer());

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 from reports.pages.section import Report, Section
 from reports.paper import SCENE
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.records.record import ViolationPoint
 from reports.rows import Row
 from reports.wording import error, listing, number, seconds, small
@@ -92,14 +91,11 @@ def violation(report: Report) -> Section | None:
         f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {small(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {small(mine[0].eps)}."
         for name, _, mine in laws
     )
-    softplus = next((point for point in points if point.law == "softplus" and point.eps != 1), None)
-    values = {"plot": plot, "laws": laws, "worst": worst, "force": _force(softplus) if softplus else None}
+    # The force k L [N] at a penetration of the scene's length, which D of softplus contact goes by: from its closed form.
+    softplus = (point for point in points if point.law == "softplus" and point.eps != 1)
+    force = next((math.sqrt(abs(point.closed_form)) * abs(math.log(point.eps)) / math.log(2.0) for point in softplus), None)
+    values = {"plot": plot, "laws": laws, "worst": worst, "force": force}
     return Section("violation", "Fig. 2: worst-case violation", "paper.html#violation", values)
-
-
-def _force(point: ViolationPoint) -> float:
-    """The force k L [N] at a penetration of the scene's length, which D of softplus contact goes by: from its closed form."""
-    return math.sqrt(abs(point.closed_form)) * abs(math.log(point.eps)) / math.log(2.0)
 
 
 def _difference(point: ViolationPoint) -> float:

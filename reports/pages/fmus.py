@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.records.check_record import CheckRecord, FmuRecord
+from reports.records.check_record import CheckRecord
 from reports.wording import count, listing
 
 KIND = "FMU"
@@ -17,10 +17,9 @@ RARE = ("advice", "waived")
 
 @dataclass(frozen=True)
 class FmuView:
-    """One check; fmu: None where it ended before there was an answer. ended: the word for how it ended, if it did not pass."""
+    """One check. ended: the word for how it ended, if it did not pass."""
 
     record: CheckRecord
-    fmu: FmuRecord | None
     name: str
     version: str
     anchor: str
@@ -30,9 +29,7 @@ class FmuView:
 def build(report: Report) -> Section | None:
     """The section, or None where no FMU was checked."""
     records = [record for record in report.stored.checks if record.kind == KIND]
-    if not records:
-        return None
-    return of(records)
+    return of(records) if records else None
 
 
 def of(records: Sequence[CheckRecord]) -> Section:
@@ -41,7 +38,7 @@ def of(records: Sequence[CheckRecord]) -> Section:
     sentence = _sentence(views)
     ours = any(record.scene for record in records)
     # Of several FMUs each claim stands once: in their tables it would be most of the page.
-    rows = [row for view in views if view.fmu is not None for row in view.fmu.rows]
+    rows = [row for record in records if record.fmu is not None for row in record.fmu.rows]
     claims = list(dict.fromkeys((row.name, row.claim) for row in rows)) if len(views) > 1 else []
     statuses = (*STATUSES, *(status for status in RARE if any(row.status == status for row in rows)))
     values = {"views": views, "statuses": statuses, "sentence": sentence, "ours": ours, "claims": claims, "origin": records[0].provenance}
@@ -51,14 +48,14 @@ def of(records: Sequence[CheckRecord]) -> Section:
 def _view(record: CheckRecord, place: int) -> FmuView:
     ended = "" if record.passed else "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
     name, _, version = record.name.partition(", FMI ")
-    return FmuView(record, record.fmu, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)
+    return FmuView(record, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)
 
 
 def _sentence(views: list[FmuView]) -> str:
     scenes = {view.record.scene for view in views} - {None}
     of_scenes = f" of {count(len(scenes), 'scene')}" if scenes else ""
     versions = listing(sorted({view.version for view in views if view.version}))
-    looked = [view.fmu for view in views if view.fmu is not None]
+    looked = [view.record.fmu for view in views if view.record.fmu is not None]
     numbers = {status: sum(fmu.count(status) for fmu in looked) for status in (*STATUSES, *RARE)}
     counts = ", ".join(f"{number} {status}" for status, number in numbers.items() if number or status in STATUSES)
     bad = sum(not view.record.passed for view in views)

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from statistics import median
 
 from reports.causes import cause_of, deciding
-from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, last_cost, least_costs, three_findings
-from reports.judged import judged_metric
+from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, least_costs, three_findings
 from reports.pages.failures import notices
-from reports.pages.filmstrip import Strip, strip
-from reports.pages.pareto import SMALLEST, TICK, cpu, draw_front, keys, style_of
+from reports.pages.pareto import TICK, cpu, draw_front, keys, style_of, told_error
+from reports.pages.player import Strip, strip
 from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from reports.records.record import HOLD, CampaignRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import VERDICTS, cost, count, error, number, seconds, unit
@@ -76,7 +74,7 @@ def _places(report: Report) -> dict[tuple[str, str], Place]:
 
 def _words(run: RunRecord, ratio: float | None) -> str:
     """What a cell says on hover: the pipeline, the scene, the verdict and why."""
-    price, cause = last_cost(run), cause_of(run)
+    price, cause = run.cost, cause_of(run)
     said = f"{run.pipeline} on {run.scene.name}: {run.verdict}"
     if ratio is not None:
         return f"{said}, cost {cost(price)}" + (f", {number(ratio, 3)} times the cheapest" if ratio > 1 else ", the cheapest")
@@ -117,10 +115,9 @@ def _speed(report: Report) -> Plot | None:
     """CPU seconds against replay error: a mark for what each method came to, and the names of the pipelines whose medians over their scenes no other beats."""
     points = []
     for row in report.rows:
-        metric = judged_metric(row.stage, "replay_error")
-        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and metric is not None and metric.value is not None:
-            own = (row.stage.replay.error_estimate if row.stage.replay else None) or 0.0
-            points.append((max(cpu(row), TICK), max(metric.value, own, SMALLEST), row))
+        missed = told_error(row)
+        if row.stage.verdict not in NOT_ASKED and _ends_leg(row) and missed is not None:
+            points.append((max(cpu(row), TICK), missed, row))
     if not points:
         return None
     plot = Plot(

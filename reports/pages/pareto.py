@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from reports.judged import TRACKED, is_tracked, judged_metric
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
-from reports.records.record import MetricRecord, SceneRecord
+from reports.plots import Axis, Key, Plot, is_wide
+from reports.records.record import TRACKED, MetricRecord, SceneRecord
 from reports.rows import Row, known_cost
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
@@ -33,8 +31,6 @@ _ENDS = (
     ("replay_terminal_position_error", "Cost against terminal position error, after the replay", "terminal position error"),
     ("replay_terminal_velocity_error", "Cost against terminal velocity error, after the replay", "terminal velocity error"),
 )
-# Costs that span more than this are drawn on a logarithmic axis.
-_WIDE = 20.0
 # What is better by less than this, relatively, is not worth a sentence: plans on one grid share its error, and two solves of one problem their cost.
 _SAME_ERROR, _SAME_COST = 0.05, 1e-3
 # Beyond this a ratio of errors says no more than that one of them is nearly none.
@@ -84,7 +80,7 @@ def cpu(row: Row) -> float:
 
 def replay_error(row: Row) -> MetricRecord | None:
     """Of the replay that is judged."""
-    return judged_metric(row.stage, "replay_error")
+    return row.stage.judged("replay_error")
 
 
 def arrives(row: Row) -> bool:
@@ -95,7 +91,7 @@ def arrives(row: Row) -> bool:
 def _terminal(row: Row) -> list[MetricRecord]:
     """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
     limited = [metric for metric in row.stage.metrics if "terminal" in metric.name and metric.limit is not None]
-    name = f"{TRACKED}replay_terminal" if is_tracked(row.stage) else "replay_terminal"
+    name = f"{TRACKED}replay_terminal" if row.stage.is_tracked else "replay_terminal"
     return [metric for metric in limited if metric.name.startswith(name)] or [
         metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
     ]
@@ -112,7 +108,7 @@ def _why_absent(row: Row) -> str:
 
 
 def _error_view(rows: list[Row]) -> ParetoView | None:
-    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
+    points = [(max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None]
     if not points:
         return None
     unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
@@ -127,7 +123,7 @@ def _error_view(rows: list[Row]) -> ParetoView | None:
     return ParetoView(plot, said or _nothing_holds(len(points)))
 
 
-def _told_error(row: Row) -> float | None:
+def told_error(row: Row) -> float | None:
     """The replay error, or the replay's own error where that is larger: less cannot be told apart."""
     metric, replay = replay_error(row), row.stage.replay
     if metric is None or metric.value is None:
@@ -258,7 +254,7 @@ def _scatter(title: str, x: Axis, y: Axis, points: list[Point], front: list[Poin
 
 
 def _costs(prices: list[float]) -> Axis:
-    return Axis.fitted("cost", "", prices, log=min(prices) > 0 and max(prices) / min(prices) > _WIDE, margin=0.1)
+    return Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.1)
 
 
 def _against_time(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:

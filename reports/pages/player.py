@@ -11,9 +11,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.judged import is_tracked
-from reports.records.record import ContactRecord, RunRecord, ShapeRecord, StageRecord
+from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord, StageRecord
 from reports.traces import Motion, Trace, at_all, force, gap
+from reports.wording import number
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
@@ -69,7 +69,7 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         "plan_force": _stepped_forces(pushes, push),
         "replay_force": _stepped_forces(pushed, push),
     }
-    how = "replayed with feedback" if is_tracked(stage) else "replayed"
+    how = "replayed with feedback" if stage.is_tracked else "replayed"
     goal = ", the goal dotted" if any(shape["goal"] for shape in data["shapes"]) else ""
     words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled){goal}, with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
@@ -174,3 +174,62 @@ def _peaks(times: NDArray[np.float64], values: NDArray[np.float64], wanted: NDAr
     # Every second of these is from a beginning to its end; where there is nothing between them, reduceat gives what lies at the beginning.
     inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]
     return np.maximum(at_all(times, values, wanted), np.where(begin < end, inside, -np.inf))
+
+
+# Moments of a film strip, and sizes of their frames [px].
+_MOMENTS, _WIDTH, _HEIGHT, _GAP, _FOOT = 6, 150.0, 84.0, 8.0, 26.0
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The SVG, and what it shows in words."""
+
+    svg: Markup
+    words: str
+
+
+def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
+    """Six moments of a plan, first and last among them; None where no shape has poses."""
+    shapes = [shape for shape in scene.shapes if shape.size and plan is not None and shape.name in plan.poses]
+    if plan is None or not shapes or plan.t[-1] <= plan.t[0]:
+        return None
+    moments = np.linspace(plan.t[0], plan.t[-1], _MOMENTS)
+    poses = {shape.name: np.array([at_all(plan.t, axis, moments) for axis in plan.poses[shape.name].T]) for shape in shapes}
+    reach = {shape.name: max(shape.size) * (1.0 if shape.kind == "disc" else 0.5) for shape in shapes if shape.kind != "wall"}
+    moving = list(reach) or [shape.name for shape in shapes]
+    low = np.min([poses[name][:2].min(axis=1) - reach.get(name, 0.0) for name in moving], axis=0)
+    high = np.max([poses[name][:2].max(axis=1) + reach.get(name, 0.0) for name in moving], axis=0)
+    middle, extent = (low + high) / 2, np.maximum(high - low, 1e-9)
+    scale = 0.9 * min(_WIDTH / extent[0], _HEIGHT / extent[1])
+    frames = []
+    for place, moment in enumerate(moments):
+        left = place * (_WIDTH + _GAP)
+        drawn = "".join(placed(shape, poses[shape.name][:, place], middle, scale, number_ % 6) for number_, shape in enumerate(shapes))
+        frames.append(
+            f'<svg x="{left:.0f}" y="0" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}" viewBox="{-_WIDTH / 2:.0f} {-_HEIGHT / 2:.0f} {_WIDTH:.0f} {_HEIGHT:.0f}">'
+            f'<rect class="frame" x="{-_WIDTH / 2:.0f}" y="{-_HEIGHT / 2:.0f}" width="{_WIDTH:.0f}" height="{_HEIGHT:.0f}"/>{drawn}</svg>'
+            f'<text class="tick" x="{left + _WIDTH / 2:.0f}" y="{_HEIGHT + 22:.0f}" text-anchor="middle">{number(float(moment), 3)} s</text>'
+        )
+    wide = _MOMENTS * (_WIDTH + _GAP) - _GAP
+    body = "".join(frames)
+    svg = f'<svg class="plot strip" viewBox="0 0 {wide:.0f} {_HEIGHT + _FOOT:.0f}" aria-hidden="true" focusable="false">{body}</svg>'
+    return Strip(
+        Markup(svg), f"{_MOMENTS} moments of the plan, from {number(float(moments[0]), 3)} s to {number(float(moments[-1]), 3)} s."
+    )
+
+
+def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:
+    """One shape at a pose x, y [m], angle [rad]; up is up."""
+    x, y, angle = (float(value) for value in pose)
+    across, up = scale * (x - middle[0]), -scale * (y - middle[1])
+    turn = f'transform="translate({across:.1f} {up:.1f}) rotate({-math.degrees(angle):.1f})"'
+    size = [scale * float(value) for value in shape.size]
+    style = f'class="body c{colour}" {turn}'
+    if shape.kind == "disc":
+        return f'<g {style}><circle r="{size[0]:.1f}"/><path d="M0,0H{size[0]:.1f}"/></g>'
+    if shape.kind == "line":
+        return f'<g {style}><path d="M{-size[0] / 2:.1f},0H{size[0] / 2:.1f}"/></g>'
+    if shape.kind == "wall":
+        return f'<g class="body wall" {turn}><path d="M{-size[0] / 2:.1f},0H{size[0] / 2:.1f}"/></g>'
+    wide, high = size[0], size[-1]
+    return f'<g {style}><rect x="{-wide / 2:.1f}" y="{-high / 2:.1f}" width="{wide:.1f}" height="{high:.1f}"/></g>'

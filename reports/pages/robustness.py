@@ -1,27 +1,40 @@
-"""The page of how much a plan can take: shares of perturbed worlds in which it arrives, against size, and where it first fails along each perturbation."""
+"""How much plans can take: the page of one plan (`validate robust`), and what a campaign's plans that hold survive, scene by scene.
+
+A conclusion counts pairs of plans of one scene whose shares differ by more than chance: their intervals of 95 % have nothing in common.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations, product
 from pathlib import Path
+from statistics import median
 
+from reports.pages.pareto import keys, style_of
 from reports.pages.player import Film, film
-from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
-from reports.records.record import RunRecord
+from reports.pages.section import Report, Section
+from reports.plots import Axis, Key, Plot, is_wide
+from reports.records.record import RunRecord, SceneRecord, ShareRecord, SurveyRecord
 from reports.records.robustness_record import RobustnessRecord
+from reports.rows import Row
 from reports.traces import Motion, read_trace
-from reports.wording import number as in_digits
+from reports.wording import cost, count, listing, number
 
 _STYLES = ("c0", "c1")
+# Costs that differ by less, relatively, are the same.
+_SAME_COST = 1e-3
+# Fewer pairs that differ by more than chance say nothing.
+_ENOUGH = 5
 
 
-def build(record: RobustnessRecord, run: RunRecord | None = None, folder: Path | None = None) -> Section:
-    """The section of the page. run: of the plan, as far as it is drawn; folder: where plan.nc and worlds/<number>.nc are, which then move in the player."""
+def of_plan(record: RobustnessRecord, run: RunRecord | None = None, folder: Path | None = None) -> Section:
+    """The page of one plan. run: of the plan, as far as it is drawn; folder: where plan.nc and worlds/<number>.nc are, which then move in the player."""
     values = {
         "record": record,
-        "plot": _plot(record),
-        "keys": [Key(_STYLES[index], way.name) for index, way in enumerate(record.ways)],
+        "plot": _curves(record),
+        "keys": [Key(style, way.name) for style, way in zip(_STYLES, record.ways, strict=False)],
         "failures": sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)),
         "worlds": [] if run is None or folder is None else _worlds(record, run, folder),
     }
@@ -31,36 +44,166 @@ def build(record: RobustnessRecord, run: RunRecord | None = None, folder: Path |
 def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tuple[str, Film]]:
     """(what happened there, the film) of the worlds whose motion is stored."""
     plan, found = read_trace(folder / "plan.nc", run.scene), []
-    for number, ratio in record.shown:
-        moving = film(run, [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{number}.nc", run.scene))])
-        what = (
+    for world, ratio in record.shown:
+        moving = film(run, [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{world}.nc", run.scene))])
+        ends = (
             "it does not come to its end"
             if ratio is None
-            else f"it {'arrives' if ratio <= 1 else 'misses'}, at {in_digits(ratio, 2)} of its limit"
+            else f"it {'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
         )
-        found += [] if moving is None else [(f"World {number}: {what}", moving)]
+        if moving is not None:
+            found.append((f"World {world}: {ends}", moving))
     return found
 
 
-def _plot(record: RobustnessRecord) -> Plot | None:
+def _curves(record: RobustnessRecord) -> Plot | None:
     """Shares against size, with their intervals."""
-    curves = [(index, way.name, way.curve) for index, way in enumerate(record.ways) if way.curve is not None and way.curve.scales]
+    curves = [(style, way.name, way.curve) for style, way in zip(_STYLES, record.ways, strict=False) if way.curve and way.curve.scales]
     if not curves:
         return None
-    scales = [scale for _, _, curve in curves for scale in curve.scales]
-    halves = "; ".join(
-        f"{name}, half of the worlds are left at {in_digits(curve.half, 3)} times these sizes"
-        for _, name, curve in curves
-        if curve.half is not None
-    )
     plot = Plot(
-        "Share of worlds in which it arrives", Axis.fitted("all sizes times", "", scales, log=True),
-        Axis.fitted("share", "", [0.0, 1.0], zero=True), f"Shares with their 95 % intervals{': ' if halves else '.'}{halves}{'.' if halves else ''}", width=560,
-    )  # fmt: skip
-    for index, name, curve in curves:
-        style = _STYLES[index]
+        "Share of worlds in which it arrives",
+        Axis.fitted("all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True),
+        Axis.fitted("share", "", [0.0, 1.0], zero=True),
+        width=560,
+    )
+    for style, name, curve in curves:
         plot.line(name, style, curve.scales, [item.share for item in curve.shares])
         for scale, item in zip(curve.scales, curve.shares, strict=True):
             plot.line(f"{name}, interval", f"{style} soft", [scale, scale], list(item.interval))
-            plot.point(scale, item.share, style, "circle", f"{name}, {in_digits(scale)} times: {item.words}", radius=3.0)
+            plot.point(scale, item.share, style, "circle", f"{name}, {number(scale)} times: {item.words}", radius=3.0)
+    halves = [
+        f"{name}, half of the worlds are left at {number(curve.half, 3)} times these sizes"
+        for _, name, curve in curves
+        if curve.half is not None
+    ]
+    plot.words = f"Shares with their 95 % intervals{': ' if halves else ''}{'; '.join(halves)}."
+    return plot
+
+
+@dataclass(frozen=True)
+class Survivor:
+    """A plan that was tried: its row, what it costs, and how it fares."""
+
+    row: Row
+    price: float
+    survey: SurveyRecord
+    alone: ShareRecord
+
+    @property
+    def weakest(self) -> str:
+        """Such as `c by -0.0833 N s/m, 0.83 of its size`; empty where it takes all that was tried."""
+        found = self.survey
+        if found.sizes is None or found.amount is None:
+            return ""
+        return (
+            f"{found.weakest} by {found.amount:+.3g}{'' if found.unit == '1' else f' {found.unit}'}, {number(found.sizes, 2)} of its size"
+        )
+
+
+def build(report: Report) -> Section | None:
+    """The section of a campaign: cost against the share of perturbed worlds in which a plan arrives; None where no plan was tried."""
+    scenes = [(scene, report.scene_link(scene), plans) for scene in report.scenes if (plans := _tried(report, scene))]
+    untried = [row for row in report.rows if row.stage.survey is not None and row.stage.survey.message]
+    if not scenes and not untried:
+        return None
+    groups = [_different(plans) for _, _, plans in scenes]
+    said = [sentence for sentence in (_cheaper(groups), _warm(groups), _feedback(groups), _weakest(groups)) if sentence]
+    values = {"said": said, "scenes": [(scene, link, _plot(plans), plans) for scene, link, plans in scenes], "untried": untried}
+    return Section("robustness", "What plans survive", "robustness.html#campaign", values, said=said[0] if said else "")
+
+
+def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
+    """The plans of a scene that were tried, the cheapest first."""
+    found = [
+        Survivor(row, row.stage.cost, survey, survey.alone)
+        for row in report.rows_of_scene(scene)
+        if (survey := row.stage.survey) is not None and survey.alone is not None and row.stage.cost is not None
+    ]
+    return sorted(found, key=lambda plan: plan.price)
+
+
+def _different(plans: Iterable[Survivor]) -> list[Survivor]:
+    """Without plans that another way found too: what costs the same and fares the same."""
+    return list({(f"{plan.price:.5g}", plan.alone.arrived, plan.weakest): plan for plan in plans}.values())
+
+
+def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:
+    """In how many pairs the first share is surely larger, is surely smaller, and may differ by chance."""
+    signs = Counter((one.interval[0] > other.interval[1]) - (one.interval[1] < other.interval[0]) for one, other in pairs)
+    return signs[1], signs[-1], signs[0]
+
+
+def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
+    """What the pairs say in which one arrives in more worlds, and in fewer. words: where nearly all say the first, the second."""
+    if more + fewer < _ENOUGH:
+        return "That cannot be told yet"
+    return words[0] if more > 2 * fewer else words[1] if fewer > 2 * more else "Now one, now the other"
+
+
+def _cheaper(groups: Iterable[list[Survivor]]) -> str:
+    pairs = [
+        (dear.alone, cheap.alone)
+        for plans in groups
+        for cheap, dear in combinations(plans, 2)
+        if dear.price - cheap.price > _SAME_COST * abs(dear.price)
+    ]
+    if not pairs:
+        return ""
+    more, fewer, open_ = _compared(pairs)
+    return (
+        f"Do cheaper plans break sooner? {_answer(more, fewer, ('Mostly', 'No, dearer ones do'))}: of {count(len(pairs), 'pair')} of plans of one scene "
+        f"with different costs, the dearer one arrives in more worlds in {more}, in fewer in {fewer}; in the other {open_} the difference may be chance."
+    )
+
+
+def _warm(groups: Iterable[list[Survivor]]) -> str:
+    pairs = []
+    for plans in groups:
+        exact = [plan for plan in plans if plan.row.stage.certificate is not None]
+        warm, cold = ([plan.alone for plan in exact if (len(plan.row.methods) > 1) is begun] for begun in (True, False))
+        pairs += product(warm, cold)
+    if not pairs:
+        return ""
+    more, fewer, _ = _compared(pairs)
+    return (
+        f"Do exact plans survive more that begin with another method's plan? {_answer(more, fewer, ('Yes', 'No, they survive less'))}: of "
+        f"{count(len(pairs), 'pair')} on one scene the one with a warm start arrives in more worlds in {more}, in fewer in {fewer}; the median difference "
+        f"is {100 * median(warm.share - cold.share for warm, cold in pairs):+.1f} points."
+    )
+
+
+def _feedback(groups: Iterable[list[Survivor]]) -> str:
+    pairs = [(followed, plan.alone) for plans in groups for plan in plans if (followed := plan.survey.feedback) is not None]
+    if not pairs:
+        return ""
+    more, fewer, _ = _compared(pairs)
+    after, before = (100 * median(share.share for share in shares) for shares in zip(*pairs, strict=True))
+    return (
+        f"What does feedback buy? Of {count(len(pairs), 'plan')} it surely raises the share in {more} and lowers it in {fewer}; the median goes from "
+        f"{before:.0f} % of the worlds to {after:.0f} %."
+    )
+
+
+def _weakest(groups: Iterable[list[Survivor]]) -> str:
+    names = [f"{plan.survey.weakest} ({plan.row.run.scene.name})" for plans in groups for plan in plans if plan.survey.weakest]
+    first = [f"{name} in {times}" for name, times in Counter(names).most_common(3)]
+    return f"Plans take least of {listing(first)} of {count(len(names), 'plan')}." if first else ""
+
+
+def _plot(plans: list[Survivor]) -> Plot:
+    """Cost against the share of worlds, inputs alone, with its interval."""
+    prices = [plan.price for plan in plans]
+    plot = Plot(
+        "Cost against the share of worlds in which a plan arrives",
+        Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06),
+        Axis.fitted("share", "", [0.0, 1.0], zero=True),
+        width=720,
+        height=300,
+        keys=keys("")[:-1],
+    )
+    for plan in plans:
+        label, style = plan.row.label, style_of(plan.row)
+        plot.line(f"{label}, interval", f"{style.split()[0]} soft", [plan.price] * 2, list(plan.alone.interval))
+        plot.point(plan.price, plan.alone.share, style, "circle", f"{label}: cost {cost(plan.price)}, {plan.alone.words}", plan.row.link)
     return plot

@@ -6,18 +6,15 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.again import again
-from reports.causes import cause_of, deciding
-from reports.findings import integral_cost, last_cost
-from reports.judged import FEEDBACK, TRACKED, QuestionView, end_of, is_tracked, judged_metric, questions_of
+from reports.causes import again, cause_of, deciding
+from reports.judged import QuestionView, end_of, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
-from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
+from reports.pages.stage_plots import StagePlots, stage_plots
 from reports.pages.tolerance import windows_text
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
-from reports.records.collected import optima
-from reports.records.record import HOLD, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
+from reports.plots import Axis, Plot
+from reports.records.load import optima
+from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
 from reports.traces import Motion
 from reports.wording import capital, cost, count, percent, small, tail
 
@@ -54,35 +51,28 @@ class Spread:
 class StageView:
     """A stage and what is drawn of it.
 
-    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); tracked: whether the verdict is of the replay with feedback; both:
-    whether there is one; empty: it left no plan; idle: no method of ours ran.
+    questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); idle: no method of ours ran.
     """
 
     stage: StageRecord
     plots: StagePlots
     spread: Spread | None
-    last: bool
     questions: list[QuestionView]
     ends: list[tuple[str, str]]
-    tracked: bool
-    both: bool
-    empty: bool
     idle: bool
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Why a run has its verdict. question, metric: that decided it, or came nearest to its limit; cause, advice: empty where there is nothing to mend.
+    """Why a run has its verdict.
 
-    cost, integral: of the last plan, as a sum over its steps and times the time step; ends: where its replay ends, in words.
+    question, metric: that decided it, or came nearest to its limit; cause, advice: empty where there is nothing to mend; ends: where its replay ends, in words.
     """
 
     question: QuestionRecord | None
     metric: MetricRecord | None
     cause: str
     advice: str
-    cost: float | None
-    integral: float | None
     ends: str
 
 
@@ -125,7 +115,7 @@ def view_of(report: Report, run: RunRecord) -> RunView:
 
 def decision_of(run: RunRecord) -> Decision:
     """What decided the verdict of a run, from its record alone."""
-    last, cause = run.stages[-1] if run.stages else None, cause_of(run)
+    last, cause = run.last, cause_of(run)
     metric = deciding(last) if last is not None else None
     number = metric.question if metric is not None else None
     question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
@@ -135,8 +125,6 @@ def decision_of(run: RunRecord) -> Decision:
         metric,
         " ".join(dict.fromkeys(part for part in ("" if cause is None else f"{cause.sentence}.", capital(why)) if part)),
         "" if cause is None else cause.advice,
-        last_cost(run),
-        integral_cost(run.scene, last_cost(run)),
         end_of(last, run.scene) if last is not None else "",
     )
 
@@ -155,13 +143,9 @@ def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool
         stage,
         stage_plots(scene, stage, motion, whole=last),
         spread(stage),
-        last,
         questions_of(stage) if last else [],
         _ends(scene, stage),
-        is_tracked(stage),
-        _is_followed(stage),
-        is_empty(stage),
-        stage.kind == "given" or (is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0),
+        stage.kind == "given" or (stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0),
     )
 
 
@@ -170,7 +154,7 @@ def _beside(stages: Sequence[StageRecord]) -> list[MetricRow]:
     rows: dict[str, list[MetricRecord | None]] = {}
     for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
         if metric.limit is not None and not metric.name.startswith((TRACKED, FEEDBACK)) and metric.name not in rows:
-            rows[metric.name] = [judged_metric(stage, metric.name) for stage in stages]
+            rows[metric.name] = [stage.judged(metric.name) for stage in stages]
     found = [MetricRow(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
     return sorted(found, key=lambda row: row.metric.question or 7)
 
@@ -179,14 +163,10 @@ def _stage_words(stage: StageRecord) -> str:
     return stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "")
 
 
-def _is_followed(stage: StageRecord) -> bool:
-    return stage.replay is not None and stage.replay.tracked is not None
-
-
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
     """Where the replays end, in words: that of the inputs alone, and that with feedback where there is one."""
-    found = [("inputs alone" if _is_followed(stage) else "replay", end_of(stage, scene, tracked=False))]
-    if _is_followed(stage):
+    found = [("inputs alone" if stage.is_followed else "replay", end_of(stage, scene, tracked=False))]
+    if stage.is_followed:
         found.append(("with feedback", end_of(stage, scene, tracked=True)))
     return [(words, end) for words, end in found if end]
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.causes import cause_of
-from reports.findings import integral_cost, last_cost, solving_cpu
-from reports.judged import judged_metric
 from reports.pages.run import RunView, not_applicable, view_of
 from reports.pages.section import Report, Section
 from reports.records.record import HOLD, MetricRecord, RunRecord
@@ -15,19 +13,14 @@ from reports.wording import count
 
 @dataclass(frozen=True)
 class Listed:
-    """A run as a row. link: of its page; integral: cost times the time step; position, velocity, error: metrics of its judged replay; why: in a few words.
+    """A run as a row. link: of its page; errors: of its judged replay, position and velocity at the end, and from the plan; why: in a few words.
 
     anchor, view: where it stands and all that is told of it, where that is here.
     """
 
     run: RunRecord
     link: str
-    cost: float | None
-    integral: float | None
-    position: MetricRecord | None
-    velocity: MetricRecord | None
-    error: MetricRecord | None
-    cpu: float
+    errors: list[MetricRecord | None]
     why: str
     anchor: str
     view: RunView | None
@@ -54,22 +47,8 @@ def build(report: Report) -> Section | None:
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:
-    last, price, cause = run.stages[-1] if run.stages else None, last_cost(run), cause_of(run)
-    metrics = [
-        judged_metric(last, f"replay_{name}") if last else None for name in ("terminal_position_error", "terminal_velocity_error", "error")
-    ]
+    names = ("terminal_position_error", "terminal_velocity_error", "error")
+    errors = [run.last.judged(f"replay_{name}") if run.last else None for name in names]
+    cause = cause_of(run)
     why = cause.sentence if cause is not None else not_applicable(run)
-    view = view_of(report, run) if report.single else None
-    return Listed(
-        run,
-        report.link(run),
-        price,
-        integral_cost(run.scene, price),
-        metrics[0],
-        metrics[1],
-        metrics[2],
-        solving_cpu(run),
-        why,
-        report.anchor(run),
-        view,
-    )
+    return Listed(run, report.link(run), errors, why, report.anchor(run), view_of(report, run) if report.single else None)

@@ -52,7 +52,7 @@ class Report:
 
     def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
         """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
-        priced = [(run, run.stages[-1].cost) for run in self.stored.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
+        priced = [(run, run.cost) for run in self.stored.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
         return sorted(((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1])
 
     def anchor(self, run: RunRecord) -> str:

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reports.judged import is_tracked
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot, over_time
+from reports.plots import Axis, Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, column, contact_phases, force, gap
 from reports.wording import ROUNDING, clean, error, number
@@ -44,23 +42,18 @@ class StagePlots:
     absent: list[str]
 
 
-def is_empty(stage: StageRecord) -> bool:
-    """Whether it left nothing to draw or to score: the reason stands in its sentence."""
-    return not (stage.metrics or stage.replay or stage.has_plan)
-
-
 def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole: bool = True) -> StagePlots:
     """The plots of a stage; motion: of that stage; whole: else positions, contact forces and error alone, as of a stage that another goes on from."""
     plan, replay = motion.plan, motion.judged(stage)
     absent = list(motion.problems)
-    if is_empty(stage):
+    if stage.is_empty:
         absent.append("There is no plan, so nothing is drawn, replayed or scored.")
     elif plan is None:
         absent.append("No planned trajectory is stored.")
-    if replay is None and not is_empty(stage):
+    if replay is None and not stage.is_empty:
         said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
         absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
-    if not stage.history and not is_empty(stage) and stage.kind != "given":
+    if not stage.history and not stage.is_empty and stage.kind != "given":
         absent.append("The method kept no history of its iterations.")
     plots: list[Plot | None] = []
     times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]
@@ -81,7 +74,7 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
             plots.append(_inputs(scene, x, plan, motion.tracked))
     kept = list(stage.history.items())[:_MOST_HISTORY] if whole else []
     history = [_history(name, values, stage.iterations) for name, values in kept if len(values) > 1]
-    keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
+    keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if stage.is_tracked else _KEYS
     return StagePlots(keys, [plot for plot in plots if plot is not None], history, absent)
 
 

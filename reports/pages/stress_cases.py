@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot
 from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord
 from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced

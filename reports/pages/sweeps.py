@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from statistics import median
 
-from reports.findings import integral_cost, last_cost, solving_cpu
-from reports.judged import judged_metric
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot, is_wide
 from reports.records.record import HOLD, RunRecord, SceneRecord
 from reports.wording import capital, count, listing, number, spaced
 
@@ -26,8 +24,6 @@ _MARKERS = ("circle", "square", "diamond", "triangle")
 Style = tuple[str, str]
 # More curves than colours and markers tell apart are drawn in the order of the campaign.
 _COLOURS = 6
-# Values that span more than this are drawn on a logarithmic axis.
-_WIDE = 20.0
 # Runs that differ in more numbers than this are other runs, not a sweep.
 _MOST = 3
 _PAIR = 2
@@ -62,11 +58,6 @@ class SweptRun:
     curve: str
     x: float
     seed: float | None
-
-    @property
-    def integral(self) -> float | None:
-        """Its cost times the time step, which may stand beside that of another grid."""
-        return integral_cost(self.run.scene, last_cost(self.run))
 
 
 @dataclass(frozen=True)
@@ -214,16 +205,20 @@ def _name(names: Sequence[str], axis: Quantity) -> str:
 def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecord], float | None]]]:
     """(quantity, unit, value) of the plots that stand first."""
     runs = [item.run for item in swept]
-    whole = all(integral_cost(run.scene, last_cost(run)) is None for run in runs)
-    price = ("cost", "", last_cost) if whole else ("integral cost (cost times h)", "", lambda run: integral_cost(run.scene, last_cost(run)))
-    return [price, *((spaced(name), _unit(runs, name), _of(name)) for name in _FIRST), ("CPU time of solving", "s", solving_cpu)]
+    whole = all(run.integral_cost is None for run in runs)
+    price = ("cost", "", attrgetter("cost")) if whole else ("integral cost (cost times h)", "", attrgetter("integral_cost"))
+    return [
+        price,
+        *((spaced(name), _unit(runs, name), _of(name)) for name in _FIRST),
+        ("CPU time of solving", "s", attrgetter("solving_cpu")),
+    ]
 
 
 def _of(name: str) -> Callable[[RunRecord], float | None]:
     """The value of a metric of a run's last stage, of the replay that is judged."""
 
     def value(run: RunRecord) -> float | None:
-        metric = judged_metric(run.stages[-1], name)
+        metric = run.stages[-1].judged(name)
         return None if metric is None else metric.value
 
     return value
@@ -270,8 +265,8 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
     plot = Plot(
         f"{capital(name)} against {axis.name}",
-        Axis.fitted(axis.name, axis.unit, xs, log=_is_wide(xs) and axis.name != SEED, margin=0.06),
-        Axis.fitted(name, unit, ys, log=_is_wide(ys), margin=0.08),
+        Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06),
+        Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08),
     )
     said = []
     for curve, (style, _) in styles.items():
@@ -292,10 +287,6 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
         plot.point(mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link)
     plot.words = f"{'; '.join(said)}. Filled: the plan holds."
     return plot
-
-
-def _is_wide(values: Sequence[float]) -> bool:
-    return min(values) > 0 and max(values) / min(values) >= _WIDE
 
 
 def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:

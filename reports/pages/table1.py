@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.judged import distance_of, judged_metric
+from reports.judged import distance_of
 from reports.pages.section import Report, Section
 from reports.paper import SCENE, TABLE_1
 from reports.records.record import SceneRecord
@@ -15,6 +15,7 @@ from reports.wording import cost, count, error, listing, number, percent, second
 _SAME_COST = 1e-4
 # A solver that returns twice the cost of another on the same problem has failed, not found another plan.
 _FAILED_COST = 2.0
+_NOT_TO_BLAME = " Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
 # Where the terminal error is told: in the plan, with exact contact on its own grid, after the replay.
 _WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
 
@@ -53,7 +54,7 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
         return None
     values = {
         "scene": scene,
-        "rows": [(row, _ends(row)) for row in rows],
+        "rows": [(row, {where: _end(row, prefix) for where, prefix in _WHERE.items()}) for row in rows],
         "lacks": lacking(scene, rows),
         "paper_scene": SCENE,
         "beside": scene.name == SCENE or any(row.stage.paper for row in rows),
@@ -61,10 +62,6 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
         "conclusions": conclude(rows),
     }
     return Section(anchor, title, "scene.html#stages", values)
-
-
-def _ends(row: Row) -> dict[str, TerminalError]:
-    return {where: _end(row, prefix) for where, prefix in _WHERE.items()}
 
 
 def _end(row: Row, prefix: str) -> TerminalError:
@@ -84,7 +81,7 @@ def _units(rows: list[Row]) -> tuple[str, str]:
     """Of positions and of velocities; empty where a scene has several."""
 
     def one(part: str) -> str:
-        found = {metric.unit for row in rows if (metric := judged_metric(row.stage, f"replay_terminal_{part}_error")) is not None}
+        found = {metric.unit for row in rows if (metric := row.stage.judged(f"replay_terminal_{part}_error")) is not None}
         return unit(found.pop()) if len(found) == 1 else ""
 
     return one("position"), one("velocity")
@@ -125,12 +122,7 @@ def _failed(both: list[Row]) -> list[str]:
     said = []
     if dear:
         held = all(row.holds for row, _ in dear)
-        judged = (
-            "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
-            if held
-            else ""
-        )
-        said.append(f"{'; '.join(text for _, text in dear)}. {judged}".strip())
+        said.append(f"{'; '.join(text for _, text in dear)}.{_NOT_TO_BLAME if held else ''}")
     return said + worse
 
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.paper import TIGHTENING_FIGURES
-from reports.plots.figure import Key, Plot, over_time
+from reports.plots import Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Array, Trace, column, force, gap
@@ -68,7 +67,7 @@ def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, 
     marks, unit = [], ""
     for sweep in sweeps:
         for row in sweep.rows:
-            metric, eps = judged_metric(row.stage, name), row.stage.eps
+            metric, eps = row.stage.judged(name), row.stage.eps
             if metric is not None and metric.value is not None and eps:
                 unit = metric.unit
                 tip = f"{row.label}: {spaced(name)} {number(metric.value, 3)} {unit}, {row.stage.verdict}"

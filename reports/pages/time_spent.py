@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
@@ -81,42 +82,35 @@ def build(report: Report) -> Section | None:
     )
 
 
-def _group(phase: str) -> str:
-    return PHASES[phase][1] if phase in PHASES else _GROUPS[-1]
-
-
 def _style(group: str) -> str:
     return f"c{_GROUPS.index(group) % 6}" if group != _GROUPS[-1] else "rest"
 
 
-def _words(phase: str) -> str:
-    return PHASES[phase][0] if phase in PHASES else spaced(phase)
-
-
-def _by_group(run: RunRecord) -> dict[str, float]:
-    found = dict.fromkeys(_GROUPS, 0.0)
-    for phase, spent in run.profile.items():
-        found[_group(phase)] += spent
-    return found
+def _known(phase: str) -> tuple[str, str]:
+    """In words, and the group."""
+    return PHASES.get(phase, (spaced(phase), _GROUPS[-1]))
 
 
 def _slow(run: RunRecord, link: str, longest: float) -> Slow:
-    groups = _by_group(run)
+    groups, phases = dict.fromkeys(_GROUPS, 0.0), []
+    for phase, spent in run.profile.items():
+        words, group = _known(phase)
+        groups[group] += spent
+        phases.append((words, spent))
     bar, x = [], 0.0
     for group, spent in groups.items():
         width = max(0.0, _WIDTH * spent / longest)
         bar.append(Part(round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
         x += width
-    phases = sorted(((_words(phase), spent) for phase, spent in run.profile.items()), key=lambda item: -item[1])
-    return Slow(run, link, tuple(groups.values()), tuple(phases), tuple(bar))
+    return Slow(run, link, tuple(groups.values()), tuple(sorted(phases, key=lambda item: -item[1])), tuple(bar))
 
 
 def _sentence(runs: list[RunRecord]) -> str:
     """What the wall time of all profiled runs was spent on, largest first."""
-    spent: dict[str, float] = {}
+    spent: defaultdict[str, float] = defaultdict(float)
     for run in runs:
         for phase, took in run.profile.items():
-            spent[_words(phase)] = spent.get(_words(phase), 0.0) + took
+            spent[_known(phase)[0]] += took
     whole = sum(spent.values())
     if whole <= 0.0:
         return ""

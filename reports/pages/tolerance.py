@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots import Axis, Key, Plot, is_wide
 from reports.records.record import FrontPointRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import cost, count, error, percent
 
 # How far left of the smallest tolerance the edge of the plot lies, where plans that reach the goal are drawn.
 _EDGE = 0.25
-# Costs that span more than this are drawn on a logarithmic axis.
-_WIDE = 20.0
 # Relative difference below which a row lies on the front: that of two solves of one problem.
 _SAME = 1e-6
 _ON_IT = "on it"
@@ -117,7 +114,7 @@ def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], link: str)
     plot = Plot(
         "Least cost of the exact problem against terminal error",
         Axis.fitted("terminal error on the grid, exact contact (norm of positions and velocities)", "", errors, log=True, margin=0.04),
-        Axis.fitted("cost", "", costs, log=min(costs) > 0 and max(costs) / min(costs) > _WIDE, margin=0.08),
+        Axis.fitted("cost", "", costs, log=is_wide(costs), margin=0.08),
         width=720,
         height=420,
         keys=[

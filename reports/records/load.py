@@ -5,7 +5,8 @@ stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadabl
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -13,8 +14,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
-from reports.records.collected import collected, grouped
-from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
 from reports.wording import clean
 
 # A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
@@ -139,3 +139,76 @@ def _validation_sentence(problem: ValidationError) -> str:
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg']}{others}); written by another version, or edited: run it again."
+
+
+# Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12, windows shifted by a step differ by 1e-5.
+SAME_OPTIMUM = 1e-7
+# A plan that holds goes before a cheaper one that does not, and one that holds by its inputs alone before one that needs feedback.
+_RANKS = {"holds": 0, "consistent": 0, "holds with feedback": 1}
+
+
+def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
+    """The runs in order; parts of one pipeline on one scene become one run, at the place of the first of them."""
+    return tuple(_together(list(group)) if group[0].parts > 1 else group[0] for group in grouped(runs))
+
+
+def grouped(runs: Iterable[RunRecord]) -> tuple[tuple[RunRecord, ...], ...]:
+    """The parts of each run, in order."""
+    groups: dict[tuple[str, str], list[RunRecord]] = {}
+    for run in runs:
+        groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(run)
+    return tuple(map(tuple, groups.values()))
+
+
+def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]]]:
+    """(cost, starts that reached it), from the cheapest."""
+    found: list[tuple[float, list[StartRecord]]] = []
+    for start in sorted((start for start in starts if start.cost is not None), key=lambda start: start.cost or 0.0):
+        price = start.cost or 0.0
+        if found and abs(price - found[-1][0]) <= SAME_OPTIMUM * abs(price):
+            found[-1][1].append(start)
+        else:
+            found.append((price, [start]))
+    return found
+
+
+def _together(parts: list[RunRecord]) -> RunRecord:
+    crashed = next((part for part in parts if part.outcome == "crashed"), None)
+    best = min(parts, key=lambda part: (_RANKS.get(part.verdict, len(_RANKS)), math.inf if part.cost is None else part.cost))
+    starts = tuple(sorted((start for part in parts for stage in part.stages for start in stage.starts), key=lambda start: start.number))
+    whole, said = best.parts, best.message if crashed is None else crashed.message
+    lacking = "" if len(parts) == whole else f"Only {len(parts)} of the {whole} parts of this run are stored; the others are not counted."
+    message = " ".join(filter(None, (_spread(starts), lacking, said)))
+    stages, ends = best.stages, [part.last for part in parts if part.last]
+    if stages:
+        spent = {name: sum(getattr(stage.seconds, name) for stage in ends) for name in SecondsRecord.model_fields}
+        iterations = sum(stage.iterations for stage in ends)
+        told = {"starts": starts, "seconds": SecondsRecord(**spent), "iterations": iterations, "message": message}
+        stages = (*stages[:-1], stages[-1].model_copy(update=told))
+    profile: dict[str, float] = {}
+    for part in parts:
+        for phase, seconds in part.profile.items():
+            profile[phase] = profile.get(phase, 0.0) + seconds
+    return best.model_copy(
+        update={
+            "stages": stages,
+            "outcome": best.outcome if crashed is None else "crashed",
+            "message": message,
+            "wall_seconds": sum(part.wall_seconds for part in parts),
+            "cpu_seconds": sum(part.cpu_seconds for part in parts),
+            "profile": profile,
+        }
+    )
+
+
+def _spread(starts: tuple[StartRecord, ...]) -> str:
+    found = optima(starts)
+    if not found:
+        return f"None of {len(starts)} starts was solved." if starts else ""
+    solved = sum(len(same) for _, same in found)
+    ways = (
+        f"{len(found)} distinct optima, from {found[0][0]:.6g} to {found[-1][0]:.6g}"
+        if len(found) > 1
+        else "all of them at the same optimum"
+    )
+    return f"{solved} of {len(starts)} starts were solved, {ways}; {len(found[0][1])} reached the cheapest."

@@ -75,6 +75,8 @@ SCHEMA_VERSION = 5
 Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
 # Verdicts of plans that hold.
 HOLD = ("holds", "holds with feedback")
+# How the names begin of metrics of the replay with feedback, and of what the feedback took, as validate.judge.score has them.
+TRACKED, FEEDBACK = "tracked_", "feedback_"
 
 
 class Model(BaseModel):
@@ -372,6 +374,25 @@ class StageRecord(Model):
         """The metric of this name; None where it was not measured."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
+    def judged(self, name: str) -> MetricRecord | None:
+        """A metric; where it is of a replay, that of the replay which is judged."""
+        return (self.metric(f"{TRACKED}{name}") if self.is_tracked else None) or self.metric(name)
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether there is a replay with feedback."""
+        return self.replay is not None and self.replay.tracked is not None
+
+    @property
+    def is_tracked(self) -> bool:
+        """Whether the verdict is of the replay with feedback."""
+        return self.replay is not None and self.replay.judged == "feedback"
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it left nothing to draw or to score: the reason stands in its sentence."""
+        return not (self.metrics or self.replay or self.has_plan)
+
 
 class LegRecord(Model):
     """What a leg found (validate.tasks.leg).
@@ -436,6 +457,27 @@ class RunRecord(Model):
     def title(self) -> str:
         """Scene and pipeline, and which part of the run, by which the campaign and `show` know it."""
         return f"{self.scene.name} x {self.pipeline}" + (f" ({self.part} of {self.parts})" if self.parts > 1 else "")
+
+    @property
+    def last(self) -> StageRecord | None:
+        """The last stage, by which the run is judged; None where there is none."""
+        return self.stages[-1] if self.stages else None
+
+    @property
+    def cost(self) -> float | None:
+        """What the plan costs that the run is judged by; None where there is none."""
+        return self.last.cost if self.last else None
+
+    @property
+    def integral_cost(self) -> float | None:
+        """That cost times the time step, which does not depend on the grid as a sum over steps does; None where the last state is in the cost."""
+        ends = any(equation.caption == FINAL_COST for equation in self.scene.equations)
+        return None if self.cost is None or ends else self.cost * self.scene.step
+
+    @property
+    def solving_cpu(self) -> float:
+        """CPU seconds [s] of solving, over all stages, wherever they ran."""
+        return sum(stage.seconds.stage_cpu for stage in self.stages)
 
 
 class ViolationPoint(Model):

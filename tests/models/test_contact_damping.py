@@ -1,15 +1,18 @@
-"""Contacts with damping: the closed forms derived, what a scene accepts, and that a scene without damping has nothing of it in its models."""
+"""Contact laws: closed forms, no overflow, refusal where they have no meaning; damping, and when a contact releases."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sympy as sp
 from wording import saying
 
 from models.catalog import load_scene
 from models.codegen.emit import for_scene
-from models.codegen.kernel import kernel_sources
+from models.codegen.kernel import kernel_sources, load_kernel
+from models.contact_law import ContactLaw, RelaxationError, contact_force, sharpness, worst_case_violation
 from models.dynamics import derive
 from models.errors import SceneError
 from models.fmu.description import find_standard
@@ -133,3 +136,88 @@ def test_contacts_of_one_name_with_the_name_of_a_push():
     base = load_scene("damped_collision")
     with pytest.raises(SceneError, match="the name 'pressing_pair' is used 2 times"):
         replace(base, parameters=(*base.parameters, replace(base.parameters[0], symbol=sp.Symbol("pressing_pair", positive=True))))
+
+
+K = 30.0
+
+
+def test_relu_is_the_true_law():
+    assert contact_force(np.array([-1.0, 0.0, 0.5]), K).tolist() == [0.0, 0.0, 15.0]
+
+
+@pytest.mark.parametrize("eps", [0.999, 0.1, 1e-3, 1e-16, 1e-300])
+def test_softplus_is_finite_above_relu_and_right_far_away(eps: float):
+    phi = np.array([-1e3, -1.0, 0.0, 1.0, 1e3])
+    lam = contact_force(phi, K, ContactLaw.SOFTPLUS, eps)
+    assert np.isfinite(lam).all()
+    assert (lam >= contact_force(phi, K) * (1 - 1e-15)).all()  # k/b times b*phi rounds
+    assert lam[2] == pytest.approx(K * math.log(2) / sharpness(eps), rel=1e-15)
+    assert lam[4] == pytest.approx(K * (1e3 + math.log1p(math.exp(-1e3 * sharpness(eps))) / sharpness(eps)), rel=1e-15)
+
+
+@pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, 2.0, float("nan"), float("inf"), "1e-3", True, None])
+def test_meaningless_eps_is_refused(eps: object):
+    with pytest.raises(RelaxationError, match="0 < eps < 1"):
+        sharpness(eps)  # pyright: ignore[reportArgumentType] - the mistake under test
+
+
+def test_worst_case_violation_of_the_paper():
+    """PAPER erratum 4: D = (k ln2 / ln eps)^2."""
+    for eps, expected in ((1e-3, 9.0619), (1e-5, 3.2623), (1e-7, 1.6644), (1e-9, 1.0069)):
+        assert worst_case_violation(K, eps) == pytest.approx(expected, abs=5e-5)
+
+
+def test_eps_is_counted_in_the_length_of_the_scene():
+    """The same eps on a scene a tenth as large reaches a tenth as far: forces and distances shrink alike, and so does what it violates at most."""
+    phi = np.linspace(-0.3, 0.1, 9)
+    large = contact_force(phi, 30.0, ContactLaw.SOFTPLUS, 1e-3)
+    small = contact_force(phi / 10.0, 30.0, ContactLaw.SOFTPLUS, 1e-3, length=0.1)
+    assert small == pytest.approx(large / 10.0, rel=1e-14)
+    assert sharpness(1e-3, 0.1) == pytest.approx(10.0 * sharpness(1e-3), rel=1e-15)
+    assert worst_case_violation(30.0, 1e-3, 0.1) == pytest.approx(worst_case_violation(30.0, 1e-3) / 100.0, rel=1e-14)
+
+
+STEP = 5e-7  # s: of a contact of 0.07 s; the step is of first order, w h = 3e-5
+TOLERANCE = 1e-4
+
+
+def touching(ratio: float) -> tuple[Scene, float]:
+    """The two discs at the touch, closing, with damping ratio z = ratio, and how long half a damped swing takes [s]."""
+    scene = load_scene("damped_collision")
+    values = {parameter.name: parameter.value for parameter in scene.parameters}
+    mass = values["m1"] * values["m2"] / (values["m1"] + values["m2"])
+    rate = math.sqrt(values["k"] / mass)
+    scene = replace(scene, answers=(), limits=()).with_parameters(c=2.0 * ratio * math.sqrt(values["k"] * mass))
+    return scene.with_task(start=(1.0, 1.0 + 2.0 * values["r"], 2.1, -1.0), step=STEP), math.pi / (rate * math.sqrt(1.0 - ratio**2))
+
+
+def glued(scene: Scene) -> Scene:
+    """The same spring and damper between the discs, as a force that also pulls; no contact."""
+    pair = scene.contacts[0]
+    moved = dict(zip((item.symbol for item in scene.coordinates), (item.velocity for item in scene.coordinates), strict=True))
+    rate = sum(sp.diff(pair.penetration, q) * v for q, v in moved.items())
+    push = pair.stiffness * pair.penetration + pair.damping * rate
+    return replace(
+        scene, contacts=(), forces=tuple(force + sp.diff(-pair.penetration, q) * push for force, q in zip(scene.forces, moved, strict=True))
+    )
+
+
+def restitution(scene: Scene, seconds: float, radius: float) -> float:
+    """Speed at which phi comes back to zero, over the closing speed."""
+    steps = round(1.6 * seconds / STEP)
+    found = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((steps, 0)), STEP)
+    phi = 2.0 * radius - (found.q[:, 1] - found.q[:, 0])
+    last = 10 + int(np.argmax(phi[10:] <= 0.0))  # the first node after the contact; glued discs swing on
+    assert 1000 < last < steps, "the contact is over within the motion"
+    return float((found.v[last, 1] - found.v[last, 0]) / (found.v[0, 0] - found.v[0, 1]))
+
+
+@pytest.mark.parametrize("z", [0.05, 0.2, 0.5])
+def test_a_contact_that_may_pull_is_released_at_phi_0_and_loses_more(z: float):
+    scene, seconds = touching(z)
+    radius = next(parameter.value for parameter in scene.parameters if parameter.name == "r")
+    pulling, ours = restitution(glued(scene), seconds, radius), restitution(scene, seconds, radius)
+    angle = math.acos(z)
+    assert pulling == pytest.approx(math.exp(-math.pi * z / math.sqrt(1.0 - z**2)), rel=TOLERANCE)
+    assert ours == pytest.approx(math.exp(-2.0 * angle / math.tan(angle)), rel=TOLERANCE)
+    assert pulling < ours - 0.01 * z

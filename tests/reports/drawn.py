@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 
 _MARKERS = {"circle": "circle", "rect": "square", "l6,6l-6,6l-6,-6z": "diamond", "l6,10.5h-12z": "triangle"}
 Place = tuple[float, float]

@@ -3,7 +3,7 @@
 import pytest
 from wording import unsaid
 
-from reports.findings import cost_ratio, integral_cost, least_costs, standings, three_findings
+from reports.findings import cost_ratio, least_costs, standings, three_findings
 from reports.records.record import FINAL_COST, EquationRecord
 
 
@@ -105,5 +105,6 @@ def test_ratios_are_over_the_cheapest_plan_that_holds(factory):
 @pytest.mark.parametrize(("caption", "integral"), [("cost, summed over the steps", 4.9), (FINAL_COST, None)])
 def test_an_integral_cost_is_a_cost_of_steps_alone(factory, caption, integral):
     scene = factory.scene().model_copy(update={"equations": (EquationRecord(caption=caption, mathml="<math/>"),)})
-    assert integral_cost(scene, 490.0) == (None if integral is None else pytest.approx(integral))
-    assert integral_cost(scene, None) is None
+    for cost, known in ((490.0, integral), (None, None)):
+        run = ended(factory, "hill", "strict", "holds", cost).model_copy(update={"scene": scene})
+        assert run.integral_cost == (None if known is None else pytest.approx(known))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from wording import unsaid
 
-from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, StoredRecord
+from reports.records.check_record import CheckRecord, CheckRow, FmuRecord
 from reports.records.load import load
 from reports.render import PAGES, write_report
 from reports.rule import failures
@@ -76,9 +76,3 @@ def test_a_folder_with_nothing_but_examinations(factory, tmp_path):
     assert "No run is stored here yet" not in words
     stored = load(tmp_path)
     assert (stored.runs, stored.checks, stored.unreadable) == ((), (sound,), ())
-
-
-def test_each_record_is_read_as_what_it_is(factory):
-    run, check = factory.runs()[0], _fmu(factory, "three_cart", "2.0", ("passed",))
-    for record in (run, check):
-        assert StoredRecord.model_validate_json(record.model_dump_json()).root == record

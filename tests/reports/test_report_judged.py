@@ -3,7 +3,7 @@
 import html
 import re
 
-from reports.judged import end_of, judged_metric, questions_of
+from reports.judged import end_of, questions_of
 from reports.pages.table1 import conclude
 from reports.records.record import MetricRecord, TrackedRecord
 from reports.render import write_single
@@ -54,7 +54,7 @@ def test_metrics_stand_by_question_with_both_ends_side_by_side(factory):
 
 def test_the_end_of_a_stage_is_that_of_the_replay_that_is_judged(factory):
     stage, scene = followed(factory), factory.scene()
-    assert judged_metric(stage, "replay_error").value == 0.004
+    assert stage.judged("replay_error").value == 0.004
     assert end_of(stage, scene) == "position 0.0020 m"
     assert end_of(stage, scene, tracked=False) == "position 0.50 m"
     free = scene.model_copy(update={"goal": (None,) * len(scene.goal)})

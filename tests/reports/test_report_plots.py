@@ -1,9 +1,7 @@
 """Axes, the thinning of lines, phases of contact, and what is let through as MathML."""
 
-import math
 import re
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wording import unsaid
 
-from reports.pages.mathml import safe_mathml
+from reports.pages.scene import safe_mathml
 from reports.pages.stage_plots import stage_plots
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from reports.records.record import QuantityRecord, TrackedRecord
 from reports.traces import Motion, contact_phases
 
@@ -41,17 +38,6 @@ def _points(path: str) -> list[tuple[float, float]]:
     return [tuple(point) for point in np.cumsum(np.reshape(numbers, (-1, 2)), axis=0)]
 
 
-def test_a_path_reads_back_as_the_values_drawn():
-    times = [place / 100 for place in range(501)]
-    plot = Plot("sine", Axis.fitted("time", "s", times, margin=0.0), Axis.fitted("q", "m", [-1.0, 1.0]))
-    plot.line("q", "c0", times, [math.sin(t) for t in times])
-    path = re.search(r'data-n="q" d="M([^"]+)"', plot.markup())
-    points = _points(path[1])
-    for t in (0.0, 1.3, 4.99):
-        height = np.interp(plot.px(t), *zip(*points, strict=True))
-        assert height == pytest.approx(plot.py(math.sin(t)), abs=0.25)
-
-
 def test_every_marker_stands_around_its_point():
     """The point (1, 2) of axes 0..2, 0..4 is at (240, 114) of 440 by 240 pixels, by hand: each shape's corners are as far to both sides."""
     corners = {}
@@ -75,15 +61,6 @@ def test_every_marker_stands_around_its_point():
         assert (top + bottom) / 2 == pytest.approx(114.0, abs=1.0), marker  # a triangle's middle is lower than its corners'
         assert 9.0 <= right - left <= 12.0, marker
         assert 9.0 <= bottom - top <= 12.0, marker
-
-
-@pytest.mark.parametrize(("anchor", "before"), [("start", 0.0), ("middle", 13.2), ("end", 26.4)])
-def test_words_stand_where_they_are_anchored(anchor: str, before: float):
-    """Four characters of 6.6 pixels at x = 240: they begin that much before it."""
-    plot = Plot("one", Axis("x", "m", 0.0, 2.0), Axis("y", "m", 0.0, 4.0))
-    assert plot.label(240.0, 100.0, "abcd", "s", anchor=anchor, pixels=True)
-    found = re.search(r'<text[^>]*\bx="([\d.]+)"[^>]*>abcd<', plot.markup())
-    assert float(found[1]) == pytest.approx(240.0 - before, abs=0.1)
 
 
 def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equally_far():
@@ -116,15 +93,6 @@ def test_what_lies_outside_is_at_its_own_side(log: bool):
     assert axis.fraction(1e-9 if log else -1e9) == -0.5
     values = [1e-9, 1.0, 3.0, 10.0, 55.0, 100.0, 1e9]
     assert axis.pixels(values, 20.0, 120.0) == pytest.approx([20.0 + 100.0 * axis.fraction(value) for value in values])
-
-
-def test_labels_keep_clear_of_each_other():
-    plot = Plot("labels", Axis.fitted("x", "", [0, 1]), Axis.fitted("y", "", [0, 1]))
-    placed = [plot.label(0.5, 0.5, "the same place") for _ in range(12)]
-    assert placed[0]
-    assert not placed[-1], "left out rather than drawn over another"
-    tops = sorted(float(top) for top in re.findall(r'class="tag [^"]*" x="[^"]+" y="([^"]+)"', plot.markup()))
-    assert all(second - first >= 14 for first, second in pairwise(tops))
 
 
 def test_contact_phases_come_from_the_gap(factory):

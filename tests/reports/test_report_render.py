@@ -125,31 +125,6 @@ def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
     assert page.text.count("not in the paper") == 1
 
 
-@pytest.mark.slow
-def test_conclusions_are_computed(factory, tmp_path):
-    good = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
-    _, page = render(factory.store(tmp_path / "good", [good]))
-    assert not unsaid(page.text, "strict_lcp after softplus_dc: ours 490.83 (… 0.0032 m), the paper's 16\u202f619.35, 34 times")
-    assert "hold after the replay" in page.text
-    worse = good.stages[-1].model_copy(update={"cost": 40000.0, "verdict": "violates"})
-    bad = good.model_copy(update={"stages": (*good.stages[:-1], worse), "verdict": "violates"})
-    _, page = render(factory.store(tmp_path / "bad", [bad]))
-    assert "ours is the worse one" in page.text
-    assert "hold after the replay, so" not in page.text
-    assert not unsaid(page.text, "0 of 1 run … exact contact holds")
-
-
-@pytest.mark.slow
-def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
-    run = factory.run("relu_gd", None, "relu_gd")
-    _, page = render(factory.store(tmp_path / "zero", [run]))
-    assert "is exactly 0, as it must be" in page.text
-    metrics = tuple(metric.model_copy(update={"value": 0.16}) if metric.name == "physics" else metric for metric in run.stages[0].metrics)
-    wrong = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"metrics": metrics}),)})
-    _, page = render(factory.store(tmp_path / "wrong", [wrong]))
-    assert not unsaid(page.text, "exactly 0 … not in relu_gd: 0.16")
-
-
 def test_failures_are_told_with_their_sentence_and_log(full):
     _, page = full
     for words in (

@@ -84,11 +84,6 @@ def test_cases_stand_in_rows_and_what_fails_fails_the_campaign(page, factory):
     assert body.count("<table") == len(re.findall(r"<table[^>]*>\s*<caption>[^<]", body)) > 2
 
 
-def test_words_of_a_record_are_escaped(page, factory):
-    page(case(factory, 1, "<script>alert(1)</script>", found="<img src=x>", charts=(chart(title="<b>bold</b>"),)))
-    assert not [markup for markup in ("<script>alert", "<img src=x>", "<b>bold</b>") if markup in page.raw]
-
-
 @pytest.mark.slow
 def test_what_was_known_of_the_time_step_stands_with_the_scene_and_a_warning_in_the_summary(page):
     known = {

@@ -2,7 +2,7 @@
 
 from wording import unsaid
 
-from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
+from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StartRecord
 from reports.render import write_single
 
 CERTIFICATE = CertificateRecord(
@@ -49,17 +49,3 @@ def test_the_page_shows_certificate_starts_and_front(factory, tmp_path) -> None:
         "constraint_goal_position[q1]",
     )  # fmt: skip
     assert text.count("<h3 id=") >= 2
-
-
-def test_records_of_before_still_load(factory) -> None:
-    """Certificate, starts, front and parts are new and optional."""
-    old = factory.run("strict", None, "strict_lcp").model_dump()
-    for name in ("part", "parts"):
-        del old[name]
-    for stage in old["stages"]:
-        for name in ("certificate", "starts", "front"):
-            del stage[name]
-    record = RunRecord.model_validate(old)
-    assert record.parts == 1
-    assert isinstance(record.stages[0], StageRecord)
-    assert record.stages[0].certificate is None

@@ -5,8 +5,7 @@ import math
 import pytest
 
 from reports import findings, judged, rows, rule, wording
-from reports.again import again
-from reports.causes import _CAUSES, cause_of, deciding
+from reports.causes import _CAUSES, again, cause_of, deciding
 from reports.records.record import QuantityRecord, RunRecord
 from tests.reports import record_factory as factory
 from tests.reports.record_factory import judged as metric
@@ -285,12 +284,12 @@ def test_the_command_that_repeats_one_run(command: str, repeated: str | None):
 
 def test_costs_and_seconds_of_findings():
     run = path("a", stage_of("soft", cpu=2.0, cost=9.0), stage_of("exact", None, 1, cpu=3.0, cost=7.0))
-    assert (findings.solving_cpu(run), findings.last_cost(run), findings.last_cost(run.model_copy(update={"stages": ()}))) == (
+    assert (run.solving_cpu, run.cost, run.model_copy(update={"stages": ()}).cost) == (
         5.0,
         7.0,
         None,
     )
-    assert findings.integral_cost(run.scene, 7.0) == pytest.approx(0.07)
+    assert run.integral_cost == pytest.approx(0.07)
     assert findings.cost_ratio(ran("a", cost=None), {"three_cart": 5.0}) is findings.cost_ratio(ran("a", cost=4.0), {}) is None
     assert findings.cost_ratio(ran("a", cost=4.0), {"three_cart": 5.0}) == 0.8
     assert findings.Standing("a", 2, 3, None, None).rank == (-2, math.inf, math.inf)
@@ -316,7 +315,7 @@ def test_a_run_is_judged_by_its_last_stage():
     assert rule.failures([none])[0] == "three_cart x two: no plan (solved) - Do that."
     stopped = path("two", bad, good, verdict="violates", outcome="stalled")
     assert rule.failures([stopped]) == ("three_cart: no run holds (two stalled, violates)",)
-    assert findings.last_cost(path("two", stage_of("a", cost=1.0), stage_of("b", None, 1, cost=2.0))) == 2.0
+    assert path("two", stage_of("a", cost=1.0), stage_of("b", None, 1, cost=2.0)).cost == 2.0
     worse = cause_of(
         path(
             "two",

@@ -16,9 +16,8 @@ import math
 import platform
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -111,6 +110,12 @@ class Trial:
 
 
 TRIALS = (
+    Trial(name="Python", function="interpreter", remedy=""),
+    Trial(
+        name="store",
+        function="store",
+        remedy=f"choose another folder with --out, or make room in this one: a campaign of all scenes wants about {_ROOM // 1024**2} MiB",
+    ),
     Trial(name="C compiler", function="compiler", remedy="pip install ziglang, or set CC to a compiler you have"),
     Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
     Trial(name="Ipopt", function="ipopt", remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
@@ -133,61 +138,20 @@ TRIALS = (
 
 def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[MachineFinding]:
     """One finding after the other, as they are made. out: the folder a campaign would write to."""
-    yield _interpreter()
-    yield _store(out)
     broken = set()
     for trial in trials:
-        finding = _tried(trial)
-        if finding.state is State.BROKEN:
+        limits = Limits(seconds=_SECONDS, memory=16 * 1024**3)
+        done = run_isolated(f"validate.cli.doctor:{trial.function}", str(out.absolute()), limits=limits, what=trial.name)
+        if done.ok and done.value:
+            yield MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
+            continue
+        state, remedy = State.ABSENT, trial.remedy
+        if trial.needed and not done.ok:
             first = [name for name in trial.rests_on if name in broken]
-            if first:
-                finding = replace(finding, remedy=f"mend {' and '.join(first)} first")
+            state, remedy = State.BROKEN, f"mend {' and '.join(first)} first" if first else remedy
             broken.add(trial.name)
-        yield finding
-
-
-def _interpreter() -> MachineFinding:
-    cores = usable_cores()
-    sentence = f"Python {platform.python_version()} on {cores} {'core' if cores == 1 else 'cores'}"
-    return MachineFinding(name="Python", state=State.OK, sentence=sentence)
-
-
-def _store(out: Path) -> MachineFinding:
-    """Write durably and read back where the campaign would, and leave nothing."""
-    began = time.monotonic()
-    place = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
-    try:
-        if not place.is_dir():
-            raise NotADirectoryError(20, "there is a file of that name")
-        with tempfile.TemporaryDirectory(prefix=".touchstone-doctor-", dir=place) as folder:
-            write_durably(Path(folder) / "whole", "touchstone")
-            if (Path(folder) / "whole").read_text() != "touchstone":
-                raise OSError(5, "what was written reads back differently")
-        room = shutil.disk_usage(place).free
-    except (OSError, MachineError) as error:
-        cause = error.__cause__ or error
-        sentence = f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})"
-        return MachineFinding(
-            name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one"
-        )
-    enough = room >= _ROOM
-    return MachineFinding(
-        name="store",
-        state=State.OK if enough else State.BROKEN,
-        sentence=f"{place} can be written to and has {room / 1024**3:.1f} GiB free",
-        remedy="" if enough else f"make room: a campaign of all scenes wants about {_ROOM // 1024**2} MiB",
-        seconds=time.monotonic() - began,
-    )
-
-
-def _tried(trial: Trial) -> MachineFinding:
-    limits = Limits(seconds=_SECONDS, memory=16 * 1024**3)
-    done = run_isolated(f"validate.cli.doctor:{trial.function}", {}, limits=limits, what=trial.name)
-    if done.ok and done.value:
-        return MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
-    state = State.BROKEN if trial.needed and not done.ok else State.ABSENT
-    sentence = trial.absent if done.ok else _why(done)
-    return MachineFinding(name=trial.name, state=state, sentence=sentence, remedy=trial.remedy, seconds=done.wall)
+        sentence = trial.absent if done.ok else _why(done)
+        yield MachineFinding(name=trial.name, state=state, sentence=sentence, remedy=remedy, seconds=done.wall)
 
 
 def _why(done: Isolated) -> str:
@@ -215,7 +179,32 @@ def _compare(what: str, found: float, expected: float, tolerance: float) -> None
         raise TrialError(f"{what} is {found:.12g}, but {expected:.12g} is right.")
 
 
-def compiler(request: Any, arrays: Any) -> str:
+def interpreter(out: str, arrays: Any) -> str:
+    """Which Python runs, on how many cores."""
+    cores = usable_cores()
+    return f"Python {platform.python_version()} on {cores} {'core' if cores == 1 else 'cores'}"
+
+
+def store(out: str, arrays: Any) -> str:
+    """Write durably and read back where the campaign would, and leave nothing."""
+    place = next(folder for folder in (Path(out), *Path(out).parents) if folder.exists())
+    try:
+        if not place.is_dir():
+            raise NotADirectoryError(20, "there is a file of that name")
+        with tempfile.TemporaryDirectory(prefix=".touchstone-doctor-", dir=place) as folder:
+            write_durably(Path(folder) / "whole", "touchstone")
+            if (Path(folder) / "whole").read_text() != "touchstone":
+                raise OSError(5, "what was written reads back differently")
+        room = shutil.disk_usage(place).free
+    except (OSError, MachineError) as error:
+        cause = error.__cause__ or error
+        raise TrialError(f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})") from error
+    if room < _ROOM:
+        raise TrialError(f"{place} can be written to, but has {room / 1024**2:.0f} MiB free.")
+    return f"{place} can be written to and has {room / 1024**3:.1f} GiB free"
+
+
+def compiler(out: str, arrays: Any) -> str:
     """Compile and load a C function."""
     found = find_compiler()
     with tempfile.TemporaryDirectory(prefix="touchstone-doctor-") as folder:
@@ -227,7 +216,7 @@ def compiler(request: Any, arrays: Any) -> str:
     return found.version
 
 
-def cache(request: Any, arrays: Any) -> str:
+def cache(out: str, arrays: Any) -> str:
     """Write where compiled scenes and FMUs are kept, and leave nothing."""
     folder = cache_folder()
     try:
@@ -238,7 +227,7 @@ def cache(request: Any, arrays: Any) -> str:
     return f"compiled scenes and FMUs are kept in {folder}"
 
 
-def ipopt(request: Any, arrays: Any) -> str:
+def ipopt(out: str, arrays: Any) -> str:
     """Solve problem 71 of Hock and Schittkowski through Pyomo."""
     import pyomo.environ as pyo
 
@@ -257,7 +246,7 @@ def ipopt(request: Any, arrays: Any) -> str:
     return f"{version()}, linear systems by {linear_solver()}; the optimum of a known problem to 1e-7"
 
 
-def gradient(request: Any, arrays: Any) -> str:
+def gradient(out: str, arrays: Any) -> str:
     """One gradient of PyTorch through the compiled rollout of the paper's scene, against a difference quotient."""
     import torch
 
@@ -279,7 +268,7 @@ def gradient(request: Any, arrays: Any) -> str:
     return f"PyTorch {torch.__version__}, a gradient through the compiled rollout equals its difference quotient"
 
 
-def fmu(request: Any, arrays: Any) -> str:
+def fmu(out: str, arrays: Any) -> str:
     """Export a scene, run it by Model Exchange and Co-Simulation, and hold the fall against the closed form."""
     from validate.stress.motion import replayed, rolled
 
@@ -294,7 +283,7 @@ def fmu(request: Any, arrays: Any) -> str:
     return "an FMU was exported and run by Model Exchange and Co-Simulation; the fall is right to 1e-9"
 
 
-def integer_programs(request: Any, arrays: Any) -> str:
+def integer_programs(out: str, arrays: Any) -> str:
     """Whether the extra [global] is there and solves a knapsack."""
     try:
         from pyscipopt import Model, quicksum

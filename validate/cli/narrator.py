@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from reports.findings import NOT_ASKED, last_cost
+from reports.findings import NOT_ASKED
 from reports.judged import end_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
@@ -138,34 +138,21 @@ def _on_scene(runs: Sequence[RunRecord]) -> str:
         return f"{scene.name}: nothing is asked of its {len(runs)} runs"
     holding = [run for run in asked if run.verdict in HOLD]
     said = f"{scene.name}: {len(holding)} of {len(asked)} runs that end with exact contact hold"
-    cheapest = min((run for run in holding if last_cost(run) is not None), key=lambda run: last_cost(run) or 0.0, default=None)
+    cheapest = min((run for run in holding if run.cost is not None), key=lambda run: run.cost or 0.0, default=None)
     if cheapest is None:
         return said
     end = end_of(cheapest.stages[-1], scene)
     off = f", its replay ends off the goal by {end}" if end not in ("", "free end") else ""
-    return f"{said}; the cheapest is {cheapest.pipeline}, cost {last_cost(cheapest):.2f}{off}"
+    return f"{said}; the cheapest is {cheapest.pipeline}, cost {cheapest.cost:.2f}{off}"
 
 
 def _summary(record: RunRecord | CheckRecord) -> str:
+    ended = record.outcome.replace("_", " ")
+    times = f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"
     if isinstance(record, CheckRecord):
-        return _checked(record)
-    last = record.stages[-1]
-    which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
-    parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome.replace('_', ' ')}"]
-    if record.verdict != "no plan":
-        parts.append(record.verdict)
-    if last.cost is not None:
-        parts.append(f"cost {last.cost:.2f}")
-    parts.append(_times(record))
-    if record.verdict in ("no plan", "not applicable") and record.message:
-        parts.append(record.message)
-    return ", ".join(parts)
-
-
-def _checked(record: CheckRecord) -> str:
-    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome.replace("_", " ")
-    return f"{record.title}: {ended}, {_times(record)}, {record.found or record.message}"
-
-
-def _times(record: RunRecord | CheckRecord) -> str:
-    return f"{record.cpu_seconds:.1f} CPU s ({record.wall_seconds:.1f} s wall)"
+        ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else ended
+        return f"{record.title}: {ended}, {times}, {record.found or record.message}"
+    verdict = record.verdict if record.verdict != "no plan" else ""
+    cost = "" if record.cost is None else f"cost {record.cost:.2f}"
+    why = record.message if record.verdict in ("no plan", "not applicable") else ""
+    return ", ".join(filter(None, [f"{record.title}: {ended}", verdict, cost, times, why]))

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
-from validate.cli.metrics import Row, print_metrics
 from validate.cli.options import FiniteRange, scenes, write, written_to
-from validate.cli.table import print_table, say, warn, wide_option
+from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.simulator import named_engines
@@ -124,7 +123,7 @@ def command(
         raise click.UsageError("--engine belongs to --scene: another simulator cannot step somebody's FMU.")
     asked = named_engines(engines) if engines is not None else ()
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.fork).
+    # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import judge_fmu

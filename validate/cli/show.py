@@ -8,13 +8,12 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
-from reports.again import again
-from reports.judged import is_tracked, questions_of
+from reports.causes import again
+from reports.judged import questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails
-from validate.cli.metrics import print_metrics
-from validate.cli.table import one_line, print_table, say, short, wide_option
+from validate.cli.table import one_line, print_metrics, print_table, say, short, wide_option
 from validate.store.store import RECORD, Store
 from validate.store.stored import CampaignError, campaign_of, stored_names
 
@@ -86,12 +85,8 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
         if found:
             shown = "; ".join(f"{names[record.key]} ({record.key[:12]})" for record in found[:8])
             raise CampaignError(f"{run!r} means {len(found)} runs: {shown}{' and more' if len(found) > 8 else ''}. Give one of these keys.")
-    raise CampaignError(f"there is no run {run!r} in {folder}; {_hint(run, list(names.values()), folder)}")
-
-
-def _hint(run: str, names: list[str], folder: Path) -> str:
     what = f"its runs are listed in {folder / 'results.csv'}, which `python -m validate report {folder}` writes again."
-    return did_you_mean(run, names, what, 0.4)
+    raise CampaignError(f"there is no run {run!r} in {folder}; {did_you_mean(run, list(names.values()), what, 0.4)}")
 
 
 def _tell_run(record: RunRecord) -> None:
@@ -101,7 +96,7 @@ def _tell_run(record: RunRecord) -> None:
         say(record.message)
     click.echo()
     _print_stages(record)
-    last = record.stages[-1] if record.stages else None
+    last = record.last
     if last is None:
         return
     if last.why and last.why != record.message:
@@ -138,13 +133,13 @@ def _print_stages(record: RunRecord) -> None:
 def _tell_score(stage: StageRecord) -> None:
     """Questions and their answers, the metrics, and what was not asked."""
     if stage.questions:
-        of = "the replay with feedback" if is_tracked(stage) else "the inputs alone"
+        of = "the replay with feedback" if stage.is_tracked else "the inputs alone"
         rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
         click.echo()
         print_table(["", f"question, of {of}", "answer"], rows, ("",))
     click.echo()
     rows = [(question.number, view.name, view.alone, view.followed) for question in questions_of(stage) for view in question.metrics]
-    print_metrics(rows, followed=stage.replay is not None and stage.replay.tracked is not None, tracked=is_tracked(stage))
+    print_metrics(rows, followed=stage.is_followed, tracked=stage.is_tracked)
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
 

@@ -13,16 +13,17 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from models.codegen.compiler import find_compiler
 from reports.findings import three_findings
 from reports.records.check_record import CheckRecord, divided
-from reports.records.collected import collected
-from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
+from reports.records.load import collected
+from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord
 from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, open_local
@@ -113,7 +114,9 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
         write_durably(settings.out / name, text)
     provenance = gather(settings.command)
     selected, scenes = [entry.task.key for entry in entries], {run.scene.name: run.scene for run in _runs(entries)}
-    earlier, keys = _with_others(settings, store, entries)
+    named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
+    # The keys of the folder's campaign from now on, in order; and the campaign it holds until now, if this one is a part of it.
+    earlier, keys = with_others(store, named) if settings.is_part else (None, tuple(named.values()))
     records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
     others = {key: record for key in set(keys).difference(selected) if (record := store.read(key)) is not None}
     campaign = _campaign(settings, entries, left_out, earlier if others else None, keys, provenance)
@@ -150,9 +153,11 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
                     break
     finally:
         with interrupts_wait():
-            for record in _unreported([key for key in selected if key not in records], store, provenance):
-                records[record.key] = record
-                narrator.finished(record)
+            # What this campaign stored and nobody heard of: it was stopped at that moment.
+            for record in filter(None, [store.read(key) for key in selected if key not in records]):
+                if record.provenance.started == provenance.started:
+                    records[record.key] = record
+                    narrator.finished(record)
             narrator.ends()
             told = write()
     report = load_plugin(settings.plugin).write_report(settings.out)
@@ -169,14 +174,6 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     )
 
 
-def _with_others(
-    settings: CampaignSettings, store: Store, entries: Sequence[PlannedRun | PlannedCheck]
-) -> tuple[CampaignRecord | None, tuple[str, ...]]:
-    """The keys of the folder's campaign from now on, in order; and the campaign it holds until now, if this one is a part of it."""
-    selected = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
-    return with_others(store, selected) if settings.is_part else (None, tuple(selected.values()))
-
-
 def _campaign(
     settings: CampaignSettings,
     entries: Sequence[PlannedRun | PlannedCheck],
@@ -186,19 +183,22 @@ def _campaign(
     provenance: ProvenanceRecord,
 ) -> CampaignRecord:
     """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
-    steps = time_steps({run.scene.name: run.scene for run in _runs(entries)}.values(), settings.out / CAMPAIGN)
+    scenes = {run.scene.name: run.scene for run in _runs(entries)}.values()
+    steps = time_steps(scenes, settings.out / CAMPAIGN)
     title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
     if earlier is not None:
         title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
         command = earlier.command if {entry.task.key for entry in entries} <= set(earlier.keys) else command
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
+    if not violation:  # what relaxations do to contact physics, on the first scene that has contacts
+        violation = next((measure(scene) for scene in scenes if scene.nc), ())
     return CampaignRecord(
         title=title,
         command=command,
         quick=quick,
         left_out=left_out if quick == settings.quick else (),
-        violation=violation or _violation(entries),
+        violation=violation,
         time_steps=steps,
         started=provenance.started,
         keys=keys,
@@ -216,21 +216,8 @@ def _note_scene(
             narrator.found(collected(divided(records[key] for key in keys)[0]))
 
 
-def _unreported(keys: Sequence[str], store: Store, provenance: ProvenanceRecord) -> Iterator[TaskRecord]:
-    """What this campaign stored and nobody heard of: it was stopped at that moment."""
-    for record in filter(None, map(store.read, keys)):
-        if record.provenance.started == provenance.started:
-            yield record
-
-
 def _runs(entries: Iterable[PlannedRun | PlannedCheck]) -> list[PlannedRun]:
     return [entry for entry in entries if isinstance(entry, PlannedRun)]
-
-
-def _violation(entries: Sequence[PlannedRun | PlannedCheck]) -> tuple[ViolationPoint, ...]:
-    """What relaxations do to contact physics, on the first scene that has contacts; nothing where no scene is planned for."""
-    scenes = [run.scene for run in _runs(entries)]
-    return tuple(measure(next((scene for scene in scenes if scene.nc), scenes[0]))) if scenes else ()
 
 
 def _run(
@@ -260,14 +247,10 @@ def _run(
         return must_wait(_path(task), map(_path, running), store.legs, task.time_limit)
 
     context = ExecutionContext(store=store, provenance=provenance, loaded={run.task.key: run.loaded for run in _runs(entries)})
-    with _open_engine(settings, context, len(tasks)) as engine:
+    where = settings.engine.partition(":")[2]
+    opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
+    with opened(settings.jobs, context, len(tasks)) as engine:
         yield from run_tasks(tasks, engine, context, waits, again, narrator)
-
-
-def _open_engine(settings: CampaignSettings, context: ExecutionContext, tasks: int) -> AbstractContextManager[Engine]:
-    if settings.engine == LOCAL:
-        return open_local(settings.jobs, context, tasks)
-    return open_dask(settings.engine.partition(":")[2], settings.jobs, context, tasks)
 
 
 def run_tasks(

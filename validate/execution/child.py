@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from models.errors import MachineError
-from validate.execution.isolated_child import limit_resources
+from validate.execution.isolated import limit_resources
 from validate.store.disk import disk_error, disk_refuses, write_durably
 from validate.tasks.profile import Profile
 

@@ -39,7 +39,7 @@ from reports.records.record import ProvenanceRecord
 from validate.execution.engine import CAMPAIGN, ExecutionContext, preloaded_for
 from validate.execution.process import KeptFolder, interrupts_wait, usable_cores
 from validate.execution.worker import Worker, record_for_crash, write_request
-from validate.store.disk import disk_error, write_durably
+from validate.store.disk import refusals_in_words, write_durably
 from validate.store.provenance import fingerprint, machine
 from validate.store.store import LOG, RECORD, Store
 from validate.tasks.task import ChildExit, Task, TaskRecord
@@ -151,10 +151,8 @@ def run_on_worker(
     wanted, store = _wanted(), Store(folder)
     try:
         _check(store, mark, sources)
-        try:
+        with refusals_in_words(folder):
             (store.runs / mark / f"{name}-{uuid.uuid4().hex}").touch()  # the task was begun once more
-        except OSError as error:
-            raise disk_error(folder, error) from error
         if getattr(_OF_THREAD, "preloaded", None) is None:  # nor was it worth it until now
             _OF_THREAD.preloaded = preloaded_for(tasks)
         here = provenance.model_copy(update=machine())

@@ -1,17 +1,24 @@
 """run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
 
-How an isolated run can end: a closed list.
+How an isolated run can end is a closed list. `main` is what the child does: it leaves no core file, stays within its limits, and tells why it crashes if it
+was for memory. A fork of it that comes back through our code - an FMU may fork within doStep - ends silently: only the first process answers.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import errno
+import gc
+import importlib
 import json
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -19,9 +26,8 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.errors import MachineError
-from validate.execution.fork import Fork, can_fork
-from validate.execution.process import TEMPORARY, Child, Ended, exit_in_words
+from models.errors import MachineError, TouchstoneError
+from validate.execution.process import TEMPORARY, Child, Ended, Fork, can_fork, exit_in_words
 from validate.store.disk import no_temporary_folder, raise_if_disk_ended
 
 if TYPE_CHECKING:
@@ -125,7 +131,7 @@ def run_isolated(
     what
         The subject of the sentence that says how it ended.
     ours
-        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.fork).
+        Whether all that runs there is ours: it may then be a fork of this process (validate.execution.process).
 
     Returns
     -------
@@ -145,7 +151,8 @@ def run_isolated(
     try:
         _write_request(folder, function, request, arrays, limits)
         began = time.monotonic()
-        with closing(_start(folder, ours)) as child:
+        begin = Fork if ours and can_fork() else Child
+        with closing(begin("validate.execution.isolated:main", folder, output=folder / OUTPUT)) as child:
             over_time = not child.wait(limits.seconds)
             ended = child.end()
             return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
@@ -166,11 +173,7 @@ def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[st
 
             np.savez(folder / GIVEN, allow_pickle=False, **arrays)
     except OSError as error:
-        raise _refused_by_disk(folder, error) from error
-
-
-def _refused_by_disk(folder: Path, error: OSError) -> MachineError:
-    return MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.")
+        raise MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.") from error
 
 
 def _see_room(folder: Path) -> None:
@@ -204,11 +207,6 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
         wall=wall,
         memory=peak,
     )
-
-
-def _start(folder: Path, ours: bool) -> Child | Fork:
-    child = Fork if ours and can_fork() else Child
-    return child("validate.execution.isolated_child:main", folder, output=folder / OUTPUT)
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -270,3 +268,120 @@ def _tail(path: Path, size: int) -> str:
         file.seek(max(0, os.path.getsize(path) - size))
         return file.read().decode("utf-8", errors="replace")
     return ""
+
+
+# New objects after which Python looks for cycles among them, instead of 700: those of NumPy and FMPy stay, and looking took a fifteenth of a replay.
+_OBJECTS = 200_000
+# No module's bytecode is larger [bytes].
+_ANY_BYTECODE = 16 * 1024**2
+
+
+def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_seconds: float | None = None) -> None:
+    """No core file, no file larger than that; address space and CPU time where given. Limits that are narrower already stay.
+
+    Under a narrow limit no bytecode is written: Python would write what fits, and every later process would stumble over it.
+    """
+    if file_bytes < _ANY_BYTECODE:
+        sys.dont_write_bytecode = True
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    wanted = {
+        resource.RLIMIT_FSIZE: file_bytes,
+        resource.RLIMIT_AS: memory_bytes,
+        resource.RLIMIT_CPU: None if cpu_seconds is None else int(cpu_seconds) + 1,
+    }
+    for kind, limit in wanted.items():
+        soft, hard = resource.getrlimit(kind)
+        if limit is not None and (soft == resource.RLIM_INFINITY or soft > limit):
+            resource.setrlimit(kind, (limit, hard))
+
+
+def mark_refused_memory(mark: Path) -> Any:
+    """Let a crash that follows a refused allocation leave the file `mark`: C code that does not look at what malloc gave writes to address 0.
+
+    Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called through ctypes, as FMUs are; it puts the former handler
+    back and returns, so that the crash goes on as it would have. What is returned must live as long as the process lives.
+    """
+    if sys.platform == "win32":
+        return None
+    signals = (signal.SIGSEGV, signal.SIGBUS)
+    set_handler: Any = ctypes.CDLL(None).signal
+    set_handler.restype, set_handler.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
+    former: dict[int, Any] = {}
+
+    def on_crash(number: int) -> None:
+        set_handler(number, former[number])
+        if ctypes.get_errno() == errno.ENOMEM:
+            os.close(os.open(mark, os.O_CREAT | os.O_WRONLY, 0o600))
+
+    handler = ctypes.CFUNCTYPE(None, ctypes.c_int, use_errno=True)(on_crash)
+    for number in signals:
+        former[number] = set_handler(number, ctypes.cast(handler, ctypes.c_void_p))
+    return handler
+
+
+def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    module, _, name = request["function"].partition(":")
+    arrays: dict[str, Any] = {}
+    if (folder / GIVEN).exists():
+        import numpy as np
+
+        with np.load(folder / GIVEN, allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files}
+    function = getattr(importlib.import_module(module), name)
+    sys.dont_write_bytecode = True  # foreign code may narrow the limit of files, and what Python then writes is cut off
+    value = function(request["request"], arrays)
+    return value if isinstance(value, tuple) else (value, {})
+
+
+def _write_answer(folder: Path, ending: Ending, *, value: Any = None, sentence: str = "") -> None:
+    aside = folder / f".{ANSWER}"
+    aside.write_text(json.dumps({"ending": ending.name, "value": value, "sentence": sentence}, allow_nan=False), encoding="utf-8")
+    os.replace(aside, folder / ANSWER)
+
+
+def main(folder: Path) -> None:
+    """Call the function and write the answer."""
+    first = os.getpid()
+    gc.set_threshold(_OBJECTS)
+    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    limit_resources(file_bytes=request["file"], memory_bytes=request["memory"], cpu_seconds=2 * request["seconds"])
+    _kept = mark_refused_memory(folder / REFUSED)
+    try:
+        value, arrays = _call(folder, request)
+        _end_copies(first)
+        if arrays:
+            import numpy as np
+
+            np.savez(folder / TAKEN, allow_pickle=False, **arrays)
+        _write_answer(folder, Ending.OK, value=value)
+    except Exception as error:  # noqa: BLE001 - whatever it was, it is the answer
+        _end_copies(first)
+        ending, sentence = _ending(folder, error)
+        _write_answer(folder, ending, sentence=sentence)
+
+
+def _ending(folder: Path, error: Exception) -> tuple[Ending, str]:
+    """How a call ends that raised, and the sentence."""
+    if isinstance(error, ModelFault):
+        return error.ending, str(error)
+    if isinstance(error, MachineError):
+        return Ending.MACHINE, str(error)
+    if isinstance(error, TouchstoneError):
+        return Ending.ERROR, str(error)
+    if isinstance(error, MemoryError):
+        return Ending.MEMORY_LIMIT, ""
+    traceback.print_exc()
+    try:
+        raise_if_disk_ended(folder, error)
+    except MachineError as refusal:
+        return Ending.MACHINE, str(refusal)
+    return Ending.EXCEPTION, f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
+
+
+def _end_copies(first: int) -> None:
+    if os.getpid() != first:
+        os._exit(0)

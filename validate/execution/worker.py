@@ -8,7 +8,6 @@ that exits with 0 and leaves no record has crashed; one that left a whole record
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import os
@@ -25,7 +24,7 @@ from models.errors import MachineError
 from reports.records.check_record import record_of
 from reports.records.record import ProvenanceRecord, RunRecord
 from validate.execution.process import TEMPORARY, Child, Ended, Preloaded, exit_in_words
-from validate.store.disk import disk_error, remove, write_durably
+from validate.store.disk import disk_error, refusals_in_words, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
 from validate.tasks.check import unfinished_check
 from validate.tasks.path import LoadedRun, load_run, unfinished_run
@@ -60,11 +59,9 @@ class Worker:
         self._folder = store.open_partial(task.key, (token_begins + uuid.uuid4().hex)[:_TOKEN]).resolve()
         try:
             write_request(self._folder, task, provenance)
-            try:
+            with refusals_in_words(self._folder):
                 (self._folder / TEMPORARY).mkdir()
                 (self._folder / LOG).touch()
-            except OSError as error:
-                raise disk_error(self._folder, error) from error
             self._child = Child(_FUNCTION, self._folder, output=self._folder / LOG, preloaded=preloaded)
         except BaseException:
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -106,16 +103,14 @@ class Worker:
             problem = "it left no result" if ended.code == 0 else ""
         except (OSError, ValidationError) as error:
             problem = f"its result file cannot be read ({type(error).__name__})"
-        with contextlib.suppress(FileNotFoundError):
+        if os.path.lexists(self._folder / MACHINE):
             raise self._machine()
         return self._without_record(ended, problem, over_time=over_time)
 
     def _machine(self) -> MachineError:
-        """Why the child says that this machine cannot. Raises FileNotFoundError if it says nothing of it."""
+        """Why the child says that this machine cannot."""
         try:
             text = (self._folder / MACHINE).read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise
         except (OSError, ValueError):
             text = ""
         whole = text.endswith("\n") and text.strip()
@@ -135,12 +130,9 @@ class Worker:
         return record
 
     def _log(self) -> str:
-        try:
-            with open(self._folder / LOG, "rb") as file:
-                file.seek(max(0, os.path.getsize(self._folder / LOG) - _TAIL_BYTES))
-                return file.read().decode("utf-8", errors="replace")
-        except OSError as error:
-            raise disk_error(self._folder / LOG, error) from error
+        with refusals_in_words(self._folder / LOG), open(self._folder / LOG, "rb") as file:
+            file.seek(max(0, os.path.getsize(self._folder / LOG) - _TAIL_BYTES))
+            return file.read().decode("utf-8", errors="replace")
 
 
 def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> None:

@@ -29,8 +29,8 @@ from models.scene.checks import check_expressions
 from validate.judge.score import check_limits, metric_names
 from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
-from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin
-from validate.tasks.variant import SceneReference, Variant, state_names, varied
+from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
+from validate.tasks.task import SceneReference, Variant, state_names, varied
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
@@ -90,18 +90,14 @@ def read_campaign(path: Path, plugin: str = DEFAULT_PLUGIN) -> Campaign:
         raise ConfigError(path, mistakes)
     scenes, bases, wrong = _references(file.scenes, path.parent)
     mistakes += wrong
-    pipelines, wrong = _chosen_pipelines(file, _known(loaded, bases), loaded.load_method)
+    # All pipelines there are for these scenes; all of ours where no scene can be read.
+    known = {pipeline.name: pipeline for reference in bases for pipeline in loaded.pipelines_for(reference.scene)}
+    pipelines, wrong = _chosen_pipelines(file, known or {pipeline.name: pipeline for pipeline in PIPELINES}, loaded.load_method)
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)
     resolved = resolved_text(file, scenes, loaded.load_method, path.name)
     return Campaign(file, text, resolved, tuple(scenes), tuple(bases), pipelines)
-
-
-def _known(plugin: Plugin, scenes: list[SceneReference]) -> list[Pipeline]:
-    """All pipelines there are for these scenes; all of ours where no scene can be read."""
-    found = {pipeline.name: pipeline for reference in scenes for pipeline in plugin.pipelines_for(reference.scene)}
-    return list(found.values()) or list(PIPELINES)
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
@@ -186,16 +182,15 @@ def _inside(data: Any, part: str | int) -> Any:
 
 
 def _chosen_pipelines(
-    file: CampaignFile, ours: Sequence[Pipeline], load_method: Callable[[str], Method]
+    file: CampaignFile, known: Mapping[str, Pipeline], load_method: Callable[[str], Method]
 ) -> tuple[tuple[Pipeline, ...], list[str]]:
-    """The pipelines to run, none for all of ours; and mistakes."""
-    known = {pipeline.name: pipeline for pipeline in ours}
+    """The pipelines to run, none for all that are known; and mistakes."""
     mistakes: list[str] = []
     own: dict[str, Pipeline] = {}
     for name, entry in file.pipeline.items():
         wrong = [*_name_mistakes(name, known), *_leg_mistakes(entry, load_method)]
         mistakes += [f"pipeline.{name[:_LONGEST_NAME]}{sentence}" for sentence in wrong]
-        own[name] = _pipeline(name, entry)
+        own[name] = Pipeline(name=name, title=entry.title or name, legs=tuple(_leg(leg) for leg in entry.legs), source=SOURCE)
     names = file.pipelines or list(own)
     for place, name in enumerate(names):
         if name not in known and name not in own:
@@ -252,10 +247,6 @@ def _refused(where: str, check: Callable[[Any], Any], value: Any) -> Iterator[st
         check(value)
     except (TouchstoneError, TypeError, ValueError, OverflowError) as error:
         yield f"{where}: {error}"
-
-
-def _pipeline(name: str, entry: PipelineEntry) -> Pipeline:
-    return Pipeline(name=name, title=entry.title or name, legs=tuple(_leg(leg) for leg in entry.legs), source=SOURCE)
 
 
 def _leg(entry: LegEntry) -> Leg:

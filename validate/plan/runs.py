@@ -28,8 +28,7 @@ from validate.store.stored import CampaignError, identity, stored_campaign
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
-from validate.tasks.task import CheckTask, RunTask, task_to_json
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, RunTask, SceneReference, task_to_json
 
 NOTHING_STORED = "nothing is stored of it"
 # So many unknown words of a -k are answered.
@@ -148,9 +147,13 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
     skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     checks, unchecked = _checks(settings, plugin, settings.checked if settings.chosen else scenes, seen)
     skipped += unchecked
-    if not entries and not checks:
-        raise _nothing(settings, seen, skipped)
-    return [*entries, *checks], skipped
+    if entries or checks:
+        return [*entries, *checks], skipped
+    if skipped:
+        raise CampaignError(
+            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(skipped)}); drop --quick."
+        )
+    raise NothingSelectedError(settings.expression, tuple(dict.fromkeys(seen)))
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
@@ -231,21 +234,10 @@ def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedRun:
     return PlannedRun(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
 
 
-def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
-    if left_out:
-        return CampaignError(
-            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."
-        )
-    return NothingSelectedError(settings.expression, tuple(dict.fromkeys(seen)))
-
-
 def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, settings: CampaignSettings) -> list[PlannedRun | PlannedCheck]:
     """The same tasks, each with its stored record where that can be used again, else with the reason why not."""
-    found: list[PlannedRun | PlannedCheck] = []
-    for entry in entries:
-        record, why = _usable(store, entry.task, settings.fresh)
-        found.append(replace(entry, stored=record, why=why))
-    return found
+    usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
+    return [replace(entry, stored=record, why=why) for entry, (record, why) in zip(entries, usable, strict=True)]
 
 
 def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRecord | CheckRecord | None, str]:

@@ -19,7 +19,7 @@ from validate.plan.toml_text import toml_text, toml_value
 
 if TYPE_CHECKING:
     from formulations.method import Method
-    from validate.tasks.variant import SceneReference
+    from validate.tasks.task import SceneReference
 
 # A plan of a million steps is far beyond what any method here can hold.
 MOST_STEPS = 1_000_000

@@ -30,6 +30,15 @@ def disk_error(path: Path, error: OSError) -> MachineError:
     return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
 
 
+@contextmanager
+def refusals_in_words(path: Path) -> Iterator[None]:
+    """What is done to a file or folder here; where the disk refuses, a MachineError says so of it."""
+    try:
+        yield
+    except OSError as error:
+        raise disk_error(path, error) from error
+
+
 def disk_refuses(error: OSError) -> bool:
     """Whether the disk will take no more, as opposed to a mistake of ours."""
     return error.errno in _DISK_REFUSES
@@ -46,10 +55,8 @@ def raise_if_disk_ended(path: Path, error: BaseException) -> None:
 
 def remove(path: Path) -> None:
     """Remove a file if it is there. Raises MachineError where the disk refuses."""
-    try:
+    with refusals_in_words(path):
         path.unlink(missing_ok=True)
-    except OSError as error:
-        raise disk_error(path, error) from error
 
 
 def no_temporary_folder(error: OSError) -> MachineError:
@@ -73,10 +80,8 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
 
 def make_folder(path: Path) -> None:
     """Make a folder and those it lies in. Raises MachineError where the disk refuses."""
-    try:
+    with refusals_in_words(path):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise disk_error(path, error) from error
 
 
 def write_durably(path: Path, content: str | bytes) -> None:

@@ -179,13 +179,12 @@ def gather(command: str) -> ProvenanceRecord:
         version = metadata.version("touchstone-contact")
     except metadata.PackageNotFoundError:
         version = "0 (not installed)"
-    packages: Mapping[str, str] = library_versions()
     return ProvenanceRecord(
         touchstone=version,
         commit=commit(),
         python=f"{platform.python_implementation()} {platform.python_version()}",
         threads=THREADS,
-        packages={name: text for name, text in packages.items() if name != "python"},
+        packages={name: text for name, text in library_versions().items() if name != "python"},
         compiler=compiler_text(),
         seed=SEED,
         started=now(),

@@ -23,7 +23,7 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
+from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, refusals_in_words, remove
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -58,14 +58,12 @@ class Store:
         """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
         if self.folder.exists() and not self.folder.is_dir():
             raise StoreError(f"--out {self.folder}: there is a file of that name; a campaign needs a folder.")
-        try:
+        with refusals_in_words(self.folder):
             self.runs.mkdir(parents=True, exist_ok=True)
             probe = self.runs / f"{PARTIAL}probe-{uuid.uuid4().hex}"
             probe.mkdir()
             with contextlib.suppress(FileNotFoundError):  # another campaign tidied it away
                 probe.rmdir()
-        except OSError as error:
-            raise disk_error(self.folder, error) from error
         for left in self.runs.glob(f"{PARTIAL}*"):
             if not _owner_lives(left.name):
                 if left.name.endswith(_OLD):
@@ -109,11 +107,8 @@ class Store:
         stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
         for key in stored:
             mark = self.runs / key / _DUE
-            try:
-                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
-                    mark.touch()
-            except OSError as error:
-                raise disk_error(mark, error) from error
+            with refusals_in_words(mark), contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                mark.touch()
         return stored
 
     def needs_rerun(self, key: str) -> bool:
@@ -132,10 +127,8 @@ class Store:
     def open_partial(self, key: str, token: str) -> Path:
         """A new folder for a task that is about to run."""
         folder = self.runs / aside_name(key[:12], token)
-        try:
+        with refusals_in_words(folder):
             folder.mkdir()
-        except OSError as error:
-            raise disk_error(folder, error) from error
         return folder
 
     def commit(self, partial: Path, key: str) -> Path:

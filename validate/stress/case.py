@@ -21,8 +21,7 @@ from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
 from reports.records.record import MetricRecord
 from validate.stress.catalog import StressCase, case_names, describe_case, heading, load_case
 from validate.tasks.check import Course, Found
-from validate.tasks.task import CheckTask
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, SceneReference
 
 KIND = "stress case"
 # What a case's numbers depend on beside its own file; scenes by their text, methods one by one.

@@ -17,8 +17,7 @@ from models.fmu import build_fmu
 from models.scene.text import scene_text
 from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.check import Course, Found
-from validate.tasks.task import CheckTask
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, SceneReference
 
 if TYPE_CHECKING:
     from validate.fmu_check import CheckReport

@@ -34,7 +34,7 @@ from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
 from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, prepare
-from validate.tasks.variant import varied
+from validate.tasks.task import varied
 
 if TYPE_CHECKING:
     from models.scene import Scene

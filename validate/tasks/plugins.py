@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from validate.judge.judgement import Judgement
     from validate.judge.replay import Replay
     from validate.judge.robustness import Survey
-    from validate.tasks.task import CheckTask
-    from validate.tasks.variant import SceneReference
+    from validate.tasks.task import CheckTask, SceneReference
 
 DEFAULT_PLUGIN = "validate.tasks.plugins:DEFAULT"
 # What a campaign checks beside scenes by pipelines: functions of its scenes that give validate.tasks.task.CheckTask.

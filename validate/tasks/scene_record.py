@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import sympy as sp
 from sympy.printing.mathml import mathml
 
-from models.codegen.operations import step_operations
+from models.codegen.emit import step_operations
 from models.dynamics import Dynamics, derive
 from models.kinematics import goal_poses
 from models.scene import Coordinate, Input, Parameter, Scene
@@ -87,6 +88,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     """Equations of motion, gaps, contact law, time step and cost of a scene, in this order."""
     found: list[tuple[str, sp.Basic]] = []
     time, step = sp.Symbol("t", real=True), sp.Symbol("h", positive=True)
+    # Contact forces as they are written: lambda_left for lam_left.
     greek = {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
     force = dynamics.generalised_force.subs(greek)
     rate = sp.Matrix([sp.Derivative(velocity, time, evaluate=False) for velocity in dynamics.v])
@@ -100,7 +102,7 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
             found += _damped_force(dynamics, contact, depth, lam)
         else:
             found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
-    found += _friction_equations(dynamics)
+    found += _friction_equations(dynamics, greek)
     belongs = ", friction to the slip at its end" if dynamics.f else ""
     after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
     gain = dynamics.mass_matrix * sp.Matrix([new - old for new, old in zip(after, dynamics.v, strict=True)])
@@ -132,14 +134,8 @@ def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: s
     ]
 
 
-def _greek(dynamics: Dynamics) -> dict[sp.Symbol, sp.Symbol]:
-    """Contact forces as they are written: lambda_left for lam_left."""
-    return {lam: sp.Symbol(f"lambda_{lam.name.removeprefix('lam_')}", real=True) for lam in dynamics.lam}
-
-
-def _friction_equations(dynamics: Dynamics) -> list[tuple[str, sp.Basic]]:
+def _friction_equations(dynamics: Dynamics, names: Mapping[sp.Symbol, sp.Symbol]) -> list[tuple[str, sp.Basic]]:
     found: list[tuple[str, sp.Basic]] = []
-    names = _greek(dynamics)
     for friction, slip, limit, force in zip(dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True):
         speed = sp.Symbol(friction.slip_name, real=True)
         found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))

@@ -173,20 +173,7 @@ def _seconds(replay: Replay | None) -> float:
 def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str) -> str:
     """The page of a run of one stage, drawn from files as a campaign's are."""
     drawn = subject if isinstance(subject, Scene) else _with_common_names(subject)
-    run = RunRecord(
-        key=_KEY,
-        scene=scene_record(drawn) if isinstance(drawn, Scene) else _foreign_record(drawn, plan),
-        pipeline=name,
-        pipeline_title="" if stage.kind == "given" else stage.method_title,
-        stages=(stage,),
-        outcome=stage.outcome,
-        message=stage.message,
-        verdict=stage.verdict,
-        must_hold=stage.kind != "indirect",
-        wall_seconds=stage.seconds.stage + stage.seconds.replay,
-        cpu_seconds=stage.seconds.stage_cpu + stage.seconds.replay,
-        provenance=gather(command),
-    )
+    run = _run(scene_record(drawn) if isinstance(drawn, Scene) else _foreign_record(drawn, plan), stage, name, command)
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
         folder, files = Path(place) / "runs" / _KEY, stage_files(0, 1)
         folder.mkdir(parents=True)
@@ -198,13 +185,28 @@ def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stag
         return render_run(run, Path(place))
 
 
+def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> RunRecord:
+    """The record of a run of one stage."""
+    return RunRecord(
+        key=_KEY,
+        scene=scene,
+        pipeline=name,
+        pipeline_title="" if stage.kind == "given" else stage.method_title,
+        stages=(stage,),
+        outcome=stage.outcome,
+        message=stage.message,
+        verdict=stage.verdict,
+        must_hold=stage.kind != "indirect",
+        wall_seconds=stage.seconds.stage + stage.seconds.replay,
+        cpu_seconds=stage.seconds.stage_cpu + stage.seconds.replay,
+        provenance=gather(command),
+    )
+
+
 def robustness_page(found: Robustness, record: RobustnessRecord, scene: Scene, plan: Trajectory, name: str) -> str:
     """The text of the page. name: what the plan is called. Raises MachineError."""
     stage = given_stage(name, None, found.judgement.score, found.seconds)
-    run = RunRecord(
-        key="plan", scene=scene_record(scene), pipeline=name, pipeline_title="", stages=(stage,), outcome=stage.outcome, message="",
-        verdict=found.verdict.value, must_hold=True, wall_seconds=0.0, cpu_seconds=found.seconds, provenance=gather(""),
-    )  # fmt: skip
+    run = _run(scene_record(scene), stage, name, "")
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
         folder = Path(place)
         (folder / "worlds").mkdir()

@@ -1,15 +1,21 @@
-"""Every way a solve can end, and the check that does not take Ipopt's word."""
+"""Solves: known optima, warm starts, options; every way one can end, no exception lost, and the check that does not take Ipopt's word."""
 
 import math
+import pathlib
+import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pyomo.environ as pyo
 import pytest
 from cyipopt import CyIpoptEvaluationError
 
-from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
+from formulations.ipopt import Start, UnknownOptionError, compile_model, load, solve
+from formulations.ipopt.linear_solver import LINEAR_SOLVERS
+from formulations.ipopt.options import known_options
 from formulations.ipopt.problem import Evaluations
+from formulations.ipopt.result import STATUS, outcome_of, residuals
 from formulations.ipopt.solve import IpoptExit
 from formulations.solution import Outcome
 from tests.formulations.ipopt.problems import quadratic, three_carts
@@ -18,8 +24,8 @@ from tests.formulations.ipopt.problems import quadratic, three_carts
 def test_every_status_of_ipopt_has_a_name_and_an_outcome():
     # IpReturnCodes_inc.h of Ipopt 3.14
     codes = [0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -10, -11, -12, -13, -100, -101, -102, -199]
-    assert sorted(codes) == sorted(STATUS_MAP) == sorted(STATUS_NAMES)
-    assert {code for code in codes if STATUS_MAP[code] is Outcome.SOLVED} == {0, 1, 6}
+    assert sorted(codes) == sorted(STATUS)
+    assert {code for code in codes if outcome_of(code) is Outcome.SOLVED} == {0, 1, 6}
     for unknown in (7, -6, 42, -1000, 10**6):
         assert outcome_of(unknown) is Outcome.FAILED
 
@@ -227,3 +233,226 @@ def test_what_is_no_number_at_the_start_is_named(build, told):
     result = solve(compile_model(m))
     assert result.outcome is Outcome.EVALUATION_ERROR
     assert told in result.message
+
+
+def rosenbrock() -> pyo.ConcreteModel:
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize={1: -1.2, 2: 1.0}, bounds=(-2, 2))
+    m.o = pyo.Objective(expr=100 * (m.x[2] - m.x[1] ** 2) ** 2 + (1 - m.x[1]) ** 2)
+    m.c = pyo.Constraint(expr=m.x[1] + m.x[2] <= 1)
+    return m
+
+
+def test_the_start_is_not_written_over():
+    problem = compile_model(rosenbrock())
+    start = Start(x=np.array([0.5, 0.5]), lagrange=np.zeros(1), zl=np.ones(2), zu=np.ones(2))
+    solve(problem, warm_start=start)
+    assert start.x.tolist() == [0.5, 0.5]
+    assert start.zl.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["values", "derivatives", "hessian"])
+def test_an_exception_of_a_function_arrives_as_it_was(monkeypatch, name: str):
+    problem = compile_model(rosenbrock())
+    calls = {"left": 4}
+    original = getattr(problem, name)
+
+    def broken(*arguments):
+        calls["left"] -= 1
+        if calls["left"] < 0:
+            raise KeyboardInterrupt("in the middle")
+        return original(*arguments)
+
+    monkeypatch.setattr(problem, name, broken)
+    with pytest.raises(KeyboardInterrupt, match="in the middle"):
+        solve(problem)
+
+
+@pytest.mark.parametrize("linear_solver", LINEAR_SOLVERS)
+def test_nothing_is_printed(linear_solver: str, capfd):
+    solve(compile_model(rosenbrock()), options={"linear_solver": linear_solver})
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("linear_solver", LINEAR_SOLVERS)
+def test_a_run_inside_a_run_disturbs_neither(linear_solver: str):
+    alone, inside = solve(compile_model(rosenbrock())), []
+
+    def callback(line):
+        inside.append(solve(compile_model(rosenbrock()), options={"linear_solver": linear_solver}).x)
+
+    assert np.array_equal(solve(compile_model(rosenbrock()), callback=callback).x, alone.x)
+    assert np.array_equal(inside, [inside[0]] * (alone.iterations + 1))
+    assert np.allclose(inside[0], alone.x, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("linear_solver", LINEAR_SOLVERS)
+def test_runs_in_threads_disturb_none(linear_solver: str):
+    def found(_: int) -> list[float]:
+        return solve(problems.pop(), options={"linear_solver": linear_solver}).x.tolist()
+
+    problems = [compile_model(rosenbrock()) for _ in range(8)]  # Pyomo's compiler is for one thread
+    with ThreadPoolExecutor(4) as pool:
+        points = list(pool.map(found, range(8)))
+    assert points == points[:1] * 8
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_run_wherever_it_strikes():
+    program = """
+import os, signal, threading, time, pyomo.environ as pyo
+from formulations.ipopt import compile_model, solve
+m = pyo.ConcreteModel()
+m.x = pyo.Var(range(2000), initialize=-1.2, bounds=(-2, 2))
+m.o = pyo.Objective(expr=sum(100 * (m.x[i + 1] - m.x[i] ** 2) ** 2 + (1 - m.x[i]) ** 2 for i in range(1999)))
+problem = compile_model(m)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is started with Ctrl-C ignored
+def strike(line):
+    if line.iteration == 0:
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    while True:
+        solve(problem, callback=strike)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+@pytest.mark.parametrize(("eps", "cost"), [(1e-3, 197.86), (1e-5, 261.23)])
+def test_three_carts_reach_the_known_costs(eps, cost):
+    problem = compile_model(three_carts(500, eps))
+    result = solve(problem)
+    assert result.outcome is Outcome.SOLVED
+    assert result.objective == pytest.approx(cost, abs=0.005)  # known to two digits after the point
+    assert result.residuals.constraint_violation < 1e-10
+
+
+def test_the_same_problem_follows_its_param():
+    model = three_carts(100, 1e-2)
+    problem = compile_model(model)
+    first = solve(problem)
+    model.b.value = abs(math.log(1e-3))
+    problem.refresh()
+    followed = solve(problem, warm_start=Start(x=first.x))
+    fresh = solve(compile_model(three_carts(100, 1e-3)))
+    assert followed.objective == pytest.approx(fresh.objective, rel=1e-8)
+    assert abs(followed.objective - first.objective) > 1.0
+
+
+def test_the_same_start_gives_the_same_bits():
+    problem = compile_model(three_carts(60))
+    first, second = solve(problem), solve(problem)
+    assert np.array_equal(first.x, second.x)
+    assert [i.objective for i in first.history] == [i.objective for i in second.history]
+
+
+@pytest.mark.slow
+def test_a_primal_dual_start_at_the_solution_ends_at_once():
+    problem = compile_model(three_carts(100))
+    cold = solve(problem)
+    warm = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange, zl=cold.zl, zu=cold.zu))
+    assert warm.iterations <= 2 < cold.iterations
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
+    partly = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange))
+    assert partly.iterations <= 3
+
+
+def test_solve_leaves_the_model_and_load_writes_it():
+    m = quadratic()
+    problem = compile_model(m)
+    result = solve(problem)
+    assert m.x[1].value == 0.5
+    load(problem, result)
+    assert [m.x[i].value for i in (1, 2)] == pytest.approx([1.0, 2.0])
+    assert not m.x[1].stale
+
+
+def test_history_has_one_line_an_iteration_and_seconds_add_up():
+    m = quadratic(bounds=(-1, 1.5))
+    m.c = pyo.Constraint(expr=pyo.exp(m.x[1]) + m.x[2] <= 3)
+    result = solve(compile_model(m))
+    assert [line.iteration for line in result.history] == list(range(result.iterations + 1))
+    assert result.history[-1].objective == pytest.approx(result.objective, rel=1e-6)
+    assert (result.history[0].mu, result.history[0].alpha_pr) == (0.1, 0.0)  # Ipopt's first barrier parameter, and no step yet
+    assert max(result.history[-1].inf_pr, result.history[-1].inf_du) <= 1e-8 < result.history[0].inf_du
+    assert 0 < result.seconds.evaluate < result.seconds.wall
+    assert result.seconds.linear_algebra <= result.seconds.wall
+    assert result.version.startswith("cyipopt ")
+    assert ", Ipopt 3." in result.version
+    assert result.calls["hessians"] >= result.iterations
+
+
+def test_a_maximised_objective_keeps_its_sign():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(bounds=(0, 4), initialize=1.0)
+    m.gain = pyo.Objective(expr=6 * m.x - m.x**2, sense=pyo.maximize)
+    result = solve(compile_model(m))
+    assert result.objective == pytest.approx(9.0)
+    assert result.history[-1].objective == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tolerance": 1e-6}, "tol"), ({"max_itr": 5}, "max_iter"), ({"linear_solver": "ma97"}, "mumps"), ({"mehrotra_algorithm": "yes"}, "ends the process"),
+        ({"tol": "small"}, "number"), ({"max_iter": 2.5}, "whole number"), ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
+        ({"max_iter": 10**12}, "whole number of at most 2147483647"), ({"mu_strategy": "fast"}, "adaptive"), ({"tol": -1.0}, "does not accept"),
+        ({"tol": float("nan")}, "number"),
+    ],
+)  # fmt: skip
+def test_options_that_cannot_be_are_refused_in_a_sentence(options, words, capfd):
+    with pytest.raises(UnknownOptionError, match=words):
+        solve(compile_model(quadratic()), options=options)
+
+
+def test_options_are_converted_used_and_recorded():
+    result = solve(compile_model(quadratic()), options={"tol": "1e-6", "max_iter": 50.0, "mu_strategy": "adaptive", "recalc_y": True})
+    assert result.outcome is Outcome.SOLVED
+    assert (result.options["tol"], result.options["max_iter"], result.options["recalc_y"]) == (1e-6, 50, "yes")
+
+
+def test_an_option_file_lying_about_changes_nothing(tmp_path, monkeypatch):
+    (tmp_path / "ipopt.opt").write_text("max_iter 0\n")
+    monkeypatch.chdir(tmp_path)
+    assert pathlib.Path("ipopt.opt").exists()
+    assert solve(compile_model(quadratic())).outcome is Outcome.SOLVED
+
+
+def test_the_list_of_options_is_what_ipopt_knows(capfd):
+    """Every name is accepted by the installed Ipopt with some value, so that the list cannot rot."""
+    import cyipopt
+
+    from formulations.ipopt.options import _CHOICES, _REALS
+
+    class Parabola:
+        def objective(self, x):
+            return x[0] ** 2
+
+        def gradient(self, x):
+            return 2 * x
+
+    nlp = cyipopt.Problem(1, 0, Parabola(), [0.0], [1.0])
+    for name in known_options():
+        real = name in _REALS
+        tries = _CHOICES.get(name, ("mumps",) if name == "linear_solver" else [0.4, 1.5, 10.0] if real else [1, 0, 5])
+        accepted = 0
+        for value in tries:
+            try:
+                nlp.add_option(name, value)
+            except TypeError:
+                continue
+            accepted += 1
+        assert accepted == len(tries) if name in _CHOICES else accepted > 0, name
+
+
+@pytest.mark.parametrize("start", [Start(x=np.zeros(3)), Start(x=np.array([np.nan, 0.0])), Start(x=np.zeros(2), lagrange=np.zeros(5))])
+def test_a_start_of_the_wrong_shape_is_refused(start):
+    with pytest.raises(ValueError, match="warm_start"):
+        solve(compile_model(quadratic()), warm_start=start)
+
+
+def test_a_time_limit_is_positive():
+    with pytest.raises(ValueError, match="time_limit"):
+        solve(compile_model(quadratic()), time_limit=0.0)

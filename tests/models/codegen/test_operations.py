@@ -8,8 +8,7 @@ import sympy as sp
 
 from models.catalog import load_scene
 from models.codegen.compiler import compile_shared, find_compiler
-from models.codegen.emit import cholesky_function, emit_model
-from models.codegen.operations import Operations, count_operations, step_operations
+from models.codegen.emit import Operations, cholesky_function, count_operations, emit_model, step_operations
 from models.dynamics import derive
 from models.scenes.cart_chain import cart_chain
 

@@ -5,8 +5,7 @@ from wording import unsaid
 
 from reports.pages import overview, pareto
 from reports.pages.section import Report
-from reports.plots.axis import Axis
-from reports.plots.figure import Plot
+from reports.plots import Axis, Plot
 from reports.records.load import Stored
 from reports.records.record import RunRecord
 from tests.reports.drawn import Mark, drawn

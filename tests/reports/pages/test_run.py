@@ -1,4 +1,7 @@
-"""All runs in a table, and what is told of one: why it has its verdict, its metrics stage by stage, and both of its ends."""
+"""All runs in a table, and what is told of one: why it has its verdict, its metrics stage by stage, and both of its ends; all runs as one table, and the head of a run's page: the verdict with what decided it."""
+
+import html
+import re
 
 import pytest
 from wording import unsaid
@@ -6,9 +9,10 @@ from wording import unsaid
 from reports.pages import run as one_run
 from reports.pages import runs
 from reports.pages.run import decision_of, not_applicable, view_of
-from reports.pages.section import Report
-from reports.records.load import Stored
+from reports.pages.section import Report, run_page
+from reports.records.load import Stored, load
 from reports.records.record import RunRecord, TrackedRecord
+from reports.render import PAGES, write_report
 from tests.reports import record_factory as factory
 from tests.reports.record_factory import judged, ran
 
@@ -25,12 +29,15 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
     )
     found = runs.build(told)
     first, second = found.values["listed"]
-    assert (first.cost, first.integral, first.position.value, first.velocity.value, first.error.value, first.cpu, first.why, first.link, first.anchor) == (
-        490.0, pytest.approx(4.9), 0.1, 0.2, 0.3, 3.0, "", "pages/a-key.html", "run-1",
-    )  # fmt: skip
-    assert (second.cost, second.integral, second.position, second.velocity, second.error, second.cpu, second.why, second.anchor, second.view) == (
-        None, None, None, None, None, 0, "Too many.", "run-2", None,
-    )  # fmt: skip
+    assert (first.run.cost, first.run.integral_cost, first.run.solving_cpu) == (490.0, pytest.approx(4.9), 3.0)
+    assert ([item.value for item in first.errors], first.why, first.link, first.anchor) == (
+        [0.1, 0.2, 0.3],
+        "",
+        "pages/a-key.html",
+        "run-1",
+    )
+    assert (second.run.cost, second.run.integral_cost, second.run.solving_cpu, second.errors) == (None, None, 0, [None] * 3)
+    assert (second.why, second.anchor, second.view) == ("Too many.", "run-2", None)
     assert not unsaid(found.said, "2 runs … 1 of which holds")
     assert found.entries == ()
     assert "0 of which hold:" in runs.build(report(ran("a", verdict="violates"))).said
@@ -57,13 +64,13 @@ def test_why_a_run_has_its_verdict():
     answers = factory.questions(q3="no")
     run = ran("a", bad, cost=490.0, verdict="violates", cause="physics_scaled", why="it is too much.", advice="Do this.", questions=answers)
     found = decision_of(run)
-    assert (found.question.number, found.metric, found.cost, found.integral) == (3, bad, 490.0, pytest.approx(4.9))
+    assert (found.question.number, found.metric) == (3, bad)
     assert not unsaid(found.cause, "Relaxed contact: … not those of contact. It is too much.")
     assert not unsaid(found.advice, "Tighten eps, … (strict, mpcc)")
     good = decision_of(
         ran("a", judged("x", 0.5, question=2, limit=1.0, ok=True), cost=None, why="").model_copy(update={"message": "never told"})
     )
-    assert (good.cause, good.advice, good.cost, good.integral) == ("", "", None, None)
+    assert (good.cause, good.advice) == ("", "")
     lost = decision_of(
         ran("a", verdict="no plan", why="", outcome="crashed").model_copy(
             update={"stages": (), "outcome": "crashed", "message": "it is gone."}
@@ -91,7 +98,6 @@ def test_judged_metrics_of_all_stages_stand_side_by_side():
         ("c", [None, 7.0]),
     ]
     assert view.beside[1].metric.limit == 4.0, "the limit of the last"
-    assert [stage.last for stage in view.stages] == [False, True]
     assert view_of(report(run), ran("a", judged("b", 1.0, limit=3.0))).beside == []
     assert one_run.build(report(run), run).entries == (("run-stage-1", "a"), ("run-stage-2", "a, ε = 10⁻³"))
 
@@ -105,7 +111,7 @@ def test_both_ends_are_told_where_there_is_feedback():
     followed = run.model_copy(update={"stages": (one.model_copy(update={"replay": replay}),)})
     (view,) = view_of(report(followed), followed).stages
     assert view.ends == [("inputs alone", "position 0.50 m"), ("with feedback", "position 0.25 m")]
-    assert (view.tracked, view.both, view.empty, view.idle) == (True, True, False, False)
+    assert (view.stage.is_tracked, view.stage.is_followed, view.stage.is_empty, view.idle) == (True, True, False, False)
     bare = {"has_plan": False, "replay": None, "iterations": 0}
     seconds = one.seconds.model_copy(update={"stage": 0.0})
     for changes, idle in (
@@ -123,3 +129,98 @@ def test_both_ends_are_told_where_there_is_feedback():
             )
         )
         assert view_of(report(lost), lost).stages[0].idle == idle, changes
+
+
+def words(text: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<(style|script)[^>]*>.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)).split())
+
+
+def rows_of(folder) -> list[list[str]]:
+    write_report(folder)
+    table = re.search(
+        r'<table class="numbers close runs".*?</table>', (folder / PAGES / "runs.html").read_text(encoding="utf-8"), re.DOTALL
+    )
+    assert table is not None
+    return [
+        [words(cell) for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL)]
+        for row in re.findall(r"<tr>.*?</tr>", table[0], re.DOTALL)
+    ]
+
+
+def test_a_row_has_errors_apart_with_units_and_the_integral_cost(factory, tmp_path):
+    refused = factory.run(
+        "refused", None, "strict_lcp", key="no-0", stages=(), outcome="refused", verdict="not applicable",
+        message="strict_lcp: scene three_cart has no wall.",
+    )  # fmt: skip
+    head, row, other = rows_of(factory.store(tmp_path / "all", [factory.runs()[0], refused]))
+    assert head[3:5] == ["Cost", "Integral cost"]
+    # 496.63 times 0.01 s; 4.1e-3 off, 0.8 of it in position and 0.6 in velocity.
+    assert row == ["three_cart", "strict", "✓ holds", "496.63", "4.9663", "0.0033 m", "0.0025 m/s", "0.0090 m", "0.71", ""]
+    assert other[:3] == ["three_cart", "refused", "⊘ not applicable"]
+    assert other[-1] == "The scene has no wall."
+
+
+def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp", verdict="violates", outcome="stalled", message="No step lowers the loss.")
+    (stage,) = run.stages
+    metrics = tuple(
+        item.model_copy(update={"value": 0.12, "ok": False}) if item.name == "replay_terminal_position_error" else item
+        for item in stage.metrics
+    )
+    said = {
+        "metrics": metrics, "verdict": "violates", "outcome": "stalled", "questions": factory.questions(q4="no"),
+        "why": "the motion ends 0.12 m from the goal.", "cause": "motion",
+    }  # fmt: skip
+    run = run.model_copy(update={"stages": (stage.model_copy(update=said),)})
+    decision = decision_of(run)
+    assert (decision.question.number, decision.metric.name, decision.metric.value) == (4, "replay_terminal_position_error", 0.12)
+    folder = factory.store(tmp_path / "all", [run])
+    write_report(folder)
+    text = words((folder / PAGES / run_page(run)).read_text(encoding="utf-8"))
+    order = [
+        "strict on three_cart ✗ violates", "Question 4. Do its inputs give its motion, and the goal? ✗ no",
+        "Decided by replay_terminal_position_error : 0.12 m ± 3.0×10⁻⁹, limit 0.06 m.",
+        "Cause The inputs do not give the planned motion. The motion ends 0.12 m from the goal.", "Advice Look at the error over time",
+        "Cost 496.63, a sum over 500 steps; integral cost (times h = 0.01 s) 4.9663", "Keys: space plays and pauses",
+        "Positions: plan dotted", "Made by touchstone 0.1.0, commit aaaaaaaaaaaa", "Run it again python -m validate all -k",
+    ]  # fmt: skip
+    places = [text.find(part) for part in order]
+    assert -1 not in places, order[places.index(-1)]
+    assert places == sorted(places)
+    assert text.count("ends 0.12 m from the goal") == 1, "what decided is told once"
+
+
+def test_stages_before_the_last_stand_side_by_side(factory, tmp_path):
+    run = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
+    folder = factory.store(tmp_path / "all", [run])
+    view = view_of(Report(load(folder), folder), run)
+    assert [len(row.found) for row in view.beside] == [4] * len(view.beside)
+    row = next(row for row in view.beside if row.metric.name == "replay_terminal_position_error")
+    assert [metric.value for metric in row.found] == [0.8 * off for off in (0.4512, 0.2666, 0.1201, 4.0e-3)]
+    assert [bool(item.questions) for item in view.stages] == [False, False, False, True]
+    titles = [[plot.title.split(",")[0] for plot in item.plots.motion] for item in view.stages]
+    assert "Gap" in titles[-1]
+    assert "Gap" not in titles[0]
+    assert "Positions: plan dotted" in titles[0]
+    alone = factory.run("strict", None, "strict_lcp")
+    assert view_of(Report(load(factory.store(tmp_path / "one", [alone])), tmp_path / "one"), alone).beside == []
+    assert (
+        decision_of(run.model_copy(update={"stages": (), "verdict": "no plan", "outcome": "crashed", "message": "it died."})).cause
+        == "No plan: crashed. It died."
+    )
+
+
+def test_long_keys_are_cut_in_links_and_others_are_not(factory):
+    run = factory.run("strict", None, "strict_lcp")
+    assert run_page(run) == "strict-0123456789abcdef.html"
+    assert run_page(run.model_copy(update={"key": "0123456789abcdef" * 4})) == "0123456789abcdef.html"
+
+
+def test_a_metric_that_could_not_be_measured_decides_with_its_reason(factory, tmp_path):
+    run = factory.run("strict", None, "strict_lcp", verdict="undecided")
+    (stage,) = run.stages
+    lost = stage.metrics[-2].model_copy(update={"value": None, "ok": None, "reason": "the replay left every bound"})
+    run = run.model_copy(update={"stages": (stage.model_copy(update={"metrics": (lost,), "verdict": "undecided"}),)})
+    folder = factory.store(tmp_path / "all", [run])
+    write_report(folder)
+    assert not unsaid(words((folder / PAGES / run_page(run)).read_text(encoding="utf-8")), "Decided by replay_error : … 0.02 m.")

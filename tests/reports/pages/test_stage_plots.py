@@ -5,7 +5,7 @@ import re
 import pytest
 from wording import unsaid
 
-from reports.pages.stage_plots import is_empty, stage_plots
+from reports.pages.stage_plots import stage_plots
 from reports.records.record import ContactRecord, QuantityRecord, SceneRecord, StageRecord, TrackedRecord
 from reports.traces import Motion
 from tests.reports import record_factory as factory
@@ -187,8 +187,8 @@ def test_the_replays_own_words_are_the_reason():
 @pytest.mark.parametrize("left", ["metrics", "replay", "has_plan"])
 def test_a_stage_is_empty_where_it_left_nothing(left: str):
     full = stage()
-    assert is_empty(stage(**BARE))
-    assert not is_empty(stage(**{**BARE, left: getattr(full, left)}))
+    assert stage(**BARE).is_empty
+    assert not stage(**{**BARE, left: getattr(full, left)}).is_empty
 
 
 def test_without_columns_nothing_is_drawn():

@@ -1,20 +1,34 @@
-"""Records as they are written and read: columns of numbers, names of files, order, and a folder of them with what is broken in it."""
+"""Records as they are written and read: columns of numbers, names of files, order, defaults; a folder of them with what is broken in it; runs in parts told as one."""
 
 import base64
 import json
 import os
 import struct
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticUndefined
 from wording import unsaid
 
 from reports.records import load as module
 from reports.records.check_record import CheckRecord, CheckRow, FmuRecord, divided, record_of
-from reports.records.load import LARGEST_BYTES, load, record_files
-from reports.records.record import LONGEST, SCHEMA_VERSION, LegRecord, MetricRecord, StageRecord, stage_files, thin
+from reports.records.load import LARGEST_BYTES, ReportError, collected, grouped, load, optima, record_files
+from reports.records.record import (
+    LONGEST,
+    SCHEMA_VERSION,
+    LegRecord,
+    MetricRecord,
+    RunRecord,
+    SecondsRecord,
+    StageRecord,
+    StartRecord,
+    stage_files,
+    thin,
+)
 from tests.reports import record_factory as factory
 
 
@@ -210,3 +224,176 @@ def test_what_is_no_record_at_all_has_no_place_in_it(tmp_path: Path):
     (folder / "campaign.json").write_text("1")
     (item,) = load(folder).unreadable
     assert f"record schema {SCHEMA_VERSION} (Input should be" in item.sentence
+
+
+_BROKEN = {
+    "cut short": lambda text: text[: len(text) // 2], "empty": lambda _: "", "not JSON": lambda _: "\x00\x01<html>", "a number": lambda _: "1",
+    "another schema": lambda text: json.dumps(json.loads(text) | {"surprise": 1}),
+    "a string for a number": lambda text: json.dumps(json.loads(text) | {"wall_seconds": "soon"}),
+    "NaN": lambda text: json.dumps(json.loads(text) | {"wall_seconds": float("nan")}),
+    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}), "deep": lambda _: "[" * 100_000,
+    "another key": lambda text: json.dumps(json.loads(text) | {"key": "../../etc"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _BROKEN)
+def test_a_broken_record_is_named_and_the_rest_is_read(factory, tmp_path, name):
+    good, bad = factory.runs()[:2]
+    folder = factory.store(tmp_path / "all", [good, bad])
+    path = folder / "runs" / bad.key / "record.json"
+    path.write_text(_BROKEN[name](path.read_text()))
+    stored = load(folder)
+    assert [run.key for run in stored.runs] == [good.key]
+    assert [item.path for item in stored.unreadable] == [f"runs/{bad.key}/record.json"]
+    assert stored.unreadable[0].sentence.endswith(".")
+    assert stored.missing == ()
+
+
+def test_no_folder_is_one_sentence(tmp_path):
+    with pytest.raises(ReportError, match="there is no such folder"):
+        load(tmp_path / "nowhere")
+
+
+def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_path):
+    """Those that the campaign lists are named, those that it does not are another campaign's."""
+    good, old, older = factory.runs()[:3]
+    folder = factory.store(tmp_path / "all", [good, old, older], factory.campaign([good, old]))
+    for run in (old, older):
+        path = folder / "runs" / run.key / "record.json"
+        path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
+    stored = load(folder)
+    assert [run.key for run in stored.runs] == [good.key]
+    (item,) = stored.unreadable
+    assert item.path == f"runs/{old.key}/record.json"
+    assert not unsaid(item.sentence, "another version … reads 5) … run it again.")
+    assert stored.foreign == 1
+
+
+def test_a_campaign_of_an_earlier_schema_is_named_and_its_runs_are_read(factory, tmp_path):
+    folder = factory.store(tmp_path / "all", factory.runs()[:2])
+    path = folder / "campaign.json"
+    path.write_text(path.read_text().replace('"schema_version":5', '"schema_version":4'))
+    stored = load(folder)
+    assert (stored.campaign, len(stored.runs)) == (None, 2)
+    (item,) = stored.unreadable
+    assert item.path == "campaign.json"
+    assert not unsaid(item.sentence, "another version … reads 5) … run it again.")
+
+
+def start(number: int, cost: float | None) -> StartRecord:
+    return StartRecord(number=number, start="random", outcome="solved" if cost is not None else "stalled", cost=cost)
+
+
+def part(place: int, *costs: float | None, parts: int = 2, scene: str = "hill", **changes: object) -> RunRecord:
+    """Of a run in two parts: the starts at these costs; seconds of the part's own place."""
+    starts = tuple(start(10 * place - number, cost) for number, cost in enumerate(costs))
+    cheapest = min((cost for cost in costs if cost is not None), default=None)
+    run = factory.ran("many", of=factory.scene(scene), cost=cheapest, starts=starts, iterations=7 * place)
+    seconds = SecondsRecord(**{name: float(place * (number + 1)) for number, name in enumerate(SecondsRecord.model_fields)})
+    stages = tuple(stage.model_copy(update={"seconds": seconds, "message": "own"}) for stage in run.stages)
+    said = {
+        "key": f"{scene}-{place}", "part": place, "parts": parts, "wall_seconds": 3.0 * place, "cpu_seconds": 2.0 * place,
+        "profile": {"replay": 1.0 * place}, "message": f"part {place}.",
+    }  # fmt: skip
+    return run.model_copy(update={"stages": stages} | said | changes)
+
+
+@pytest.mark.parametrize(
+    ("costs", "words"),
+    [
+        (((5.0, 4.0), (3.0, 4.0)), "4 of 4 starts … 3 distinct optima, from 3 to 5; 1 reached … part 2."),
+        (((4.0, None), (4.0, 4.0)), "3 of 4 starts … all … at the same optimum; 3 reached … part 1."),
+        (((4.0,), (4.0 * (1 + 2e-7),)), "2 of 2 starts … 2 distinct optima, from 4 to 4; 1 reached … part 1."),
+        (((None, None), (None,)), "None of 3 starts was solved. part 1."), (((), ()), "part 1."),
+    ],
+)  # fmt: skip
+def test_what_all_starts_came_to(costs: tuple, words: str):
+    (whole,) = collected([part(1, *costs[0]), part(2, *costs[1])])
+    assert whole.message == whole.stages[-1].message
+    assert not unsaid(whole.message, words)
+
+
+def test_seconds_steps_and_phases_are_those_of_all_parts():
+    (whole,) = collected([part(1, 5.0, 4.0), part(2, 3.0, 6.0, profile={"imports": 4.0, "replay": 8.0})])
+    (stage,) = whole.stages
+    assert (whole.wall_seconds, whole.cpu_seconds, whole.profile, stage.iterations) == (9.0, 6.0, {"replay": 9.0, "imports": 4.0}, 21)
+    assert list(stage.seconds.model_dump().values()) == [3.0 * number for number in range(1, 10)]
+    assert [item.number for item in stage.starts] == [9, 10, 19, 20]
+    assert stage.cost == 3.0
+
+
+def test_a_part_that_is_missing_or_crashed_is_told():
+    (alone,) = collected([part(2, 3.0, parts=4)])
+    assert not unsaid(alone.message, "1 of 1 starts … the same optimum; 1 reached … Only 1 of the 4 parts … part 2.")
+    (crashed,) = collected([part(1, 3.0), part(2, outcome="crashed", message="it died.")])
+    assert (crashed.outcome, crashed.stages[-1].cost) == ("crashed", 3.0)
+    assert crashed.message.endswith("reached the cheapest. it died.")
+    (bare,) = collected([part(1, stages=()), part(2, stages=())])
+    assert (bare.stages, bare.message, bare.outcome) == ((), "part 1.", "solved")
+    (priced,) = collected([part(1, stages=()), part(2, 3.0)])
+    assert priced.stages[-1].cost == 3.0
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "best"),
+    [
+        (("violates", "holds"), 2), (("holds", "violates"), 1), (("holds with feedback", "holds"), 2), (("violates", "holds with feedback"), 2), (("consistent", "holds"), 2),
+        (("violates", "undecided"), 2), (("holds", "holds"), 2),
+    ],
+)  # fmt: skip
+def test_a_plan_that_holds_goes_before_a_cheaper_one(verdicts: tuple[str, str], best: int):
+    """The second is cheaper."""
+    (whole,) = collected([part(1, 5.0, verdict=verdicts[0]), part(2, 4.0, verdict=verdicts[1])])
+    assert whole.part == best
+    (other,) = collected([part(1, 4.0, verdict=verdicts[0]), part(2, 5.0, verdict=verdicts[1])])
+    assert other.part == (1 if verdicts in (("consistent", "holds"), ("violates", "undecided"), ("holds", "holds")) else best)
+
+
+def test_only_parts_of_one_run_on_one_scene_belong_together():
+    whole = factory.ran("many", of=factory.scene("hill"))
+    runs = [part(1, 5.0), whole, part(1, 5.0, scene="bank"), part(2, 4.0), part(2, 4.0, scene="bank")]
+    assert [[run.key for run in group] for group in grouped(runs)] == [["hill-1", "hill-2"], ["many-key"], ["bank-1", "bank-2"]]
+    assert collected([whole]) == (whole,)
+    assert [(price, [item.number for item in same]) for price, same in optima([start(1, 2.0), start(2, None), start(3, 1.0), start(4, 1.0 + 0.9e-7), start(5, 1.0 + 2.5e-7)])] == [
+        (1.0, [3, 4]), (1.0 + 2.5e-7, [5]), (2.0, [1]),
+    ]  # fmt: skip
+    assert [len(same) for _, same in optima([start(1, -1.0), start(2, -1.0 + 0.9e-7), start(3, 0.0), start(4, 0.0)])] == [2, 2]
+
+
+MODULES = ("record", "check_record")
+# Not empty: what is meant where nothing is said.
+MEANT = {
+    "RunRecord.schema_version": 5, "CampaignRecord.schema_version": 5, "CheckRecord.schema_version": 5,
+    "RunRecord.part": 1, "RunRecord.parts": 1, "RunRecord.verdict": "no plan", "StageRecord.verdict": "no plan",
+    "ReplayRecord.step_source": "none", "ReplayRecord.judged": "open", "ContactRecord.bodies": ("", ""), "SeriesRecord.line": True,
+}  # fmt: skip
+
+
+def defaults() -> Iterator[tuple[str, object]]:
+    for name in MODULES:
+        module = import_module(f"reports.records.{name}")
+        for model in vars(module).values():
+            if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__:
+                for field, info in model.model_fields.items():
+                    default = info.get_default(call_default_factory=True)
+                    if default is not PydanticUndefined:
+                        yield f"{model.__name__}.{field}", default
+
+
+ALL = dict(defaults())
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_what_is_not_said_is_nothing(name: str):
+    default = ALL[name]
+    if name in MEANT:
+        assert default == MEANT[name]
+    elif isinstance(default, BaseModel):
+        assert not any(default.model_dump().values())
+    else:
+        assert not default, "an empty text, list, None, no or nought"
+
+
+def test_all_that_is_meant_exists():
+    assert len(ALL) > 100
+    assert set(MEANT) <= set(ALL)

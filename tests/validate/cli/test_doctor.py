@@ -76,7 +76,7 @@ def test_a_trial_that_crashes_is_a_finding_too(tmp_path):
 
 def test_a_store_that_is_a_file_is_said(tmp_path):
     (tmp_path / "taken").write_text("x")
-    store = list(examine_machine(tmp_path / "taken", ()))[1]
+    (store,) = examine_machine(tmp_path / "taken", named("store"))
     assert store.state is State.BROKEN
     assert "there is a file of that name" in store.sentence
 
@@ -84,7 +84,7 @@ def test_a_store_that_is_a_file_is_said(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_store_without_permission_is_said(tmp_path):
     tmp_path.chmod(0o500)
-    store = list(examine_machine(tmp_path / "runs", ()))[1]
+    (store,) = examine_machine(tmp_path / "runs", named("store"))
     assert store.state is State.BROKEN
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from models.errors import MachineError
-from validate.execution import fork, isolated
+from validate.execution import isolated, process
 from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
 
 pytestmark = pytest.mark.process
@@ -165,7 +165,7 @@ def test_what_is_foreign_or_has_threads_gets_a_process_of_its_own(monkeypatch: p
     thread = threading.Thread(target=lambda: (started.set(), ended.wait()))
     thread.start()
     started.wait()
-    assert not fork.can_fork()
+    assert not process.can_fork()
     ended.set()
     thread.join()
 

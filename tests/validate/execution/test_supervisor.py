@@ -34,7 +34,7 @@ import json, os, resource, signal, subprocess, sys, tempfile, time
 SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(1000)"]
 
 def main(folder):
-    from validate.execution.isolated_child import limit_resources
+    from validate.execution.isolated import limit_resources
     limit_resources(file_bytes=12345)
     told = {
         "number": os.getpid(), "session": os.getsid(0) == os.getpid(), "cwd": os.getcwd(), "temporary": tempfile.gettempdir(),

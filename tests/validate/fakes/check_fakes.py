@@ -15,8 +15,7 @@ from models.errors import TouchstoneError
 from models.scene.text import scene_text
 from reports.records.record import MetricRecord
 from validate.tasks.check import Course, Found
-from validate.tasks.task import CheckTask
-from validate.tasks.variant import SceneReference
+from validate.tasks.task import CheckTask, SceneReference
 
 
 def _hang() -> None:

@@ -11,7 +11,7 @@ from models.catalog import load_scene
 from validate.plan.read import Campaign, ConfigError, read_campaign
 from validate.plan.runs import CampaignSettings, select
 from validate.plan.schema import CampaignFile
-from validate.tasks.variant import Variant, state_names, varied
+from validate.tasks.task import Variant, state_names, varied
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "docs" / "campaigns").glob("*.toml"))
 

@@ -1,4 +1,4 @@
-"""The store piece by piece: who is at work on what is unfinished, files that are not as they were stored, marks, requests, names."""
+"""The store piece by piece: whole folders only, who is at work on what is unfinished, marks, requests, names; what a folder says of its campaign."""
 
 import errno
 import json
@@ -13,11 +13,32 @@ from wording import unsaid
 
 from models.errors import MachineError
 from reports.records.check_record import CheckRecord
+from reports.records.record import SCHEMA_VERSION, LegRecord, RunRecord
 from tests.reports import record_factory as factory
+from validate.execution.campaign import CampaignSettings, select, with_stored
+from validate.execution.worker import record_for_crash
+from validate.judge.score import metric_names
+from validate.plan.runs import only_last_failed, reasons
 from validate.store import store as module
-from validate.store.provenance import machine
+from validate.store.provenance import gather, machine
+from validate.store.results import COLUMNS, RESULTS, tables
 from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
-from validate.store.stored import CAMPAIGN, CampaignError, campaign_of, identity, stored_campaign, stored_names, title_of
+from validate.store.stored import (
+    CAMPAIGN,
+    CampaignError,
+    campaign_of,
+    campaign_text,
+    earlier_schema,
+    identity,
+    stored_campaign,
+    stored_names,
+    title_of,
+    with_others,
+)
+from validate.tasks.leg import place, write_leg
+from validate.tasks.records import run_record, unfinished_stage
+from validate.tasks.scene_record import scene_record
+from validate.tasks.task import ChildExit, task_to_json
 
 HOST = socket.gethostname()
 
@@ -259,3 +280,200 @@ def test_what_is_no_campaign_is_refused_with_its_place(tmp_path: Path, text: str
     with pytest.raises(CampaignError) as caught:
         campaign_of(tmp_path)
     assert all(part in str(caught.value) for part in (str(tmp_path), *parts))
+
+
+@pytest.fixture(scope="module")
+def entry():
+    """The cell three_cart x relu_gd of the real catalogs."""
+    entries, _ = select(
+        CampaignSettings(out=None, time_limit=600.0, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed")
+    )
+    (found,) = entries
+    return found
+
+
+def _record(entry, outcome: str, message: str = "") -> RunRecord:
+    from formulations.solution import Outcome
+
+    stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.loaded.plan]
+    return run_record(entry.task, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
+
+
+def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -> None:
+    store.prepare()
+    partial = store.open_partial(record.key, "token")
+    (partial / "record.json").write_text(record.model_dump_json())
+    (partial / "task.json").write_text(json.dumps({"task": {"time_limit": time_limit}}))
+    store.commit(partial, record.key)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "time_limit", "used_again"),
+    [
+        ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True), ("crashed", 600.0, False), ("time_limit", 600.0, True),
+        ("time_limit", 599.0, False),
+    ],
+)  # fmt: skip
+def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
+    store = Store(tmp_path)
+    _stored(store, entry, _record(entry, outcome), time_limit)
+    settings = CampaignSettings(out=tmp_path, time_limit=600.0)
+    (found,) = with_stored([entry], store, settings)
+    assert (found.stored is not None) is used_again
+    (fresh,) = with_stored([entry], store, CampaignSettings(out=tmp_path, fresh=True))
+    assert fresh.stored is None
+
+
+@pytest.mark.parametrize(("time_limit", "used_again"), [(600.0, True), (599.0, False)])
+def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry, time_limit, used_again):
+    """The plans were kept, and with them the outcome of the last stage: it does not say that time ran out."""
+    store, record = Store(tmp_path), _record(entry, "solved")
+    partial = tmp_path / "run"
+    (leg,) = entry.task.legs
+    place(partial, 1).mkdir(parents=True)
+    stages = tuple(stage.model_copy(update={"certificate_missing": True}) for stage in record.stages)
+    write_leg(place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={}))
+    child = ChildExit(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
+    kept = record_for_crash(entry.task, gather("test"), child, partial, entry.loaded)
+    assert kept.outcome == "solved"
+    _stored(store, entry, kept, time_limit)
+    (found,) = with_stored([entry], store, CampaignSettings(out=tmp_path, time_limit=600.0))
+    assert (found.stored is not None) is used_again
+
+
+def test_results_have_the_columns_of_the_design(entry):
+    design = (
+        "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
+        "replay_terminal_error, replay_terminal_position_error, replay_terminal_velocity_error, replay_error, max_penetration, ghost_impulse, "
+        "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, stage_cpu_s, total_s, replay_s, judged, "
+        "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
+    )
+    first = tuple(design.split(", "))
+    last = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
+    assert (*first, *(name for name in metric_names() if name not in first), *last) == COLUMNS
+    assert len(set(COLUMNS)) == len(COLUMNS)
+    header, row = tables([_record(entry, "infeasible")], (), ())[RESULTS].splitlines()
+    assert header == ",".join(COLUMNS)
+    told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}
+    assert row.split(",") == [told.get(name, "") for name in COLUMNS]
+
+
+HARMS = {
+    "stored, but trajectory.nc is gone or cut off": lambda folder: (folder / "trajectory.nc").unlink(),
+    "stored, but replay.nc is gone or cut off": lambda folder: (folder / "replay.nc").write_bytes(b""),
+    "stored, but files.json is gone or cut off": lambda folder: (folder / "files.json").write_text("[1]"),
+    "stored, but its record cannot be read": lambda folder: (folder / "record.json").write_text("{}"),
+    "": lambda folder: (folder / "log.txt").unlink(missing_ok=True),
+}
+
+
+@pytest.mark.parametrize("why", HARMS)
+def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
+    """A result whose plan and replay nobody can look at any more is none."""
+    store = Store(tmp_path)
+    store.prepare()
+    partial = store.open_partial(entry.task.key, "token")
+    (partial / "record.json").write_text(_record(entry, "solved").model_dump_json())
+    (partial / "task.json").write_text(json.dumps({"task": {**task_to_json(entry.task), "time_limit": 600.0}}))
+    for name in ("trajectory.nc", "replay.nc"):
+        (partial / name).write_bytes(name.encode())
+    HARMS[why](store.commit(partial, entry.task.key))
+    settings = CampaignSettings(out=tmp_path, time_limit=600.0)
+    assert reasons(with_stored([entry], store, settings), store) == [why]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (json.dumps({"schema_version": SCHEMA_VERSION - 1}), f"schema {SCHEMA_VERSION - 1},"),
+        (json.dumps({"schema_version": SCHEMA_VERSION + 1}), f"schema {SCHEMA_VERSION + 1},"),
+        (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"),
+        (json.dumps({"schema_version": SCHEMA_VERSION}), ""),
+        (json.dumps({}), ""),
+        ("[", ""),
+        (None, ""),
+    ],
+)
+def test_records_of_another_version_are_named_and_run_again(text: str | None, named: str, tmp_path: Path):
+    if text is not None:
+        (tmp_path / CAMPAIGN).write_text(text, encoding="utf-8")
+    sentence = earlier_schema(tmp_path)
+    assert named in sentence
+    assert bool(sentence) is bool(named)
+    if named:
+        assert str(tmp_path) in sentence
+        assert f"schema {SCHEMA_VERSION}:" in sentence
+        assert "run again" in sentence
+
+
+@pytest.mark.parametrize("failures", [0, 1, 3, 4, 6])
+def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, tmp_path: Path):
+    runs = []
+    for number in range(6):
+        verdict = "violates" if number < failures else "holds"
+        run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}", verdict=verdict)
+        stages = tuple(stage.model_copy(update={"verdict": verdict}) for stage in run.stages)
+        runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages}))
+    store = Store(factory.store(tmp_path / "all", runs))
+    for number, run in enumerate(runs):
+        cell = {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": f"p{number}", "part": None, "legs": []}}
+        (store.runs / run.key / "task.json").write_text(json.dumps({"task": cell}), encoding="utf-8")
+    with pytest.raises(CampaignError, match="nothing that is selected failed") as error:
+        only_last_failed((), store)
+    said = str(error.value)
+    named = [number for number in range(6) if f"p{number}" in said]
+    assert named == list(range(min(failures, 3)))
+    assert (f"and {failures - 3} more" in said) is (failures > 3)
+    assert ("more" in said) is (failures > 3)
+    assert ("drop --last-failed" in said) is (failures == 0)
+
+
+def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_path: Path) -> None:
+    told = {"keys": ["a", "b"], "quick": False, "command": "first", "started": "1", "provenance": {"cpu": "x"}}
+    (tmp_path / "campaign.json").write_text(json.dumps(told))
+    before = campaign_text(tmp_path)
+    (tmp_path / "campaign.json").write_text(json.dumps({**told, "command": "second", "started": "2"}, indent=1))
+    assert campaign_text(tmp_path) == before != ""
+    for change in ({"keys": ["a"]}, {"quick": True}, {"violation": [1]}):
+        (tmp_path / "campaign.json").write_text(json.dumps({**told, **change}))
+        assert campaign_text(tmp_path) != before
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{half"])
+def test_a_campaign_that_cannot_be_read_is_no_text(tmp_path: Path, text: str) -> None:
+    (tmp_path / "campaign.json").write_text(text)
+    assert campaign_text(tmp_path) == ""
+
+
+def _asked(pipeline: str) -> dict:
+    return {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": pipeline, "part": None, "legs": []}}
+
+
+@pytest.mark.parametrize(
+    ("part", "keys"),
+    [
+        (["b"], "abc"),
+        (["c", "a"], "cab"),
+        (["d"], "abcd"),
+        (["b", "d"], "abcd"),
+        (["B"], "aBc"),  # the same run, of other code
+        ([], "abc"),
+    ],
+)
+def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
+    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
+    for key in "abc":
+        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
+    earlier, found = with_others(store, {identity(_asked(key.lower())): key for key in part})
+    assert earlier is not None
+    assert "".join(found) == keys
+
+
+def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
+    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
+    for key in "ab":
+        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
+    (store.runs / "b" / "record.json").unlink()
+    assert with_others(store, {identity(_asked("d")): "d"})[1] == ("a", "d")
+    (store.folder / CAMPAIGN).unlink()
+    assert with_others(store, {identity(_asked("d")): "d"}) == (None, ("d",))

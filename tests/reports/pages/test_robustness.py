@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from reports.pages import survival
+from reports.pages import robustness
 from reports.pages.section import Report
 from reports.records.load import Stored
 from reports.records.record import CertificateRecord, RunRecord, ShareRecord, SurveyRecord
@@ -49,7 +49,7 @@ def plan(
 
 
 def built(*runs: RunRecord) -> Any:
-    return survival.build(Report(Stored("x", None, runs, (), (), 0), at="pages/"))
+    return robustness.build(Report(Stored("x", None, runs, (), (), 0), at="pages/"))
 
 
 def test_conclusions_count_pairs_that_differ_by_more_than_chance():

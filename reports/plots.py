@@ -1,16 +1,22 @@
-"""One plot: lines, points, bands and labels on two axes, as SVG.
+"""Plots as SVG text made here, from numbers alone: no script is needed to see them.
 
     plot = Plot("Contact force", Axis.fitted("time", "s", t), Axis.fitted("force", "N", force))
     plot.line("plan", "p", t, force);  plot.markup()
 
-Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. Beside what is drawn stand the numbers of every
-series (reports.plots.series), for reading values, zooming and saving.
+Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide.
+
+Beside what is drawn stand the numbers of every series (`packed`), for reading values, zooming and saving. A column is whole numbers of a decimal grain, so
+that 0.01 s stays 0.01 s; of those, second differences, which are small for smooth motions; of those, the first bytes of all, then the second ones, ..,
+which zlib makes short: 105,000 numbers of the longest page of a run are 44 kB (as JSON of five digits, compressed: 311 kB). The script's `unpacked` reads it.
 """
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Sequence
+import math
+import zlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -19,9 +25,262 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from reports.plots.axis import Axis
-from reports.plots.series import packed, seen
-from reports.wording import unit
+from reports.wording import number, power, unit
+
+# Steps of a linear axis that a reader can add up in the head.
+_NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
+# Values that span more than this are drawn on a logarithmic axis, where they may be.
+_WIDE = 20.0
+# Values beyond this (and its inverse, on a logarithmic axis) are drawn at the edge: room for margins before a float overflows.
+_LARGEST = 1e200
+
+
+def is_wide(values: Sequence[float]) -> bool:
+    """Whether values are drawn on a logarithmic axis: all are positive, and they span more than a factor of 20."""
+    return min(values) > 0 and max(values) / min(values) > _WIDE
+
+
+@dataclass(frozen=True)
+class Axis:
+    """`exponent`: labels are divided by 10**exponent, and the axis says so."""
+
+    quantity: str
+    unit: str
+    low: float
+    high: float
+    log: bool = False
+    exponent: int = 0
+
+    @staticmethod
+    def fitted(
+        quantity: str,
+        unit: str,
+        values: Iterable[float] | NDArray[np.float64],
+        *,
+        log: bool = False,
+        margin: float = 0.05,
+        zero: bool = False,
+    ) -> Axis:
+        """An axis that holds all values.
+
+        Parameters
+        ----------
+        quantity, unit : what it shows, in which unit
+        values : (n,), in that unit; what is not finite counts for nothing
+        log : whether it is logarithmic
+        margin : room at both ends, as a share of the range [-]
+        zero : a linear axis then begins (or ends) at zero
+
+        Returns
+        -------
+        axis : Axis
+        """
+        smallest = 1 / _LARGEST if log else -_LARGEST
+        if isinstance(values, np.ndarray) and len(values) and smallest <= values.min() and values.max() <= _LARGEST:
+            values = (float(values.min()), float(values.max()))
+        usable = [value for value in values if smallest <= value <= _LARGEST]
+        if log:
+            low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
+            room = max(0.12, margin * (math.log10(high) - math.log10(low)))
+            return Axis(quantity, unit, low * 10**-room, high * 10**room, True)
+        if zero:
+            usable.append(0.0)
+        low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
+        if zero and low == high == 0:
+            high = 1.0
+        if high - low <= max(1e-12 * max(abs(low), abs(high)), 1 / _LARGEST):
+            # A constant: show it in the middle of a range of its own size.
+            half = abs(high) / 2 if abs(high) > 1 / _LARGEST else 0.5
+            low, high = low - half, high + half
+        room = margin * (high - low)
+        largest = max(abs(low), abs(high))
+        exponent = math.floor(math.log10(largest)) if largest < 1e-2 or largest >= 1e5 else 0
+        return Axis(
+            quantity, unit, low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room), False, exponent
+        )
+
+    @property
+    def title(self) -> str:
+        """The quantity with its unit, and the power of ten that its labels are divided by."""
+        words = unit(self.unit)
+        if self.exponent:
+            words = f"{power(self.exponent)} {words}".strip()
+        return f"{self.quantity} [{words}]" if words else self.quantity
+
+    def fraction(self, value: float) -> float:
+        """Where the value lies, 0 at the low end and 1 at the high end; values outside are moved to just outside."""
+        if self.log:
+            begin = math.log10(self.low)
+            position = (math.log10(max(value, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
+        else:
+            position = (value - self.low) / (self.high - self.low)
+        return min(max(position, -0.5), 1.5)
+
+    def pixels(self, values: Sequence[float] | NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
+        """Pixels of many values, the same as by `fraction`.
+
+        Parameters
+        ----------
+        values : (n,), in the unit of the axis
+        start, end : [pixel] of its low and its high end
+
+        Returns
+        -------
+        pixels : (n,) [pixel]
+        """
+        array = np.asarray(values, np.float64)
+        if self.log:
+            begin = math.log10(self.low)
+            position = (np.log10(np.maximum(array, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
+        else:
+            with np.errstate(over="ignore"):  # what is too far off to be told is at the edge
+                position = (array - self.low) / (self.high - self.low)
+        return start + np.clip(position, -0.5, 1.5) * (end - start)
+
+    def ticks(self, most: int = 6) -> list[tuple[float, str]]:
+        """At most about so many (value, label)."""
+        return self._decades(most) if self.log else self._linear(most)
+
+    def _decades(self, most: int) -> list[tuple[float, str]]:
+        first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+        if last - first >= 2:
+            stride = max(1, math.ceil((last - first + 1) / most))
+            plain = first >= -3 and last <= 3
+            exponents = range(first, last + 1, stride)
+            return [
+                (10.0**exponent, number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)) for exponent in exponents
+            ]
+        values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
+        inside = [value for value in values if self.low <= value <= self.high]
+        if len(inside) < 2:
+            # Less than between two of these: as good as linear.
+            return self._linear(most)
+        return [(value, number(value, 2)) for value in (inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)])]
+
+    def _linear(self, most: int) -> list[tuple[float, str]]:
+        raw = (self.high - self.low) / most
+        magnitude = 10.0 ** math.floor(math.log10(raw))
+        step = next(nice * magnitude for nice in _NICE if nice * magnitude >= raw * 0.999)
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        scale = 10.0**self.exponent
+        # So many digits that two neighbours differ, and four where fewer do.
+        digits = max(4, math.ceil(math.log10(max(abs(first), abs(last), 1))) + 1)
+        return [(place * step, number(place * step / scale, digits)) for place in range(first, last + 1)]
+
+
+# Grains are powers of ten, of a linear axis at most such a share. Of y a finer one takes half as much room again; of x, mostly equal steps, it does not,
+# and neighbours of 1,500 times must be told apart. Of a decade of a logarithmic axis: five digits.
+_OF_X, _OF_Y, _OF_DECADE = -6, -4, -5
+# Whole numbers up to ten to this are exact in the script, and so are their second differences.
+_EXACT = 14
+# The logarithm of what is no positive number: a value that no plot shows.
+_SMALLEST = 1e-200
+# Stretches of so many points are looked at all at once; of the tolerance, this share is theirs.
+_STRETCH, _STRAIGHT = 8, 0.1
+
+Array = NDArray[np.float64]
+
+
+def packed(series: Sequence[tuple[Array, Array]], x: Axis, y: Axis) -> str:
+    """The series of a plot.
+
+    Parameters
+    ----------
+    series : of each, (n,) values in the unit of x and (n,) in that of y, all finite
+    x, y : the axes it is drawn on
+
+    Returns
+    -------
+    text : base64 of a zlib stream of 64 bit integers, a byte of each after the other. First the number of series, then of each the count and the
+        exponent of x (count 0: those of the series before) and the same of y, then the second differences of all columns.
+    """
+    heads, steps = [len(series)], []
+    before = np.zeros(0)
+    for xs, ys in series:
+        for values, axis, fine in ((xs[:0] if np.array_equal(before, xs) else xs, x, _OF_X), (ys, y, _OF_Y)):
+            exponent, grains = _grains(values, axis, fine)
+            heads += [len(grains), exponent]
+            steps.append(np.diff(grains, 2, prepend=[0, 0]))
+        before = xs
+    flat = np.concatenate([heads, *steps]).astype("<i8")
+    unsigned = (flat << 1) ^ (flat >> 63)
+    return base64.b64encode(zlib.compress(unsigned.view(np.uint8).reshape(-1, 8).T.tobytes(), 9)).decode()
+
+
+def _grains(values: Array, axis: Axis, fine: int) -> tuple[int, NDArray[np.int64]]:
+    """The power of ten of a column's grain, and the column in grains: of its decimal logarithm where the axis is logarithmic."""
+    if axis.log:
+        return _OF_DECADE, np.rint(np.log10(np.maximum(values, _SMALLEST)) / 10.0**_OF_DECADE).astype(np.int64)
+    largest = float(np.abs(values).max(initial=axis.high - axis.low))
+    exponent = max(math.floor(math.log10(axis.high - axis.low)) + fine, math.ceil(math.log10(largest)) - _EXACT)
+    return exponent, np.rint(values / 10.0**exponent).astype(np.int64)
+
+
+def seen(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> list[int]:
+    """The points that are kept: every other lies at most `tolerance` above or below what is drawn.
+
+    A cone of slopes from the last kept point narrows with each point; the point before it closes is kept.
+
+    Parameters
+    ----------
+    xs : (n,) [pixel], not decreasing
+    ys : (n,) [pixel]
+    tolerance : [pixel]
+
+    Returns
+    -------
+    indices : (k,) [-], with the first and the last
+    """
+    if len(xs) < 3:
+        return list(range(len(xs)))
+    places = _bent(xs, ys, _STRAIGHT * tolerance)
+    tolerance *= 1 - _STRAIGHT
+    kept = [0]
+    points = zip(places.tolist(), xs[places].tolist(), ys[places].tolist(), strict=True)
+    previous, previous_x, previous_y = next(points)
+    anchor_x, anchor_y = previous_x, previous_y
+    low, high = -math.inf, math.inf
+    for place, x, y in points:
+        run = x - anchor_x
+        if run > 1e-9:
+            slope, width = (y - anchor_y) / run, tolerance / run
+            if low <= slope <= high:
+                if slope - width > low:
+                    low = slope - width
+                if slope + width < high:
+                    high = slope + width
+                previous, previous_x, previous_y = place, x, y
+                continue
+        elif abs(y - previous_y) <= tolerance:
+            continue
+        if previous != kept[-1]:
+            kept.append(previous)
+        anchor_x, anchor_y = previous_x, previous_y
+        run = x - anchor_x
+        if run > 1e-9:
+            slope, width = (y - anchor_y) / run, tolerance / run
+            low, high = slope - width, slope + width
+        else:
+            kept.append(place)
+            anchor_x, anchor_y = x, y
+            low, high = -math.inf, math.inf
+        previous, previous_x, previous_y = place, x, y
+    if previous != kept[-1]:
+        kept.append(previous)
+    return kept
+
+
+def _bent(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
+    """Numbers of the points without those inside stretches that are straight to `tolerance`: most of what is drawn is smooth, or level."""
+    ends = np.arange(0, len(xs) - _STRETCH, _STRETCH)
+    run, rise = xs[ends + _STRETCH] - xs[ends], ys[ends + _STRETCH] - ys[ends]
+    slope = rise / np.where(run > 0, run, 1.0)
+    inside = ends[:, None] + np.arange(1, _STRETCH)
+    away = np.abs(ys[inside] - ys[ends, None] - slope[:, None] * (xs[inside] - xs[ends, None]))
+    bent = np.ones(len(xs), bool)
+    bent[inside[(away.max(axis=1, initial=0.0) <= tolerance) & (run > 0)]] = False
+    return np.flatnonzero(bent)
+
 
 # Less than half a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
 _TOLERANCE = 0.4
