@@ -137,4 +137,9 @@ def test_every_check_of_what_is_offered_passes(folder: Path, version: str, capfd
         assert code == 0, [row for row in told["rows"] if row["status"] == "failed"]
         assert ("ME" in told["types"]) == (name == "swing")
         passed = {row["check"] for row in told["rows"] if row["status"] == "passed"}
-        assert {"set state restores", "serialised state loads elsewhere", "instances do not disturb each other"} <= passed
+        assert {
+            "set state restores",
+            "serialised state loads elsewhere",
+            "instances do not disturb each other",
+            "directional derivatives",
+        } <= passed
