@@ -216,6 +216,8 @@ def _lost(package: Any, model: Any) -> str | None:
     """What would be lost in an FMU, or is not in the state that it saves."""
     if model.nplugin:
         return "it uses a plugin of MuJoCo, which an FMU does not carry; take <extension> and what uses it out"
+    if not model.opt.timestep >= SMALLEST_INTERNAL_STEP:
+        return f"its timestep is {model.opt.timestep:g} s; give it one of at least {SMALLEST_INTERNAL_STEP:g} s in <option>"
     for word in ("sleep", "ipc"):
         if model.opt.enableflags & getattr(package.mjtEnableBit, f"mjENBL_{word.upper()}"):
             return f"it enables {word}, whose bookkeeping is not in the state that MuJoCo saves; take the flag out of <option>"
