@@ -33,9 +33,32 @@ def readable(subject: Subject, kind: str) -> Finding:
             for kind in dict.fromkeys(item.type for item in subject.variables)
             for item in _refused(instance, [item for item in subject.variables if item.type == kind])
         ]
+        texts = dict(_texts(instance))
+    problems += [f"{name} is {said}" for name, said in texts.items() if said]
     if problems:
         return failed(listed(problems))
-    return passed(f"{len(subject.variables)} variables were read.")
+    more = f", {len(texts)} of them strings or binaries" if texts else ""
+    return passed(f"{len(subject.variables) + len(texts)} variables were read{more}.")
+
+
+def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
+    """Of each string and binary that is no array its name, and what is wrong with its value: it cannot be read, or one that nobody set is not its start."""
+    for item in instance.subject.description.modelVariables:
+        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None):
+            continue
+        said, start = "", item.start[0] if isinstance(item.start, list) and item.start else item.start
+        try:
+            value = getattr(instance.fmu, f"get{item.type}")([item.valueReference])[0]
+            found = value.hex() if item.type == "Binary" else (value if isinstance(value, str) else value.decode())
+            wanted = start.lower() if start is not None and item.type == "Binary" else start
+            kept = item.causality == "input" or (item.initial == "exact" and item.variability in ("constant", "fixed", "tunable"))
+            if kept and wanted is not None and found != wanted:
+                said = f"{found[:40]!r} in the binary, {wanted[:40]!r} in the description"
+        except (FMICallException, UnicodeDecodeError, AttributeError) as error:
+            said = (
+                f"refused, or no text{instance.quote()}" if isinstance(error, FMICallException) else "no text: it is missing, or not UTF-8"
+            )
+        yield item.name, said
 
 
 def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterator[FmuVariable]:
