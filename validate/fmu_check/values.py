@@ -46,7 +46,7 @@ def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
     for item in instance.subject.description.modelVariables:
         if item.type not in ("String", "Binary") or getattr(item, "dimensions", None):
             continue
-        said, start = "", item.start[0] if isinstance(item.start, list) and item.start else item.start
+        said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
         try:
             value = getattr(instance.fmu, f"get{item.type}")([item.valueReference])[0]
             found = value.hex() if item.type == "Binary" else (value if isinstance(value, str) else value.decode())

@@ -36,9 +36,8 @@ def wire(
     """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters. Raises MapError, TrajectoryError."""
     table.check_form()
     named = Named(package)
-    wiring = _Wiring(package, named, table, given or map_schema.by_equal_names(named, table), where)
-    if factors:
-        wiring.map = wiring.map.model_copy(update={"parameters": wiring.multiplied(factors)})
+    whole = map_schema.multiplied(given or map_schema.by_equal_names(named, table), named, factors or {}, where)
+    wiring = _Wiring(package, named, table, whole, where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
@@ -82,17 +81,6 @@ class _Wiring:
                 if end is not None and sign * value > sign * float(end):
                     raise self._fail(path, f"{value:g} is not possible: the FMU allows at {name_of} {float(end):g}.")
         return int(variable.valueReference)
-
-    def multiplied(self, factors: Mapping[str, float]) -> dict[str, float]:
-        """The map's parameters, and these times their factors. Raises MapError for what is no parameter, or has no value."""
-        found = dict(self.map.parameters)
-        for name, factor in factors.items():
-            path, start = f"parameters.{name}", self._variable(f"parameters.{name}", name).start
-            self._parameter(path, name)
-            if name not in found and start is None:
-                raise self._fail(path, "the FMU gives it no value that could be multiplied; give one in the map.")
-            found[name] = factor * found.get(name, float(start or 0.0))
-        return found
 
     def _startable(self, path: str, name: str) -> int:
         variable = self._variable(path, name)
