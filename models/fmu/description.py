@@ -240,10 +240,11 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Offers:
-    """What an FMU offers beside Co-Simulation with saved states: Model Exchange; derivatives of unknowns; inputs that slope; event mode and intermediate update."""
+    """What an FMU offers beside Co-Simulation with saved states: Model Exchange; derivatives of unknowns, adjoint ones; inputs that slope; events and updates."""
 
     exchange: bool = True
     derivatives: bool = True
+    adjoints: bool = True
     slopes: bool = True
     events: bool = True
 
@@ -279,11 +280,22 @@ def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
     return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variables if variable.unit})}
 
 
-def stamped(content: Mapping[str, str], marked: Callable[[str], tuple[str, str]]) -> tuple[str, str, str]:
-    """The GUID, which is a hash of all content, and the two texts that carry it: C configuration and model description."""
-    config, xml = marked("")
-    found = hashlib.sha256()
-    for name, text in sorted({**content, "model_config.h": config, "modelDescription.xml": xml}.items()):
+def stamped(
+    content: Mapping[str, str], standard: Standard, table: Sequence[Variable], config: Callable[[str], str], **shared: Any
+) -> tuple[str, str, str]:
+    """The GUID, which is a hash of all content, and the two texts that carry it: C configuration and model description.
+
+    content: all other texts by their names; config: GUID -> C configuration; shared: what else the template of the model description needs.
+    """
+    numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
+    state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES}
+    given = {**shared, "table": table, "state_of": state_of, "units": unit_table(table), "date": generation_date()}
+
+    def marked(guid: str) -> tuple[str, str]:
+        return config(guid), render(f"modelDescription_{standard.prefix}.xml.j2", guid=guid, **given)
+
+    found, texts = hashlib.sha256(), dict(zip(("model_config.h", "modelDescription.xml"), marked(""), strict=True))
+    for name, text in sorted({**content, **texts}.items()):
         found.update(f"{name}\0{text}\0".encode())
     return found.hexdigest(), *marked(found.hexdigest())
 
@@ -304,12 +316,10 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
     table = variable_table(scene)
     identifier = model_identifier(scene)
     nominals = [coordinate.nominal for coordinate in scene.coordinates]
-    numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
-    state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES}
     source_files = sorted(name for name in sources if name.endswith(".c"))
 
-    def marked(guid: str) -> tuple[str, str]:
-        config = render(
+    def config(guid: str) -> str:
+        return render(
             "model_config.h.j2",
             identifier=identifier,
             guid=guid,
@@ -318,31 +328,27 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
             contact_nominals=[contact.nominal for contact in scene.contacts] or [1.0],
             friction_nominals=friction_nominals(scene),
         )
-        xml = render(
-            f"modelDescription_{standard.prefix}.xml.j2",
-            title=scene.title,
-            license="MIT",
-            offers=Offers(),
-            stop=scene.task.horizon,
-            step=scene.task.step,
-            identifier=identifier,
-            guid=guid,
-            date=generation_date(),
-            source_files=source_files,
-            units=unit_table(table),
-            integrators=INTEGRATORS,
-            tolerance=TOLERANCE,
-            table=table,
-            state_of=state_of,
-            structure=model_structure(scene, standard),
-        )
-        return config, xml
 
-    guid, config, xml = stamped(sources, marked)
+    guid, header, xml = stamped(
+        sources,
+        standard,
+        table,
+        config,
+        title=scene.title,
+        license="MIT",
+        offers=Offers(),
+        stop=scene.task.horizon,
+        step=scene.task.step,
+        identifier=identifier,
+        source_files=source_files,
+        integrators=INTEGRATORS,
+        tolerance=TOLERANCE,
+        structure=model_structure(scene, standard),
+    )
     shared = {"identifier": identifier, "standard": standard}
     return Description(
         guid=guid,
-        config=config,
+        config=header,
         xml=xml,
         build=render("buildDescription.xml.j2", source_files=source_files, **shared),
         documentation=render("index.html.j2", scene=scene, table=table, absent=derive(scene).absent, integrators=INTEGRATORS, **shared),

@@ -6,6 +6,7 @@ import json
 import math
 import os
 from dataclasses import asdict
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,7 @@ Examples:
   python -m validate replay plan.csv --scene three_cart --html plan.html
   python -m validate replay plan.csv --scene three_cart --engine all
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
+  python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --vary mass_trunk=1.1
 
 Exit codes: 0 the plan holds, by its inputs alone or with feedback (--require holds:
 by its inputs alone); 1 it violates, or that is undecided; 2 a mistake in plan, map
@@ -80,6 +82,13 @@ or FMU; 3 a system requirement is missing.
     help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
 )
 @click.option(
+    "--vary",
+    "varied",
+    multiple=True,
+    metavar="NAME=FACTOR",
+    help="With --fmu: judge once more with this parameter of the FMU so many times as large, and say what changes; may be repeated.",
+)
+@click.option(
     "--engine",
     "engines",
     metavar="NAME,..|all",
@@ -102,6 +111,7 @@ def command(
     track: bool,
     require: str,
     own_step: bool,
+    varied: tuple[str, ...],
     engines: str | None,
     as_json: bool,
     html_file: Path | None,
@@ -119,6 +129,9 @@ def command(
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     if own_step and fmu is None:
         raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+    if varied and fmu is None:
+        raise click.UsageError("--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says.")
+    factors = _factors(varied)
     if engines is not None and fmu is not None:
         raise click.UsageError("--engine belongs to --scene: another simulator cannot step somebody's FMU.")
     asked = named_engines(engines) if engines is not None else ()
@@ -128,11 +141,16 @@ def command(
     if fmu is not None:
         from validate.judge.judgement import judge_fmu
 
-        judgement, warnings = judge_fmu(fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits, own_step=own_step), []
+        judge = partial(judge_fmu, fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits, own_step=own_step)
+        judgement, warnings = judge(), []
+        changes = [_change(judgement, judge(factors={name: factor}), name, factor) for name, factor in factors.items()]
     else:
         judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
+        changes = []
     rows = _elsewhere(judgement, asked, limits) if asked else []
     told = _told(judgement, warnings)
+    if changes:
+        told["varied"] = changes
     if asked:
         told["engines"] = [row.as_json() for row in rows]
     if out is not None:
@@ -144,8 +162,41 @@ def command(
     else:
         warn(told["warnings"])
         _print(judgement)
+        for change in changes:
+            say(change["sentence"])
         _print_engines(rows)
     return exit_code(judgement.verdict, require)
+
+
+def _factors(texts: tuple[str, ...]) -> dict[str, float]:
+    """Parameter -> factor. Raises click.UsageError."""
+    found = {}
+    for text in texts:
+        name, _, factor = text.rpartition("=")
+        try:
+            found[name.strip()] = float(factor)
+        except ValueError:
+            found[name.strip()] = math.nan
+        if not name.strip() or not math.isfinite(found[name.strip()]):
+            raise click.UsageError(
+                f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
+            )
+    return found
+
+
+def _change(before: Judgement, after: Judgement, name: str, factor: float) -> dict[str, Any]:
+    """What another parameter makes of a judgement: the verdict, and what moves most in its limits."""
+    old, new = before.score.verdict.value, after.score.verdict.value
+    verdict = f"the verdict stays, {new}" if old == new else f"the verdict turns from {old} to {new}"
+    values = [(metric, after.score.metric(metric.name)) for metric in before.score.metrics if metric.limit and metric.value is not None]
+    both = [(one, other) for one, other in values if other is not None and other.value is not None]
+    sentence = f"With {name} times {factor:g} {verdict}"
+    told = {"parameter": name, "factor": factor, "verdict": new, "metric": None, "value": None, "before": None}
+    if both:
+        one, other = max(both, key=lambda pair: abs(pair[1].value - pair[0].value) / pair[0].limit)  # type: ignore[operator] - both were asked for
+        sentence += f"; most changes {one.name}, {_size(one.value or 0.0)} to {_size(other.value or 0.0)} {one.unit} of {one.limit:g}"
+        told |= {"metric": one.name, "value": other.value, "before": one.value}
+    return {**told, "sentence": f"{sentence}."}
 
 
 def exit_code(verdict: Verdict, require: str) -> int:

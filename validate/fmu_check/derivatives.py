@@ -28,6 +28,8 @@ _ULPS = 16.0
 # Derivatives that an FMU computes by differences itself are less than this off, and are none the worse for their users; wrong ones are farther.
 _SHARE = 5e-5
 _EPS = float(np.finfo(float).eps)
+# What rounding leaves of such an entry where it is zero, in typical sizes: forward differences do best with steps of the root of rounding.
+_FLOOR = math.sqrt(_EPS)
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,9 @@ def _rounding(claimed: np.ndarray) -> float:
     return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
 
 
-def _agrees(claimed: np.ndarray, found: _DerivativeColumn) -> np.ndarray:
-    """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
-    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + _rounding(claimed)
+def _agrees(claimed: np.ndarray, found: _DerivativeColumn, floor: np.ndarray) -> np.ndarray:
+    """(unknowns,) whether a claimed column is within the error of the one found, or below `floor` as it is; True where nothing can be said."""
+    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + _rounding(claimed) + floor
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
@@ -269,11 +271,12 @@ def _locate(knowns: list[FmuVariable], place: int) -> tuple[FmuVariable, int]:
 
 
 def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
-    bad = ~_agrees(claimed, found)
+    floor = _FLOOR * entry_scales(point.unknowns) / point.sizes()[place]
+    bad = ~_agrees(claimed, found, floor)
     if not bad.any():
         return []
     again = point.column(place, _OTHER_STEPS)
-    bad &= ~_agrees(claimed, again)
+    bad &= ~_agrees(claimed, again, floor)
     names = point.names()
     return [
         f"d {names[row]} / d {known.name} {point.where} is {claimed[row]:.6g}, finite differences give {found.value[row]:.6g} +- {found.error[row]:.1g}"

@@ -6,6 +6,7 @@ table, dynamic section).
 
 from __future__ import annotations
 
+import contextlib
 import math
 import platform
 import re
@@ -15,6 +16,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from fmpy.validation import validate_fmu
 
@@ -114,6 +116,9 @@ _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
 
+_TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
+
+
 @check("archive", Scope.FILE, clauses=("2.3", "2.5.1"))
 def archive(path: Path) -> Finding:
     """A zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder."""
@@ -184,12 +189,33 @@ def _required(subject: Subject, kind: str) -> set[str]:
 
 @check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))
 def valid(path: Path) -> Finding:
-    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)."""
+    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation); terminals name variables that there are."""
     # Looks at the unpacked folder; comes before the description is read without validation.
-    problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))]
+    problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))] + _of_terminals(path)
     if problems:
         return failed(f"{listed(problems)}.")
     return passed("0 problems.")
+
+
+def _of_terminals(folder: Path) -> list[str]:
+    """What is wrong with the terminals of an unpacked FMU: names that are there twice, or are of no variable."""
+    file = folder / _TERMINALS
+    if not file.is_file():
+        return []
+    try:
+        root = ElementTree.parse(file).getroot()  # no DOCTYPE: such an archive is not unpacked
+    except (ElementTree.ParseError, ValueError) as error:
+        return [f"{_TERMINALS} is no XML that can be read ({error})"]
+    with contextlib.suppress(ElementTree.ParseError):  # told by FMPy's validation
+        known = {item.get("name") for item in ElementTree.parse(folder / "modelDescription.xml").iter() if "valueReference" in item.attrib}
+        named = [item.get("variableName") for item in root.iter("TerminalMemberVariable")]
+        wrong = [f"{_TERMINALS} names the variable {name!r}, which there is not" for name in named if name not in known]
+        for parent in root.iter():
+            for kind, attribute in (("Terminal", "name"), ("TerminalMemberVariable", "memberName")):
+                names = [item.get(attribute) for item in parent.findall(kind) if item.get(attribute)]
+                wrong += [f"{_TERMINALS} has the {attribute} {name!r} twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        return wrong
+    return []
 
 
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))

@@ -33,9 +33,32 @@ def readable(subject: Subject, kind: str) -> Finding:
             for kind in dict.fromkeys(item.type for item in subject.variables)
             for item in _refused(instance, [item for item in subject.variables if item.type == kind])
         ]
+        texts = dict(_texts(instance))
+    problems += [f"{name} is {said}" for name, said in texts.items() if said]
     if problems:
         return failed(listed(problems))
-    return passed(f"{len(subject.variables)} variables were read.")
+    more = f", {len(texts)} of them strings or binaries" if texts else ""
+    return passed(f"{len(subject.variables) + len(texts)} variables were read{more}.")
+
+
+def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
+    """Of each string and binary that is no array its name, and what is wrong with its value: it cannot be read, or one that nobody set is not its start."""
+    for item in instance.subject.description.modelVariables:
+        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None):
+            continue
+        said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
+        try:
+            value = getattr(instance.fmu, f"get{item.type}")([item.valueReference])[0]
+            found = value.hex() if item.type == "Binary" else (value if isinstance(value, str) else value.decode())
+            wanted = start.lower() if start is not None and item.type == "Binary" else start
+            kept = item.causality == "input" or (item.initial == "exact" and item.variability in ("constant", "fixed", "tunable"))
+            if kept and wanted is not None and found != wanted:
+                said = f"{found[:40]!r} in the binary, {wanted[:40]!r} in the description"
+        except (FMICallException, UnicodeDecodeError, AttributeError) as error:
+            said = (
+                f"refused, or no text{instance.quote()}" if isinstance(error, FMICallException) else "no text: it is missing, or not UTF-8"
+            )
+        yield item.name, said
 
 
 def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterator[FmuVariable]:
@@ -64,13 +87,12 @@ def starts(subject: Subject, kind: str) -> Finding:
     with CheckedInstance(subject, kind) as instance:
         instance.setup()
         instance.enter_initialisation()
-        wrong = []
-        for item in variables:
-            value, start = instance.get([item]), item.start
-            if start is not None and not np.allclose(
-                value, start, rtol=_SINGLE if item.type == "Float32" else _TEXT, atol=0.0, equal_nan=True
-            ):
-                wrong.append(f"{item.name} is {value[0]:.10g} in the binary, {start[0]:.10g} in the description")
+        values = instance.get(variables)
+    starts = np.concatenate([item.start for item in variables if item.start is not None])
+    share = np.concatenate([np.full(item.size, _SINGLE if item.type == "Float32" else _TEXT) for item in variables])
+    bad = ~((values == starts) | (np.abs(values - starts) <= share * np.abs(starts)) | (np.isnan(values) & np.isnan(starts)))
+    names = entry_names(variables) if bad.any() else []
+    wrong = [f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)]
     if wrong:
         return failed(listed(wrong))
     return passed(f"{len(variables)} start values agree to {_TEXT:g}.")
@@ -97,8 +119,11 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
+    every = list(moved)
+    moved = {every[place]: moved[every[place]] for place in sorted(_drawn(len(every), len(subject.variables)))}
     with CheckedInstance(subject, kind, "default") as instance:
-        default = dict(zip(moved, _read(instance.begin(), list(moved)), strict=True))
+        instance.begin()
+        default = {item: instance.get([item]) for item in moved}
     wrong, refused, tried = [], 0, 0
     for item, value, phase in ((item, value, phase) for item, value in moved.items() for phase in ("before", "in")):
         instance = _another(subject, kind)
@@ -132,7 +157,8 @@ def obeyed(subject: Subject, kind: str) -> Finding:
         if tried == 2 * len(moved)
         else f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
     )
-    return passed(f"{tried // 2} start values were moved, each before and in initialisation.{more}")
+    of_all = "" if len(moved) == len(every) else f", drawn from {len(every)}"
+    return passed(f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}")
 
 
 def _another(subject: Subject, kind: str) -> CheckedInstance | None:
@@ -143,8 +169,9 @@ def _another(subject: Subject, kind: str) -> CheckedInstance | None:
         return None
 
 
-def _read(instance: CheckedInstance, variables: list[FmuVariable]) -> list[np.ndarray]:
-    return [instance.get([item]) for item in variables]
+def _drawn(count: int, size: int) -> list[int]:
+    """Places of those of `count` that are looked at one by one in an FMU of this size: all of a small one, ever fewer of larger ones."""
+    return np.random.default_rng(5).permutation(count)[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(size, 1)))].tolist()
 
 
 def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
@@ -177,7 +204,7 @@ def get_order(subject: Subject, kind: str) -> Finding:
     """Values do not depend on which variables were read before, how often and in which order."""
     steps = min(subject.steps(kind), 20)
     observed, dice = subject.observed, np.random.default_rng(5)
-    drawn = dice.permutation(len(observed))[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(len(observed), 1)))]
+    drawn = _drawn(len(observed), len(observed))
     first = np.cumsum([0, *(item.size for item in observed)])
     reference = fresh_run(subject, kind, steps, "all")
     other = []

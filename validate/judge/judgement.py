@@ -140,6 +140,7 @@ def judge_fmu(
     feedback: bool = False,
     limits: Limits | None = None,
     own_step: bool = False,
+    factors: Mapping[str, float] | None = None,
 ) -> Judgement:
     """Replay a plan on somebody's FMU, in a child process, and judge it.
 
@@ -152,6 +153,7 @@ def judge_fmu(
     feedback : replay with feedback too.
     limits : of the child; None for the usual ones.
     own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it.
+    factors : of parameters of the FMU, by name: each is so many times what the map or the FMU says.
 
     Raises
     ------
@@ -175,7 +177,11 @@ def judge_fmu(
         raise TrajectoryError(
             f"plan: a {type(plan).__name__} has no names for the variables of an FMU; give the path of a CSV, arrays by column name or a DataFrame."
         )
-    foreign, trajectory = wire(package, table, given, hold, where)
+    foreign, trajectory = wire(package, table, given, hold, where, factors)
+    if not own_step and any(foreign.variables.internal_step == reference for reference, _ in foreign.variables.parameters):
+        raise MapError(
+            f"{where}: the parameter of the FMU's own step is chosen by the replay, ever smaller; with --own-step it may be given."
+        )
     if own_step and trajectory.hold is Hold.LINEAR:
         raise TrajectoryError(
             f"{table.where}: its inputs are lines between its rows, but --own-step is for inputs that are held; leave it out."

@@ -18,63 +18,47 @@
 /* MuJoCo's own way to take over one thread's messages, which its compiler and its Python package use; the library is shipped with this file. */
 mjfLogHandler _mjPRIVATE_setTlsLogHandler(mjfLogHandler handler);
 
-#define ROOM(n) ((n) > 0 ? (n) : 1)
 #define INPUTS_SLOPE 0 /* MuJoCo holds its controls over a step */
 
+/* Velocities have the activations of actuators behind them. There are no fixed parameters: all may be changed between steps. */
 typedef enum {
-    KIND_TIME,
-    KIND_POSITION,
-    KIND_VELOCITY, /* and activations of actuators, behind them */
-    KIND_POSITION_RATE,
-    KIND_VELOCITY_RATE,
-    KIND_INPUT,
-    KIND_PARAMETER, /* none: all may be changed between steps */
-    KIND_TUNABLE,
-    KIND_OUTPUT,
-    KIND_INTERNAL_STEP,
-    KIND_INTEGRATOR
+    KIND_TIME, KIND_POSITION, KIND_VELOCITY, KIND_POSITION_RATE, KIND_VELOCITY_RATE, KIND_INPUT, KIND_PARAMETER, KIND_TUNABLE, KIND_OUTPUT,
+    KIND_INTERNAL_STEP, KIND_INTEGRATOR
 } VariableKind;
 
-/* A row of the variable table; its position is the value reference. index: place within the variables of its kind. */
+/* The two sides of a contact that is asked for: geoms from `first` on. */
 typedef struct {
-    const char *name;
-    VariableKind kind;
-    int index;
-    double start, lower, upper;
-} Variable;
-
-/* The two sides of a contact that is asked for: a geom, or all geoms of a body. */
-typedef struct {
-    int is_body[2], id[2];
+    int first[2], count[2];
 } Pair;
 
+#include "variable.h"
 #include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS; NQ, NV, NA, NU, NT, the places of MuJoCo's numbers */
 
 #define NL 0 /* no event indicators: MuJoCo's forces follow from the state */
 #define STATE_COUNT (NQ + NV + NA)
-#define STATE_SIZE (1 + NQ + NV + NA + REST_SIZE)
-#define PAIR_VALUES NSENSORDATA
-#define VALUES (PAIR_VALUES + 2 * NPAIRS)
+#define VALUES (NSENSORDATA + 2 * NPAIRS)
 
-/* Tunable parameters: these, then a mass for each of MASS_BODIES. */
-enum { GRAVITY = 0, FRICTION_SCALE = 3, STIFFNESS_SCALE, GIVE_SCALE, MASSES };
+/* Settings: these, then a mass for each of MASS_BODIES. */
+enum { GRAVITY = 0, FRICTION_SCALE = 3, STIFFNESS_SCALE, GIVE_SCALE, TIMESTEP, INTEGRATOR, MASSES };
 
 typedef struct {
-    mjModel *given, *model; /* as shipped, and with the parameters */
+    mjModel *given, *model; /* as shipped, and with the settings */
     mjData *data, *view;
+    const char *path; /* of the shipped model, while it is opened */
+    double h; /* of the steps that are made, and how many */
+    long count;
     int loaded; /* whether `data` holds the Model's state */
     int applied;
-    double t[ROOM(NT)]; /* the parameters that `model` has, if `applied` */
+    double t[ROOM(NT)]; /* the settings that `model` has, if `applied` */
     char trouble[256];
 } Engine;
 
 typedef struct {
     double time;
-    double state[STATE_SIZE]; /* mjSTATE_INTEGRATION: time, positions, velocities, activations, .. */
+    double state[1 + STATE_COUNT + REST_SIZE]; /* mjSTATE_INTEGRATION: time, positions, velocities, activations, .. */
     double u[ROOM(NU)], u_rate[ROOM(NU)]; /* no rates are ever set */
     double t[ROOM(NT)];
-    double internal_step;
-    int integrator; /* MuJoCo's number + 1 */
+    double internal_step; /* t[TIMESTEP] */
     double start_time, stop_time;
     double values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)]; /* belong to the state while `evaluated` */
     int begun; /* a step was made: from then on MuJoCo keeps its own time */
@@ -85,9 +69,9 @@ typedef struct {
     Engine *engine; /* of the instance: never copied */
 } Model;
 
+/* A direction, and what follows from it. */
 typedef struct {
-    double x[ROOM(STATE_COUNT)], u[ROOM(NU)], values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)];
-    double none;
+    double x[ROOM(STATE_COUNT)], u[ROOM(NU)], t[ROOM(NT)], values[ROOM(VALUES)], rates[ROOM(STATE_COUNT)];
 } Tangent;
 
 static inline int is_integer(VariableKind kind) { return kind == KIND_INTEGRATOR; }
@@ -103,36 +87,41 @@ static __thread jmp_buf guard;
 static void keep_message(const mjLogMessage *message)
 {
     if (watched && message->level >= mjLOG_WARNING) {
-        snprintf(watched->trouble, sizeof watched->trouble, "MuJoCo says: %.*s", (int)sizeof watched->trouble - 32, message->subject);
-        for (char *at = watched->trouble; *at; at++)
+        char *text = watched->trouble;
+        snprintf(text, sizeof watched->trouble, "MuJoCo says: %.*s", (int)sizeof watched->trouble - 32, message->subject);
+        for (char *at = text; *at; at++)
             if (*at == '%' || *at == '\n') *at = ' '; /* FMI 2.0's logger formats it once more */
-        for (size_t end = strlen(watched->trouble); end > 0 && strchr(" .", watched->trouble[end - 1]); end--) watched->trouble[end - 1] = '\0';
+        for (size_t end = strlen(text); end > 0 && strchr(" .", text[end - 1]); end--) text[end - 1] = '\0';
     }
     if (message->level == mjLOG_ERROR) longjmp(guard, 1);
 }
 
-/* Run `code` with MuJoCo's messages kept in the engine; `failed` is 1 if an error ended it. */
-#define GUARDED(engine, failed, code)                                          \
-    do {                                                                       \
-        const mjfLogHandler before = _mjPRIVATE_setTlsLogHandler(keep_message); \
-        watched = (engine);                                                    \
-        if (setjmp(guard) == 0) {                                              \
-            code;                                                              \
-            (failed) = 0;                                                      \
-        } else (failed) = 1;                                                   \
-        watched = NULL;                                                        \
-        _mjPRIVATE_setTlsLogHandler(before);                                   \
-    } while (0)
+/* Run `part`, which says what went wrong, or NULL; 1, and the engine's trouble, if something did or MuJoCo's error ended it. */
+static int guarded(Model *m, const char *(*part)(Model *))
+{
+    const mjfLogHandler before = _mjPRIVATE_setTlsLogHandler(keep_message);
+    volatile int failed = 1;
+    watched = m->engine;
+    if (setjmp(guard) == 0) {
+        const char *wrong = part(m);
+        if (wrong && wrong != m->engine->trouble) snprintf(m->engine->trouble, sizeof m->engine->trouble, "%s", wrong);
+        failed = wrong != NULL;
+    }
+    watched = NULL;
+    _mjPRIVATE_setTlsLogHandler(before);
+    return failed;
+}
 
 static inline const char *model_trouble(const Model *m) { return m->engine->trouble; }
 
 /* What is wrong with numbers that MuJoCo goes on with: it would start anew, or leave contacts out. NULL: nothing. */
 static inline const char *went_wrong(const mjData *data)
 {
-    if (data->warning[mjWARN_BADQPOS].number || data->warning[mjWARN_BADQVEL].number || data->warning[mjWARN_BADQACC].number)
+    const mjWarningStat *seen = data->warning;
+    if (seen[mjWARN_BADQPOS].number || seen[mjWARN_BADQVEL].number || seen[mjWARN_BADQACC].number)
         return "a position, velocity or acceleration became infinite, not a number or huge (timestep too large?)";
-    if (data->warning[mjWARN_BADCTRL].number) return "an input is beyond what MuJoCo takes";
-    if (data->warning[mjWARN_CONTACTFULL].number || data->warning[mjWARN_CNSTRFULL].number)
+    if (seen[mjWARN_BADCTRL].number) return "an input is beyond what MuJoCo takes";
+    if (seen[mjWARN_CONTACTFULL].number || seen[mjWARN_CNSTRFULL].number)
         return "the model's memory holds no more contacts; give it more by <size memory=\"..\"/> and export it anew";
     return NULL;
 }
@@ -140,23 +129,29 @@ static inline const char *went_wrong(const mjData *data)
 /* ---- Begin and end. ---- */
 
 /* The file of the model below the resources: a path, or FMI 2.0's URI. 0 if it is too long. */
-static inline int model_path(const char *resources, char *path, size_t size)
+static inline int model_path(const char *at, char *path, size_t size)
 {
     size_t length = 0;
-    if (strncmp(resources, "file:", 5) == 0) {
-        resources += 5;
-        if (strncmp(resources, "///", 3) == 0) resources += 2;
-        else if (strncmp(resources, "//localhost/", 12) == 0) resources += 11;
+    if (strncmp(at, "file://", 7) == 0) at += strcspn(at + 7, "/") + 7; /* behind the host, which is none or this */
+    else if (strncmp(at, "file:", 5) == 0) at += 5;
+    for (unsigned int code; *at && length + 16 < size; at++) {
+        const int coded = *at == '%' && sscanf(at + 1, "%2x", &code) == 1;
+        path[length++] = coded ? (char)code : *at;
+        at += 2 * coded;
     }
-    for (const char *at = resources; *at && length + 16 < size; at++) {
-        unsigned int code;
-        if (*at == '%' && sscanf(at + 1, "%2x", &code) == 1) {
-            path[length++] = (char)code;
-            at += 2;
-        } else path[length++] = *at;
-    }
-    snprintf(path + length, size - length, "%smodel.mjb", length && path[length - 1] == '/' ? "" : "/");
+    snprintf(path + length, size - length, "/model.mjb");
     return length + 16 < size;
+}
+
+static const char *open_model(Model *m)
+{
+    Engine *engine = m->engine;
+    engine->given = mj_loadModel(engine->path, NULL);
+    if (!engine->given) return engine->trouble[0] ? engine->trouble : "MuJoCo says nothing";
+    engine->model = mj_copyModel(NULL, engine->given);
+    engine->data = mj_makeData(engine->model);
+    engine->view = mj_makeData(engine->model);
+    return NULL;
 }
 
 /* The engine of a new instance; NULL, or why there is none, in the middle of a sentence. */
@@ -164,34 +159,34 @@ static inline const char *model_open(Model *m, const char *resources)
 {
     static __thread char why[1400];
     char path[1024];
-    int failed;
-    if (!resources || !model_path(resources, path, sizeof path)) return "the path of the resources is missing or too long";
     Engine *engine = m->engine = calloc(1, sizeof *engine);
     if (!engine) return "out of memory";
+    if (!resources || !resources[0]) return "the place of the resources is missing";
+    if (!model_path(resources, path, sizeof path)) return "the path of the resources is too long";
     if (mj_version() != mjVERSION_HEADER) {
         snprintf(why, sizeof why, "the process has MuJoCo %s loaded, but the FMU needs " MUJOCO_VERSION ", which it carries; load it in a process of its own", mj_versionString());
         return why;
     }
-    GUARDED(engine, failed, engine->given = mj_loadModel(path, NULL); if (engine->given) engine->model = mj_copyModel(NULL, engine->given););
-    const mjModel *model = engine->model;
-    if (failed || !model) {
-        snprintf(why, sizeof why, "%s cannot be loaded, so the FMU is damaged (%s)", path, engine->trouble[0] ? engine->trouble : "MuJoCo says nothing");
+    engine->path = path;
+    if (guarded(m, open_model)) {
+        snprintf(why, sizeof why, "%s cannot be loaded, so the FMU is damaged (%s)", path, engine->trouble);
         return why;
     }
-    if (model->nq != NQ || model->nv != NV || model->na != NA || model->nu != NU || model->nsensordata != NSENSORDATA || mj_stateSize(model, mjSTATE_INTEGRATION) != STATE_SIZE)
+    const mjModel *model = engine->model;
+    if (model->nq != NQ || model->nv != NV || model->na != NA || model->nu != NU || model->nsensordata != NSENSORDATA
+        || mj_stateSize(model, mjSTATE_INTEGRATION) != 1 + STATE_COUNT + REST_SIZE)
         return "resources/model.mjb belongs to another FMU";
-    GUARDED(engine, failed, engine->data = mj_makeData(model); engine->view = mj_makeData(model););
-    return failed || !engine->data || !engine->view ? "out of memory" : NULL;
+    return engine->data && engine->view ? NULL : "out of memory";
 }
 
 static inline void model_close(Model *m)
 {
     Engine *engine = m->engine;
     if (!engine) return;
-    if (engine->data) mj_deleteData(engine->data);
-    if (engine->view) mj_deleteData(engine->view);
-    if (engine->model) mj_deleteModel(engine->model);
-    if (engine->given) mj_deleteModel(engine->given);
+    mj_deleteData(engine->data);
+    mj_deleteData(engine->view);
+    mj_deleteModel(engine->model);
+    mj_deleteModel(engine->given);
     free(engine);
 }
 
@@ -204,18 +199,35 @@ static inline void model_copy(Model *to, const Model *from)
     if (engine) engine->loaded = 0;
 }
 
+/* ---- Values. ---- */
+
+/* Where a variable's number is, of those of a Model or of a direction; NULL for the time. */
+#define ENTRY(of, states, variable) entry_of(variable, states, (of)->rates, (of)->u, (of)->t, (of)->values)
+static inline double *entry_of(const Variable *variable, double *x, double *rates, double *u, double *t, double *values)
+{
+    switch (variable->kind) {
+    case KIND_POSITION:
+    case KIND_VELOCITY: return x + variable->index;
+    case KIND_POSITION_RATE:
+    case KIND_VELOCITY_RATE: return rates + variable->index;
+    case KIND_INPUT: return u + variable->index;
+    case KIND_OUTPUT: return values + variable->index;
+    case KIND_TIME: return NULL;
+    default: return t + variable->index;
+    }
+}
+
+static inline double model_value(const Model *m, const Variable *variable)
+{
+    Model *readable = (Model *)m;
+    return variable->kind == KIND_TIME ? m->time : *ENTRY(readable, readable->state + 1, variable);
+}
+
 static inline void model_assign(Model *m, const Variable *variable, double value)
 {
-    const int i = variable->index;
-    switch (variable->kind) {
-    case KIND_POSITION: m->state[1 + i] = value; break;
-    case KIND_VELOCITY: m->state[1 + NQ + i] = value; break;
-    case KIND_INPUT: m->u[i] = value; break;
-    case KIND_TUNABLE: m->t[i] = value; break;
-    case KIND_INTERNAL_STEP: m->internal_step = value; break;
-    case KIND_INTEGRATOR: m->integrator = (int)value; break;
-    default: return;
-    }
+    double *entry = ENTRY(m, m->state + 1, variable);
+    if (entry) *entry = value;
+    m->internal_step = m->t[TIMESTEP];
     m->evaluated = 0;
     if (is_state(variable->kind) || is_setting(variable->kind)) m->engine->loaded = 0;
 }
@@ -236,150 +248,109 @@ static inline void model_start(Model *m)
 
 /* ---- Evaluate. ---- */
 
-/* MuJoCo's solref is (time constant, damping ratio), or (-stiffness, -damping); a stiffness s times as large at the same damping ratio. */
-static inline void stiffen(const double *given, double s, double *solref)
+/* Scale what `n` geoms or pairs bring into their contacts. MuJoCo's solref is (time constant, damping ratio) or (-stiffness, -damping), and the
+ * damping ratio stays; its solimp is (d0, dmax, ..), and a constraint gives way by 1 - d. A scale of 1 keeps all bits. */
+static inline void scale_contacts(const double *t, int n, int frictions, double *friction, double *solref, double *solimp)
 {
-    solref[0] = given[0] > 0.0 ? given[0] / sqrt(s) : given[0] * s;
-    if (given[1] <= 0.0) solref[1] = given[1] * sqrt(s);
+    const double stiffer = t[STIFFNESS_SCALE];
+    for (int i = 0; i < n * frictions; i++) friction[i] *= t[FRICTION_SCALE];
+    for (int i = 0; i < n; i++, solref += mjNREF, solimp += mjNIMP) {
+        if (solref[0] > 0.0) solref[0] /= sqrt(stiffer);
+        else solref[0] *= stiffer;
+        if (solref[1] <= 0.0) solref[1] *= sqrt(stiffer);
+        for (int k = 0; k < 2; k++) solimp[k] += (1.0 - solimp[k]) * (1.0 - t[GIVE_SCALE]);
+    }
 }
 
-/* solimp is (d0, dmax, ..): a constraint of impedance d gives way by 1 - d. */
-static inline void harden(const double *given, double s, double *solimp)
-{
-    for (int i = 0; i < 2; i++) solimp[i] = 1.0 - (1.0 - given[i]) * s;
-}
-
-/* Bring the engine's model up to date with the parameters; what has its own value keeps its bits. */
-static inline void apply_parameters(const Model *m)
+/* Bring the engine's model up to date with the settings. */
+static inline void apply_settings(const Model *m)
 {
     static const int masses[] = MASS_BODIES;
     Engine *engine = m->engine;
-    const mjModel *given = engine->given;
     mjModel *model = engine->model;
     const double *t = m->t;
-    int heavier = 0;
-    const int same = engine->applied && memcmp(engine->t, t, sizeof m->t) == 0;
-    if (!same) mj_copyModel(model, given);
-    model->opt.timestep = m->internal_step;
-    model->opt.integrator = m->integrator - 1;
-    if (same) return;
-    model->opt.disableflags |= mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
-    memcpy(model->opt.gravity, t + GRAVITY, sizeof model->opt.gravity);
-    for (int i = 0; i < 3 * (int)given->ngeom && t[FRICTION_SCALE] != 1.0; i++) model->geom_friction[i] *= t[FRICTION_SCALE];
-    for (int i = 0; i < 5 * (int)given->npair && t[FRICTION_SCALE] != 1.0; i++) model->pair_friction[i] *= t[FRICTION_SCALE];
-    for (int i = 0; i < (int)given->ngeom; i++) {
-        if (t[STIFFNESS_SCALE] != 1.0) stiffen(given->geom_solref + mjNREF * i, t[STIFFNESS_SCALE], model->geom_solref + mjNREF * i);
-        if (t[GIVE_SCALE] != 1.0) harden(given->geom_solimp + mjNIMP * i, t[GIVE_SCALE], model->geom_solimp + mjNIMP * i);
+    if (!engine->applied || memcmp(engine->t, t, sizeof m->t) != 0) {
+        int heavier = 0;
+        mj_copyModel(model, engine->given);
+        model->opt.disableflags |= mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
+        model->opt.integrator = (int)t[INTEGRATOR] - 1;
+        memcpy(model->opt.gravity, t + GRAVITY, sizeof model->opt.gravity);
+        scale_contacts(t, (int)model->ngeom, 3, model->geom_friction, model->geom_solref, model->geom_solimp);
+        scale_contacts(t, (int)model->npair, 5, model->pair_friction, model->pair_solref, model->pair_solimp);
+        for (int i = MASSES; i < NT; i++) {
+            const int body = masses[i - MASSES];
+            const double ratio = t[i] / model->body_mass[body];
+            heavier |= ratio != 1.0;
+            model->body_mass[body] = t[i];
+            for (int k = 0; k < 3; k++) model->body_inertia[3 * body + k] *= ratio;
+        }
+        if (heavier) mj_setConst(model, engine->view);
+        memcpy(engine->t, t, sizeof m->t);
+        engine->applied = 1;
     }
-    for (int i = 0; i < (int)given->npair; i++) {
-        if (t[STIFFNESS_SCALE] != 1.0) stiffen(given->pair_solref + mjNREF * i, t[STIFFNESS_SCALE], model->pair_solref + mjNREF * i);
-        if (t[GIVE_SCALE] != 1.0) harden(given->pair_solimp + mjNIMP * i, t[GIVE_SCALE], model->pair_solimp + mjNIMP * i);
-    }
-    for (int i = MASSES; i < NT; i++) {
-        const int body = masses[i - MASSES];
-        const double ratio = t[i] / given->body_mass[body];
-        if (t[i] == given->body_mass[body]) continue;
-        heavier = 1;
-        model->body_mass[body] = t[i];
-        for (int k = 0; k < 3; k++) model->body_inertia[3 * body + k] *= ratio;
-    }
-    if (heavier) mj_setConst(model, engine->view);
-    memcpy(engine->t, t, sizeof m->t);
-    engine->applied = 1;
+    model->opt.timestep = m->internal_step; /* which steps may have cut */
 }
 
 /* A MuJoCo data brought to the Model's state and inputs. */
 static inline void load(const Model *m, mjData *data)
 {
-    apply_parameters(m);
+    apply_settings(m);
     mj_setState(m->engine->model, data, m->state, mjSTATE_INTEGRATION);
     if (!m->begun || m->frozen) data->time = m->time;
     memset(data->warning, 0, sizeof data->warning);
 }
 
-static inline int on_side(const mjModel *model, const Pair *pair, int side, int geom)
+static inline int on_side(const Pair *pair, int side, int geom)
 {
-    return geom >= 0 && (pair->is_body[side] ? model->geom_bodyid[geom] : geom) == pair->id[side];
+    return geom >= pair->first[side] && geom < pair->first[side] + pair->count[side];
 }
 
 /* The sum of the normal forces [N] between the two sides, and their smallest distance [m], negative where they overlap, FARTHEST at most. */
 static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *pair, double *force, double *gap)
 {
-    int first[2], count[2];
     *force = 0.0;
     *gap = FARTHEST;
     for (int i = 0; i < (int)data->ncon; i++) {
-        const mjContact *contact = &data->contact[i];
-        const int a = contact->geom[0], b = contact->geom[1];
-        if (!(on_side(model, pair, 0, a) && on_side(model, pair, 1, b)) && !(on_side(model, pair, 0, b) && on_side(model, pair, 1, a))) continue;
+        const int *geom = data->contact[i].geom;
         mjtNum wrench[6];
+        if (!(on_side(pair, 0, geom[0]) && on_side(pair, 1, geom[1])) && !(on_side(pair, 0, geom[1]) && on_side(pair, 1, geom[0]))) continue;
         mj_contactForce(model, data, i, wrench);
         *force += wrench[0];
-        if (contact->dist < *gap) *gap = contact->dist;
+        *gap = fmin(*gap, data->contact[i].dist);
     }
-    for (int side = 0; side < 2; side++) {
-        first[side] = pair->is_body[side] ? model->body_geomadr[pair->id[side]] : pair->id[side];
-        count[side] = pair->is_body[side] ? model->body_geomnum[pair->id[side]] : 1;
-    }
-    for (int i = 0; i < count[0]; i++)
-        for (int k = 0; k < count[1]; k++) {
-            const double distance = mj_geomDistance(model, data, first[0] + i, first[1] + k, FARTHEST, NULL);
-            if (distance < *gap) *gap = distance;
-        }
+    for (int i = 0; i < pair->count[0] * pair->count[1]; i++)
+        *gap = fmin(*gap, mj_geomDistance(model, data, pair->first[0] + i / pair->count[1], pair->first[1] + i % pair->count[1], FARTHEST, NULL));
 }
 
-static inline void evaluate(Model *m)
+static const char *evaluate(Model *m)
 {
     static const Pair pairs[] = PAIRS;
-    mjModel *model = m->engine->model;
+    const mjModel *model = m->engine->model;
     mjData *view = m->engine->view;
     load(m, view);
     memcpy(view->ctrl, m->u, NU * sizeof *m->u);
     mj_forward(model, view);
     memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
-    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[PAIR_VALUES + i], &m->values[PAIR_VALUES + NPAIRS + i]);
+    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
     memcpy(m->rates + NQ, view->qacc, NV * sizeof *m->rates);
     memcpy(m->rates + NQ + NV, view->act_dot, NA * sizeof *m->rates);
     for (int joint = 0; joint < (int)model->njnt; joint++) {
-        const int type = model->jnt_type[joint], turns = type == mjJNT_FREE || type == mjJNT_BALL;
-        const int lines = type == mjJNT_FREE ? 3 : turns ? 0 : 1;
-        const double *v = m->state + 1 + NQ + model->jnt_dofadr[joint];
-        const int q = model->jnt_qposadr[joint];
-        memcpy(m->rates + q, v, lines * sizeof *v);
-        if (!HAS_QUATERNIONS || !turns) continue;
-        mju_mulQuatAxis(m->rates + q + lines, m->state + 1 + q + lines, v + lines); /* dq/dt = q (0, w) / 2, w in the axes of the body */
-        for (int k = 0; k < 4; k++) m->rates[q + lines + k] *= 0.5;
+        const int type = model->jnt_type[joint], lines = type == mjJNT_FREE ? 3 : type == mjJNT_BALL ? 0 : 1;
+        const double *q = m->state + 1 + model->jnt_qposadr[joint], *v = view->qvel + model->jnt_dofadr[joint];
+        double *rate = m->rates + model->jnt_qposadr[joint];
+        memcpy(rate, v, lines * sizeof *v);
+        if (NQ == NV || (type != mjJNT_FREE && type != mjJNT_BALL)) continue; /* no quaternion */
+        const double half[3] = {0.5 * v[lines], 0.5 * v[lines + 1], 0.5 * v[lines + 2]};
+        mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in the axes of the body */
     }
+    return went_wrong(view);
 }
 
 /* Fill values and rates; 1, and the engine's trouble, if MuJoCo cannot. */
 static inline int model_evaluate(Model *m)
 {
-    int failed;
-    if (m->evaluated) return 0;
-    GUARDED(m->engine, failed, evaluate(m););
-    const char *wrong = failed ? NULL : went_wrong(m->engine->view);
-    if (wrong) snprintf(m->engine->trouble, sizeof m->engine->trouble, "%s", wrong);
-    m->evaluated = !failed && !wrong;
+    if (!m->evaluated) m->evaluated = !guarded(m, evaluate);
     return !m->evaluated;
-}
-
-static inline double model_value(const Model *m, const Variable *variable)
-{
-    const int i = variable->index;
-    switch (variable->kind) {
-    case KIND_TIME: return m->time;
-    case KIND_POSITION: return m->state[1 + i];
-    case KIND_VELOCITY: return m->state[1 + NQ + i];
-    case KIND_POSITION_RATE: return m->rates[i];
-    case KIND_VELOCITY_RATE: return m->rates[NQ + i];
-    case KIND_INPUT: return m->u[i];
-    case KIND_TUNABLE: return m->t[i];
-    case KIND_OUTPUT: return m->values[i];
-    case KIND_INTERNAL_STEP: return m->internal_step;
-    case KIND_INTEGRATOR: return m->integrator;
-    default: return NAN;
-    }
 }
 
 /* ---- Model Exchange. ---- */
@@ -397,19 +368,40 @@ static inline int model_update_modes(Model *m) { return (void)m, 0; }
 static inline int model_modes_wrong(const Model *m) { return (void)m, 0; }
 static inline void model_indicators(const Model *m, double *indicators) { (void)m, (void)indicators; }
 
-/* ---- Derivatives are not offered: every product fails, and says so. ---- */
+/* ---- Derivatives: central differences over steps of DIFFERENCE and half of it, extrapolated. ---- */
 
-static inline int no_derivatives(const Model *m)
+#define DIFFERENCE 1e-5
+
+static inline void time_direction(const Model *m, Tangent *d) { memcpy(d->x, m->rates, sizeof m->rates); }
+static inline double *known_entry(const Variable *variable, Tangent *d) { return ENTRY(d, d->x, variable); }
+static inline double model_value_tangent(const Model *m, Tangent *d, const Variable *variable) { return (void)m, *ENTRY(d, d->x, variable); }
+
+/* Complete a direction whose x and u are given; 1, and the engine's trouble, if MuJoCo cannot. */
+static inline int model_tangent(const Model *m, Tangent *d)
 {
-    snprintf(m->engine->trouble, sizeof m->engine->trouble, "derivatives are not offered");
-    return 1;
+    static const double share[4] = {1.0, -1.0, 0.5, -0.5}, weight[4] = {-1.0 / 6.0, 1.0 / 6.0, 4.0 / 3.0, -4.0 / 3.0};
+    double size = 0.0;
+    for (int i = 0; i < STATE_COUNT; i++) size = fmax(size, fabs(d->x[i]));
+    for (int i = 0; i < NU; i++) size = fmax(size, fabs(d->u[i]));
+    for (int n = 0; n < 4 && size > 0.0; n++) {
+        const double h = DIFFERENCE / size;
+        Model at = *m;
+        for (int i = 0; i < STATE_COUNT; i++) at.state[1 + i] += share[n] * h * d->x[i];
+        for (int i = 0; i < NU; i++) at.u[i] += share[n] * h * d->u[i];
+        at.evaluated = 0;
+        if (model_evaluate(&at)) return 1;
+        for (int i = 0; i < VALUES; i++) d->values[i] += weight[n] / h * at.values[i];
+        for (int i = 0; i < STATE_COUNT; i++) d->rates[i] += weight[n] / h * at.rates[i];
+    }
+    return 0;
 }
 
-static inline void time_direction(const Model *m, Tangent *tangent) { (void)m, (void)tangent; }
-static inline double *known_entry(const Variable *variable, Tangent *tangent) { return (void)variable, &tangent->none; }
-static inline int model_tangent(const Model *m, Tangent *d) { return (void)d, no_derivatives(m); }
-static inline int model_adjoint(const Model *m, Tangent *bar) { return (void)bar, no_derivatives(m); }
-static inline double model_value_tangent(const Model *m, const Tangent *d, const Variable *variable) { return (void)m, (void)d, (void)variable, NAN; }
+/* Adjoints are not offered. */
+static inline int model_adjoint(const Model *m, Tangent *bar)
+{
+    snprintf(m->engine->trouble, sizeof m->engine->trouble, "adjoint derivatives are not offered");
+    return (void)bar, 1;
+}
 
 static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar)
 {

@@ -17,8 +17,8 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from models.fmu.description import Offers, Standard, Unknown, find_standard, generation_date, render, stamped, standard_headers, unit_table
-from models.fmu.mjcf.robot import FARTHEST, INTEGRATORS, Robot, RobotError, mujoco, unknowns_of
+from models.fmu.description import Offers, Standard, Unknown, find_standard, render, stamped, standard_headers
+from models.fmu.mjcf.robot import FARTHEST, INTEGRATORS, Robot, RobotError, mujoco
 from models.fmu.package import belongs, binaries, find_platforms, pack
 from models.fmu.variables import VariableKind
 
@@ -30,6 +30,7 @@ _OF_SCENES = (*_OURS, "model.h", "damping_modes.h", "friction_modes.h")
 # The experiment that an importer is proposed lasts this long [s].
 _STOP = 1.0
 _TOLERANCE = 1e-6
+_SETTINGS = (VariableKind.TUNABLE, VariableKind.INTERNAL_STEP, VariableKind.INTEGRATOR)
 
 
 def build_robot(robot: Robot, version: str = "2.0") -> Path:
@@ -89,58 +90,57 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
     package, model, table = mujoco(), robot.model, robot.table
     sources = {
         path.name: path.read_text(encoding="utf-8")
-        for path in sorted(_SHELL.iterdir())
-        if belongs(path, standard) and path.name not in _OF_SCENES
+        for path in [*sorted(_SHELL.iterdir()), *(_HERE / name for name in _OURS)]
+        if belongs(path, standard) and (path.parent == _HERE or path.name not in _OF_SCENES)
     }
-    sources |= {name: (_HERE / name).read_text(encoding="utf-8") for name in _OURS}
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
-    kinds, first = VariableKind, standard.first_index
-    states = unknowns_of(table, [kinds.POSITION, kinds.VELOCITY])
-    rates = unknowns_of(table, [kinds.POSITION_RATE, kinds.VELOCITY_RATE])
-    calculated = unknowns_of(table, [kinds.OUTPUT])
-    offers = Offers(exchange=robot.no_exchange is None, derivatives=False, slopes=False, events=False)
-    given = unknowns_of(table, [kinds.POSITION, kinds.VELOCITY, kinds.INPUT])
-    parameters = unknowns_of(table, [kinds.TUNABLE, kinds.INTERNAL_STEP, kinds.INTEGRATOR])
-
-    def unknown(place: int, initially: bool = False) -> Unknown:
-        """On everything that it may depend on: written out with Model Exchange, as CasADi reads none without; FMI 3.0 always counts parameters."""
-        knowns = tuple(known + first for known in given + (parameters if initially or standard.version != "2.0" else []))
-        return Unknown(place + first, knowns, ("dependent",) * len(knowns)) if offers.exchange else Unknown(place + first)
-
-    moved = [
-        Unknown(place + first, (place + first,) if offers.exchange else (), ("constant",) if offers.exchange else ()) for place in states
-    ]
     shared = {
-        "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "table": table, "integrators": INTEGRATORS,
-        "offers": offers, "model": model, "robot": robot, "version": package.__version__,
+        "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "integrators": INTEGRATORS,
+        "offers": Offers(exchange=robot.no_exchange is None, adjoints=False, slopes=False, events=False),
+    }  # fmt: skip
+    of_robot = {
+        "table": table, "robot": robot, "model": model, "mujoco": package.__version__, "farthest": FARTHEST,
+        "rest": int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION)) - 1 - model.nq - model.nv - model.na,
+        "settings": sum(variable.kind in _SETTINGS for variable in table),
     }  # fmt: skip
 
-    def marked(guid: str) -> tuple[str, str]:
-        config = render(
-            "mjcf.j2", "config", guid=guid, farthest=FARTHEST,
-            rest=int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION)) - 1 - model.nq - model.nv - model.na,
-            tunables=len(unknowns_of(table, [kinds.TUNABLE])), **shared,
-        )  # fmt: skip
-        xml = render(
-            f"modelDescription_{standard.prefix}.xml.j2", guid=guid, license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep),
-            tolerance=_TOLERANCE, date=generation_date(), source_files=[], units=unit_table(table),
-            state_of={table[rate].name: state + first for rate, state in zip(rates, states, strict=True)},
-            structure={
-                "outputs": [*moved, *map(unknown, calculated)],
-                "derivatives": list(map(unknown, rates)) if offers.exchange else [],
-                "initial": [unknown(place, True) for place in (*(rates if offers.exchange else ()), *calculated)],
-                "indicators": [],
-            },
-            **shared,
-        )  # fmt: skip
-        return config, xml
+    def config(guid: str) -> str:
+        return render("robot_config.h.j2", guid=guid, **of_robot, **shared)
 
     decided = {name: hashlib.sha256(content).hexdigest() for name, content in shipped.items()}
-    _, config, xml = stamped(sources | decided, marked)
+    _, header, xml = stamped(
+        sources | decided, standard, table, config, license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep), tolerance=_TOLERANCE,
+        source_files=[], structure=_structure(robot, standard), **shared,
+    )  # fmt: skip
     texts = {
         "modelDescription.xml": xml,
-        "documentation/index.html": render("mjcf.j2", "page", **shared),
+        "documentation/index.html": render("robot.html.j2", **of_robot, **shared),
         "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers)
         + f"\nbinaries/*/libmujoco.so.* is MuJoCo {package.__version__}, under the licenses in mujoco/.\nresources/model.mjb is {robot.path.name}, whose license is its author's.\n",
     }
-    return texts, sources | {"model_config.h": config}
+    return texts, sources | {"model_config.h": header}
+
+
+def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
+    """Section of the ModelStructure -> its unknowns: on everything that they may depend on, written out with Model Exchange, as CasADi reads none without."""
+
+    def places(*wanted: VariableKind) -> list[int]:
+        return [place for place, variable in enumerate(robot.table, standard.first_index) if variable.kind in wanted]
+
+    kinds, exchange = VariableKind, robot.no_exchange is None
+    states, calculated = places(kinds.POSITION, kinds.VELOCITY), places(kinds.OUTPUT)
+    rates = places(kinds.POSITION_RATE, kinds.VELOCITY_RATE) if exchange else []
+    given, settings = [*states, *places(kinds.INPUT)], places(*_SETTINGS)
+
+    def unknowns(which: list[int], knowns: list[int]) -> list[Unknown]:
+        return [Unknown(place, tuple(knowns), ("dependent",) * len(knowns)) if exchange else Unknown(place) for place in which]
+
+    always = [*given, *settings] if standard.version != "2.0" else given  # FMI 3.0 counts parameters at all times
+    moved = [Unknown(place, (place,), ("constant",)) if exchange else Unknown(place, (), ()) for place in states]
+    initial = unknowns([*rates, *calculated], [*given, *settings])
+    return {
+        "outputs": [*moved, *unknowns(calculated, always)],
+        "derivatives": unknowns(rates, always),
+        "initial": initial,
+        "indicators": [],
+    }

@@ -32,18 +32,16 @@ INTEGRATORS = (
     ("implicitfast", "implicit in the velocities, without the derivatives of Coriolis forces"),
     ("discrete", "constraints solved in the metric of the time step"),
 )
-GRAVITY_AXES = ("x", "y", "z")
-# Scales of all contacts: name, meaning.
-SCALES = (
-    ("friction_scale", "multiplies the friction coefficients of all geoms and pairs"),
-    ("contact_stiffness_scale", "multiplies the stiffness of all contacts, at the same damping ratio (solref)"),
-    ("contact_give_scale", "multiplies 1 - d, by which all contacts give way, of the impedances d0 and dmax (solimp)"),
+# Scales of all contacts: name, what it multiplies, smallest value.
+_SCALES = (
+    ("friction_scale", "the friction coefficients of all geoms and pairs", 0.0),
+    ("contact_stiffness_scale", "the stiffness of all contacts, at the same damping ratio (solref)", 1e-12),
+    ("contact_give_scale", "1 - d, by which all contacts give way, of the impedances d0 and dmax (solimp)", 1e-12),
 )
 # Gaps are measured up to here [m].
 FARTHEST = 10.0
 _FREE, _BALL, _SLIDE = 0, 1, 2
-_QUATERNION = ("qw", "qx", "qy", "qz")
-_TURNS = ("wx", "wy", "wz")
+_AXES, _QUATERNION, _TURNS = ("x", "y", "z"), ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
 # Of a sensor by the end of MuJoCo's name for its type; what is not here may be in anything.
 _SENSOR_UNITS = {
     "TOUCH": "N", "ACCELEROMETER": "m/s^2", "VELOCIMETER": "m/s", "GYRO": "rad/s", "FORCE": "N", "TORQUE": "N m", "RANGEFINDER": "m", "TENDONPOS": "m",
@@ -61,22 +59,21 @@ def mujoco() -> Any:
     return mujoco
 
 
+def _plain(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GeomPair:
-    """Two sides whose contact is asked for: of each its name, whether it is a body (all its geoms), its number."""
+    """Two sides whose contact is asked for: of each its name, a geom's or a body's, and its geoms."""
 
     names: tuple[str, str]
-    is_body: tuple[bool, bool]
-    ids: tuple[int, int]
+    geoms: tuple[range, range]
 
     @property
     def name(self) -> str:
         """In names of variables."""
-        return "_".join(_plain(name) for name in self.names)
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+        return "_".join(map(_plain, self.names))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +83,8 @@ class Robot:
     path: Path
     model: Any
     start: Any
-    keyframe: int
-    contacts: tuple[GeomPair, ...]
+    keyframe: int = -1
+    contacts: tuple[GeomPair, ...] = ()
 
     @property
     def identifier(self) -> str:
@@ -99,9 +96,7 @@ class Robot:
     def table(self) -> tuple[Variable, ...]:
         """Every variable; the position in the table is the value reference. Raises RobotError where two have one name."""
         time = Variable(name="time", kind=VariableKind.TIME, unit="s", description="time")
-        states = _states(self)
-        rates = [_rate(variable) for variable in states]
-        table = (time, *states, *rates, *_inputs(self), *_outputs(self), *_settings(self))
+        table = (time, *_states(self), *_inputs(self), *_outputs(self), *_settings(self))
         seen: dict[str, Variable] = {}
         for variable in table:
             other = seen.setdefault(variable.name, variable)
@@ -111,6 +106,10 @@ class Robot:
                     "digits and _ alone; rename one of them."
                 )
         return table
+
+    def of(self, *kinds: VariableKind) -> list[Variable]:
+        """The variables of these kinds."""
+        return [variable for variable in self.table if variable.kind in kinds]
 
     @cached_property
     def masses(self) -> tuple[int, ...]:
@@ -138,24 +137,47 @@ class Robot:
     @property
     def notes(self) -> list[str]:
         """What is to be said of the FMU, a sentence each."""
-        model, found = self.model, []
-        if not model.nu:
-            found.append("the model has no actuators, so the FMU has no inputs: it can be simulated, but no plan can drive it.")
-        free = [variable.name for variable in self.table if variable.kind is VariableKind.INPUT and variable.upper == float("inf")]
-        if free:
-            found.append(
-                f"no ctrlrange is set for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan."
-            )
-        if self.no_exchange is not None:
-            found.append(f"no Model Exchange: {self.no_exchange}.")
-        if model.nmocap:
-            found.append("bodies that follow a motion capture stay where they start: the FMU has no inputs for them.")
+        free = [variable.name for variable in self.of(VariableKind.INPUT) if variable.upper == float("inf")]
+        found = {
+            "the model has no actuators, so the FMU has no inputs: it can be simulated, but no plan can drive it.": not self.model.nu,
+            f"no ctrlrange is set for {', '.join(free[:5])}{' ..' * (len(free) > 5)}: bounds of these inputs are not asked of a plan.": free,
+            f"no Model Exchange: {self.no_exchange}.": self.no_exchange is not None,
+            "bodies that follow a motion capture stay where they start: the FMU has no inputs for them.": self.model.nmocap,
+        }
+        return [text for text, told in found.items() if told]
+
+    @property
+    def turns(self) -> list[Variable]:
+        """Angular velocities of free and ball joints, three a joint."""
+        return [variable for variable in self.of(VariableKind.VELOCITY) if variable.name.endswith(_TURNS)]
+
+    @property
+    def velocities(self) -> list[tuple[Variable, str, str]]:
+        """Of each position: its variable, the variable of its rate, the column of that in a plan."""
+        names, found = {variable.name for variable in self.of(VariableKind.VELOCITY)}, []
+        for variable in self.of(VariableKind.POSITION):
+            column = f"v_{variable.name.removeprefix('q_')}"
+            found.append((variable, column if column in names else f"der({variable.name})", column))
         return found
 
     @property
     def map_text(self) -> str:
         """MAP.toml: a plan whose columns have the FMU's names."""
-        return _map(self)
+
+        def same(variables: list[Variable]) -> list[str]:
+            return [f'{variable.name} = "{variable.name}"' for variable in variables]
+
+        sections = {
+            "inputs": same(self.of(VariableKind.INPUT)),
+            "positions": same(self.of(VariableKind.POSITION)),
+            "velocities": [f'{of.name} = {{ variable = "{rate}", column = "{column}" }}' for of, rate, column in self.velocities],
+            **{f"contacts.{pair.name}": [f'force = "lam_{pair.name}"', f'gap = "gap_{pair.name}"'] for pair in self.contacts},
+            # What the plan has in columns of their own; the lines may go, or be numbers: without them these are zero.
+            "start": same(self.turns),
+        }
+        title = f"# {self.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here."
+        body = ["\n".join(["", f"[{name}]", *lines]) for name, lines in sections.items() if lines or name != "start"]
+        return "\n".join([title, 'internal_step = "timestep"', *body]) + "\n"
 
 
 def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = None) -> Robot:
@@ -175,7 +197,9 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
         ) from error
     finally:
         package.set_mju_user_warning(before)
-    _check_carried(package, path, model)
+    lost = _lost(package, model)
+    if lost is not None:
+        raise RobotError(f"{path}: {lost}.")
     start, key = package.MjData(model), -1
     if keyframe is not None:
         names = [model.key(number).name for number in range(model.nkey)]
@@ -185,53 +209,45 @@ def read_robot(path: Path, contacts: Sequence[str] = (), keyframe: str | None = 
             )
         key = names.index(keyframe)
         package.mj_resetDataKeyframe(model, start, key)
-    return Robot(
-        path=path, model=model, start=start, keyframe=key, contacts=tuple(_contact(package, path, model, text) for text in contacts)
-    )
+    return Robot(path=path, model=model, start=start, keyframe=key, contacts=tuple(_contact(path, model, text) for text in contacts))
 
 
-def _check_carried(package: Any, path: Path, model: Any) -> None:
+def _lost(package: Any, model: Any) -> str | None:
     """What would be lost in an FMU, or is not in the state that it saves."""
     if model.nplugin:
-        raise RobotError(f"{path}: it uses a plugin of MuJoCo, which an FMU does not carry; take <extension> and what uses it out.")
-    flags = package.mjtEnableBit
-    for word, flag in (("sleep", flags.mjENBL_SLEEP), ("ipc", flags.mjENBL_IPC)):
-        if model.opt.enableflags & flag:
-            raise RobotError(
-                f"{path}: it enables {word}, whose bookkeeping is not in the state that MuJoCo saves; take the flag out of <option>."
-            )
-    kinds = [
-        ("actuator", model.actuator_dyntype, package.mjtDyn.mjDYN_USER), ("actuator", model.actuator_gaintype, package.mjtGain.mjGAIN_USER),
-        ("actuator", model.actuator_biastype, package.mjtBias.mjBIAS_USER), ("sensor", model.sensor_type, package.mjtSensor.mjSENS_USER),
-    ]  # fmt: skip
-    for what, types, user in kinds:
-        if (types == int(user)).any():
-            raise RobotError(
-                f"{path}: {what}s of the type 'user' are computed by a program around MuJoCo, which an FMU does not have; take them out."
-            )
+        return "it uses a plugin of MuJoCo, which an FMU does not carry; take <extension> and what uses it out"
+    if not model.opt.timestep >= SMALLEST_INTERNAL_STEP:
+        return f"its timestep is {model.opt.timestep:g} s; give it one of at least {SMALLEST_INTERNAL_STEP:g} s in <option>"
+    for word in ("sleep", "ipc"):
+        if model.opt.enableflags & getattr(package.mjtEnableBit, f"mjENBL_{word.upper()}"):
+            return f"it enables {word}, whose bookkeeping is not in the state that MuJoCo saves; take the flag out of <option>"
+    dyn, gain, bias, sensor = package.mjtDyn, package.mjtGain, package.mjtBias, package.mjtSensor
+    users = {
+        "actuators": ((model.actuator_dyntype, dyn.mjDYN_USER), (model.actuator_gaintype, gain.mjGAIN_USER), (model.actuator_biastype, bias.mjBIAS_USER)),
+        "sensors": ((model.sensor_type, sensor.mjSENS_USER),),
+    }  # fmt: skip
+    for what, parts in users.items():
+        if any((types == int(user)).any() for types, user in parts):
+            return f"{what} of the type 'user' are computed by a program around MuJoCo, which an FMU does not have; take them out"
+    return None
 
 
-def _contact(package: Any, path: Path, model: Any, text: str) -> GeomPair:
+def _contact(path: Path, model: Any, text: str) -> GeomPair:
     """`A:B`; names may hold colons themselves."""
-    objects = package.mjtObj
-
-    def find(name: str) -> tuple[bool, int] | None:
-        for is_body, kind in ((False, objects.mjOBJ_GEOM), (True, objects.mjOBJ_BODY)):
-            number = package.mj_name2id(model, kind, name)
-            if number >= 0:
-                return is_body, number
-        return None
-
+    geoms = {name: range(number, number + 1) for number in range(model.ngeom) if (name := model.geom(number).name)}
+    for body in range(model.nbody):
+        first = int(model.body_geomadr[body])
+        geoms.setdefault(model.body(body).name, range(first, first + int(model.body_geomnum[body])))
     parts = text.split(":")
     for cut in range(1, len(parts)):
-        names = ":".join(parts[:cut]), ":".join(parts[cut:])
-        sides = [find(name) for name in names]
-        if sides[0] is not None and sides[1] is not None and sides[0] != sides[1]:
-            return GeomPair(names=names, is_body=(sides[0][0], sides[1][0]), ids=(sides[0][1], sides[1][1]))
-    known = [model.geom(number).name for number in range(model.ngeom)] + [model.body(number).name for number in range(model.nbody)]
-    missing = next((name for name in parts if find(name) is None), text)
-    advice = did_you_mean(missing, [name for name in known if name], f"it has {', '.join([name for name in known if name][:8])} ..")
-    raise RobotError(f"{path}: the contact {text!r} is not of two geoms or bodies, written A:B; {advice}.")
+        one, other = names = ":".join(parts[:cut]), ":".join(parts[cut:])
+        sides = geoms.get(one, range(0)), geoms.get(other, range(0))
+        if all(sides) and not set(sides[0]) & set(sides[1]):
+            return GeomPair(names=names, geoms=sides)
+    known = [name for name, found in geoms.items() if name and found]
+    missing = next((name for name in parts if name not in known), text)
+    advice = did_you_mean(missing, known, f"it has {', '.join(known[:8])} ..")
+    raise RobotError(f"{path}: the contact {text!r} is not of two geoms, or bodies with geoms, written A:B; {advice}.")
 
 
 def _named(count: int, name_of: Callable[[int], str], fallback: Callable[[int], str]) -> list[tuple[str, str]]:
@@ -244,21 +260,26 @@ def _named(count: int, name_of: Callable[[int], str], fallback: Callable[[int], 
     return [(_plain(name), name) for name in said]
 
 
-def joint_names(model: Any) -> list[tuple[str, str]]:
+def _joint_names(model: Any) -> list[tuple[str, str]]:
     """Of each joint its name in those of variables, and as it is written; of one without a name that of its body."""
-    return _named(
-        model.njnt, lambda number: model.joint(number).name, lambda number: model.body(int(model.jnt_bodyid[number])).name or "joint"
-    )
+    bodies = [model.body(int(body)).name or "joint" for body in model.jnt_bodyid]
+    return _named(model.njnt, lambda number: model.joint(number).name, bodies.__getitem__)
+
+
+def _numbered(kind: VariableKind, rows: Iterable[tuple], first: int = 0) -> list[Variable]:
+    """Variables of a kind, numbered from `first`; a row is name, unit, description, and if it has them start, lower, upper."""
+    fields = ("name", "unit", "description", "start", "lower", "upper")
+    return [Variable(kind=kind, index=index, **dict(zip(fields, row, strict=False))) for index, row in enumerate(rows, first)]
 
 
 def _states(robot: Robot) -> list[Variable]:
-    """Positions, velocities and activations, in MuJoCo's order."""
+    """Positions, velocities and activations, in MuJoCo's order; then their rates."""
     model, data = robot.model, robot.start
     positions: list[tuple[str, str, str]] = []
     velocities: list[tuple[str, str, str]] = []
-    for (name, said), kind in zip(joint_names(model), model.jnt_type, strict=True):
+    for (name, said), kind in zip(_joint_names(model), model.jnt_type, strict=True):
         if kind in (_FREE, _BALL):
-            moves = GRAVITY_AXES if kind == _FREE else ()
+            moves = _AXES if kind == _FREE else ()
             positions += [(f"q_{name}_{axis}", "m", f"position {axis} of joint {said}") for axis in moves]
             positions += [(f"q_{name}_{part}", "1", f"orientation {part} of joint {said} (quaternion)") for part in _QUATERNION]
             velocities += [(f"v_{name}_{axis}", "m/s", f"velocity {axis} of joint {said}") for axis in moves]
@@ -267,85 +288,65 @@ def _states(robot: Robot) -> list[Variable]:
             unit = "m" if kind == _SLIDE else "rad"
             positions.append((f"q_{name}", unit, f"position of joint {said}"))
             velocities.append((f"v_{name}", f"{unit}/s", f"velocity of joint {said}"))
-    for actuator, (name, said) in enumerate(_actuator_names(robot)):
+    for actuator, (name, said) in enumerate(_actuator_names(model)):
         count = int(model.actuator_actnum[actuator])
         velocities += [(f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}") for k in range(count)]
-    starts = [*data.qpos, *data.qvel, *data.act]
-    kinds = [VariableKind.POSITION] * model.nq + [VariableKind.VELOCITY] * (model.nv + model.na)
-    return [
-        Variable(name=name, kind=kind, index=number - (0 if kind is VariableKind.POSITION else model.nq), unit=unit, description=text, start=float(start), nominal=1.0)
-        for number, ((name, unit, text), kind, start) in enumerate(zip(positions + velocities, kinds, starts, strict=True))
-    ]  # fmt: skip
+    kinds, starts, found = VariableKind, iter([*data.qpos, *data.qvel, *data.act]), list[Variable]()
+    for kind, rows in ((kinds.POSITION, positions), (kinds.VELOCITY, velocities)):
+        found += _numbered(kind, [(*row, float(next(starts))) for row in rows], len(found))
+    for kind, rows in ((kinds.POSITION_RATE, positions), (kinds.VELOCITY_RATE, velocities)):
+        rates = [
+            (f"der({name})", f"{unit.removesuffix('/s')}/s{'^2' * unit.endswith('/s')}", f"rate of {text}") for name, unit, text in rows
+        ]
+        found += _numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
+    return found
 
 
-def _rate(state: Variable) -> Variable:
-    is_position = state.kind is VariableKind.POSITION
-    unit = {"m/s": "m/s^2", "rad/s": "rad/s^2"}.get(state.unit, f"{state.unit}/s")
-    kind = VariableKind.POSITION_RATE if is_position else VariableKind.VELOCITY_RATE
-    return Variable(name=f"der({state.name})", kind=kind, index=state.index, unit=unit, description=f"rate of {state.description}")
+def _actuator_names(model: Any) -> list[tuple[str, str]]:
+    """As _joint_names; of one without a name that of what it acts on."""
+    kinds = mujoco().mjtTrn
+
+    def target(actuator: int) -> str:
+        kind, number = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
+        on_joint = kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT))
+        return _joint_names(model)[number][1] if on_joint else model.tendon(number).name if kind == int(kinds.mjTRN_TENDON) else "actuator"
+
+    return _named(model.nactuator, lambda number: model.actuator(number).name, target)
 
 
-def _target(robot: Robot, actuator: int) -> tuple[str, str | None]:
-    """What an actuator acts on, by name, and the unit of its length: None where that is not known."""
-    model, kinds = robot.model, mujoco().mjtTrn
-    kind, number = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
-        unit = {_SLIDE: "m"}.get(int(model.jnt_type[number]), "rad" if model.jnt_type[number] > _SLIDE else None)
-        return joint_names(model)[number][1], unit
-    if kind == int(kinds.mjTRN_TENDON):
-        return model.tendon(number).name, None
-    return "actuator", None
-
-
-def _actuator_names(robot: Robot) -> list[tuple[str, str]]:
-    model = robot.model
-    return _named(model.nactuator, lambda number: model.actuator(number).name, lambda number: _target(robot, number)[0])
-
-
-def _input_unit(robot: Robot, actuator: int) -> str:
-    """Of an input that is a force, or what a servo is to come to; "1" where gears and gains make it anything."""
-    package, model = mujoco(), robot.model
-    _, length = _target(robot, actuator)
-    plain = not model.actuator_actnum[actuator] and model.actuator_gaintype[actuator] == int(package.mjtGain.mjGAIN_FIXED)
-    if length is None or not plain or list(model.actuator_gear[actuator]) != [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]:
+def _input_unit(model: Any, actuator: int) -> str:
+    """Of an input that is a force on a joint, or what a servo is to bring one to; "1" where gears and gains make it anything."""
+    package, joint = mujoco(), (int(mujoco().mjtTrn.mjTRN_JOINT), int(mujoco().mjtTrn.mjTRN_JOINTINPARENT))
+    gear, factor = list(model.actuator_gear[actuator]), float(model.actuator_gainprm[actuator, 0])
+    on_joint = model.actuator_trntype[actuator] in joint and model.jnt_type[model.actuator_trnid[actuator, 0]] >= _SLIDE
+    fixed = model.actuator_gaintype[actuator] == int(package.mjtGain.mjGAIN_FIXED) and not model.actuator_actnum[actuator]
+    if not on_joint or not fixed or gear != [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]:
         return "1"
-    gain, bias = float(model.actuator_gainprm[actuator, 0]), model.actuator_biasprm[actuator]
-    if model.actuator_biastype[actuator] == int(package.mjtBias.mjBIAS_NONE):
-        return {"m": "N", "rad": "N m"}[length] if gain == 1.0 else "1"
-    if model.actuator_biastype[actuator] != int(package.mjtBias.mjBIAS_AFFINE) or bias[0] != 0.0:
-        return "1"
-    return length if bias[1] == -gain else f"{length}/s" if bias[1] == 0.0 and bias[2] == -gain else "1"
+    length, force = ("m", "N") if model.jnt_type[model.actuator_trnid[actuator, 0]] == _SLIDE else ("rad", "N m")
+    kind, bias = int(model.actuator_biastype[actuator]), model.actuator_biasprm[actuator, :3] / (factor or 1.0)
+    if kind == int(package.mjtBias.mjBIAS_NONE):
+        return force if factor == 1.0 else "1"
+    servo = {(0.0, -1.0): length, (0.0, 0.0): f"{length}/s" if bias[2] == -1.0 else "1"}
+    return servo.get((bias[0], bias[1]), "1") if kind == int(package.mjtBias.mjBIAS_AFFINE) else "1"
 
 
 def _inputs(robot: Robot) -> list[Variable]:
-    model, package, found = robot.model, mujoco(), []
-    for actuator, (name, said) in enumerate(_actuator_names(robot)):
+    model, package, rows = robot.model, mujoco(), list[tuple]()
+    for actuator, (name, said) in enumerate(_actuator_names(model)):
         first, count = int(model.actuator_ctrladr[actuator]), int(model.actuator_ctrlnum[actuator])
         for part in range(count):
-            at = first + part
             suffix = f"_{package.mj_actuatorInputName(model, actuator, part) or part}" if count > 1 else ""
-            limited = bool(model.actuator_ctrllimited[at])
-            lower, upper = (float(end) for end in model.actuator_ctrlrange[at]) if limited else (float("-inf"), float("inf"))
-            found.append(
-                Variable(
-                    name=f"u_{name}{suffix}",
-                    kind=VariableKind.INPUT,
-                    index=at,
-                    unit=_input_unit(robot, actuator) if count == 1 else "1",
-                    lower=lower,
-                    upper=upper,
-                    start=float(robot.start.ctrl[at]),
-                    description=f"control of actuator {said}{', cut at its range' if limited else ''}",
-                )
-            )
-    return found
+            limited, unit = bool(model.actuator_ctrllimited[first + part]), _input_unit(model, actuator) if count == 1 else "1"
+            bounds = map(float, model.actuator_ctrlrange[first + part]) if limited else ()
+            text = f"control of actuator {said}{', cut at its range' if limited else ''}"
+            rows.append((f"u_{name}{suffix}", unit, text, float(robot.start.ctrl[first + part]), *bounds))
+    return _numbered(VariableKind.INPUT, rows)
 
 
 def _outputs(robot: Robot) -> list[Variable]:
     """Sensors; then forces, then gaps, of the contacts that were asked for."""
-    model, package = robot.model, mujoco()
+    model, package, rows = robot.model, mujoco(), list[tuple]()
     names = _named(model.nsensor, lambda number: model.sensor(number).name, lambda number: f"sensor{number}")
-    rows: list[tuple[str, str, str]] = []
     for sensor, (name, said) in enumerate(names):
         kind = package.mjtSensor(int(model.sensor_type[sensor])).name.removeprefix("mjSENS_")
         size, unit = int(model.sensor_dim[sensor]), _SENSOR_UNITS.get(kind, "1")
@@ -353,77 +354,28 @@ def _outputs(robot: Robot) -> list[Variable]:
             length = "m" if model.jnt_type[int(model.sensor_objid[sensor])] == _SLIDE else "rad"
             unit = length if kind == "JOINTPOS" else f"{length}/s"
         rows += [(f"s_{name}{f'_{part}' * (size > 1)}", unit, f"sensor {said} ({kind.lower()})") for part in range(size)]
-    sides = [" and ".join(contact.names) for contact in robot.contacts]
-    rows += [
-        (f"lam_{item.name}", "N", f"sum of the normal forces between {text}") for item, text in zip(robot.contacts, sides, strict=True)
-    ]
+    sides = [(pair.name, " and ".join(pair.names)) for pair in robot.contacts]
+    rows += [(f"lam_{name}", "N", f"sum of the normal forces between {text}") for name, text in sides]
     far = f"negative where they overlap, at most {FARTHEST:g} m"
-    rows += [(f"gap_{item.name}", "m", f"smallest distance of {text}, {far}") for item, text in zip(robot.contacts, sides, strict=True)]
-    return [
-        Variable(name=name, kind=VariableKind.OUTPUT, index=number, unit=unit, description=text)
-        for number, (name, unit, text) in enumerate(rows)
-    ]
+    rows += [(f"gap_{name}", "m", f"smallest distance of {text}, {far}") for name, text in sides]
+    return _numbered(VariableKind.OUTPUT, rows)
 
 
 def _settings(robot: Robot) -> list[Variable]:
-    """Parameters that may change between steps."""
-    model = robot.model
+    """Parameters that may change between steps, in the order of equations.h."""
+    model, kinds, found = robot.model, VariableKind, list[Variable]()
     bodies = _named(model.nbody, lambda number: model.body(number).name, lambda number: "body")
-    given = [
-        *((f"gravity_{axis}", "m/s^2", float(value), f"gravity along {axis}", float("-inf")) for axis, value in zip(GRAVITY_AXES, model.opt.gravity, strict=True)),
-        *((name, "1", 1.0, text, 0.0 if name == "friction_scale" else 1e-12) for name, text in SCALES),
-        *((f"mass_{bodies[body][0]}", "kg", float(model.body_mass[body]), f"mass of body {bodies[body][1]}, with its inertia in proportion", 1e-12) for body in robot.masses),
-    ]  # fmt: skip
-    tunable = [
-        Variable(name=name, kind=VariableKind.TUNABLE, index=number, unit=unit, start=value, lower=lower, description=text)
-        for number, (name, unit, value, text, lower) in enumerate(given)
-    ]
     step = "longest time step; equal steps divide each communication step"
-    methods = "method of the time step"
-    return [
-        *tunable,
-        Variable(name="timestep", kind=VariableKind.INTERNAL_STEP, unit="s", start=float(model.opt.timestep), lower=SMALLEST_INTERNAL_STEP, description=step),
-        Variable(name="integrator", kind=VariableKind.INTEGRATOR, unit="", start=1.0 + model.opt.integrator, lower=1.0, upper=float(len(INTEGRATORS)), description=methods),
-    ]  # fmt: skip
-
-
-def _velocity_of(robot: Robot) -> list[tuple[Variable, str, str]]:
-    """Of each position: its variable, the variable of its rate, the column of that in a plan."""
-    velocities = {variable.name for variable in robot.table if variable.kind is VariableKind.VELOCITY}
-    found = []
-    for variable in robot.table:
-        if variable.kind is VariableKind.POSITION:
-            column = f"v_{variable.name.removeprefix('q_')}"
-            found.append((variable, column if column in velocities else f"der({variable.name})", column))
+    groups = (
+        (kinds.TUNABLE, [(f"gravity_{axis}", "m/s^2", f"gravity along {axis}", float(value)) for axis, value in zip(_AXES, model.opt.gravity, strict=True)]),
+        (kinds.TUNABLE, [(name, "1", f"multiplies {text}", 1.0, lower) for name, text, lower in _SCALES]),
+        (kinds.INTERNAL_STEP, [("timestep", "s", step, float(model.opt.timestep), SMALLEST_INTERNAL_STEP)]),
+        (kinds.INTEGRATOR, [("integrator", "", "method of the time step", 1.0 + model.opt.integrator, 1.0, float(len(INTEGRATORS)))]),
+        (kinds.TUNABLE, [(f"mass_{bodies[body][0]}", "kg", f"mass of body {bodies[body][1]}, with its inertia in proportion", float(model.body_mass[body]), 1e-12) for body in robot.masses]),
+    )  # fmt: skip
+    for kind, rows in groups:
+        found += _numbered(kind, rows, len(found))
     return found
-
-
-def _map(robot: Robot) -> str:
-    kinds = {kind: [variable for variable in robot.table if variable.kind is kind] for kind in VariableKind}
-    lines = [
-        f"# {robot.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here.",
-        'internal_step = "timestep"',
-        "",
-        "[inputs]",
-        *(f'{variable.name} = "{variable.name}"' for variable in kinds[VariableKind.INPUT]),
-        "",
-        "[positions]",
-        *(f'{variable.name} = "{variable.name}"' for variable in kinds[VariableKind.POSITION]),
-        "",
-        "[velocities]",
-        *(f'{of.name} = {{ variable = "{rate}", column = "{column}" }}' for of, rate, column in _velocity_of(robot)),
-    ]
-    for contact in robot.contacts:
-        lines += ["", f"[contacts.{contact.name}]", f'force = "lam_{contact.name}"', f'gap = "gap_{contact.name}"']
-    turning = [variable.name for variable in kinds[VariableKind.VELOCITY] if variable.name.endswith(_TURNS)]
-    if turning:
-        lines += [
-            "",
-            "[start]",
-            "# The angular velocities at the start, which the plan has in columns of their own, or numbers; without these lines they are zero.",
-        ]
-        lines += [f'{name} = "{name}"' for name in turning]
-    return "\n".join(lines) + "\n"
 
 
 class Recorder:
@@ -434,34 +386,23 @@ class Recorder:
 
     def __init__(self, model: Any) -> None:
         self._package = mujoco()
-        robot = Robot(path=Path("robot"), model=model, start=self._package.MjData(model), keyframe=-1, contacts=())
-        kinds = {kind: [variable for variable in robot.table if variable.kind is kind] for kind in VariableKind}
-        self._turns = [(variable.name, variable.index) for variable in kinds[VariableKind.VELOCITY] if variable.name.endswith(_TURNS)]
-        self._quaternions = [variable.index for variable in kinds[VariableKind.POSITION] if variable.name.endswith("_qw")]
-        inputs, positions = ([variable.name for variable in kinds[kind]] for kind in (VariableKind.INPUT, VariableKind.POSITION))
-        self.columns = ["t", *inputs, *positions, *(column for _, _, column in _velocity_of(robot)), *(name for name, _ in self._turns)]
-        self._of_velocity = {variable.name: variable.index for variable in kinds[VariableKind.VELOCITY]}
-        self._rates = [column for _, _, column in _velocity_of(robot)]
+        robot = Robot(path=Path("robot"), model=model, start=self._package.MjData(model))
+        self._turns = [variable.index - model.nq for variable in robot.turns]
+        self._quaternions = [variable.index for variable in robot.of(VariableKind.POSITION) if variable.name.endswith("_qw")]
+        index = {variable.name: variable.index - model.nq for variable in robot.of(VariableKind.VELOCITY)}
+        self._velocities = [index.get(rate, 0) for _, rate, _ in robot.velocities]  # of a quaternion, computed
+        given = [variable.name for kind in (VariableKind.INPUT, VariableKind.POSITION) for variable in robot.of(kind)]
+        self.columns = ["t", *given, *(column for _, _, column in robot.velocities), *(variable.name for variable in robot.turns)]
         self.rows: list[list[float]] = []
 
     def record(self, data: Any) -> None:
         """Keep time [s], controls, positions and velocities of an MjData."""
-        rates = {}
-        for at, (_, turn) in zip(self._quaternions, self._turns[::3], strict=True):
-            rate = np.zeros(4)
-            self._package.mju_mulQuatAxis(rate, data.qpos[at : at + 4], data.qvel[turn : turn + 3])  # dq/dt = q (0, w) / 2
-            rates |= {at + part: value / 2.0 for part, value in enumerate(rate)}
-        velocities = [rates[at] if at in rates else data.qvel[self._of_velocity[name]] for at, name in enumerate(self._rates)]
-        turns = [data.qvel[at] for _, at in self._turns]
-        self.rows.append([float(value) for value in (data.time, *data.ctrl, *data.qpos, *velocities, *turns)])
+        velocities, turns = data.qvel[self._velocities], data.qvel[self._turns]
+        for at, turn in zip(self._quaternions, turns.reshape(-1, 3), strict=True):
+            self._package.mju_mulQuatAxis(velocities[at : at + 4], data.qpos[at : at + 4], turn / 2.0)  # dq/dt = q (0, w) / 2
+        self.rows.append(np.concatenate([[data.time], data.ctrl, data.qpos, velocities, turns]).tolist())
 
     def write(self, path: Path | str) -> None:
         """As a CSV, each number so that it reads back bit for bit."""
         lines = [",".join(self.columns), *(",".join(map(repr, row)) for row in self.rows)]
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def unknowns_of(table: Iterable[Variable], kinds: Iterable[VariableKind]) -> list[int]:
-    """Places in the table of the variables of these kinds."""
-    wanted = set(kinds)
-    return [place for place, variable in enumerate(table) if variable.kind in wanted]

@@ -9,9 +9,7 @@
 #ifndef INTEGRATOR_H
 #define INTEGRATOR_H
 
-#include "equations.h"
-
-typedef enum { STEP_OK, STEP_EVENT, STEP_MASS, STEP_NOT_FINITE } StepResult;
+#include "equations.h" /* and StepResult and Observer of stepping.h */
 
 /* What failed, in the middle of a sentence. */
 static inline const char *step_trouble(const Model *m, StepResult result)
@@ -325,13 +323,6 @@ static inline StepResult internal_step(const Model *m, int *modes, Point *x, con
         if (!(done < *s)) return STEP_OK;
     }
 }
-
-/* What the importer may do within a communication step; both functions may be NULL. Offsets are seconds after its beginning. */
-typedef struct {
-    void *context;
-    void (*set_inputs)(void *context, double offset);                    /* may change the Model's u */
-    void (*step_finished)(void *context, double offset, double *finish); /* the Model is at `offset`; may shorten the step to *finish */
-} Observer;
 
 /* Inputs from `begin` to `finish` seconds after the communication point: held, or along their rates, or the parabola through
  * what the importer sets at the beginning, the middle and the end. */

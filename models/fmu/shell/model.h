@@ -17,7 +17,6 @@
 #include "scene_model.h"
 #include "scene_sensitivity.h"
 
-#define ROOM(n) ((n) > 0 ? (n) : 1)
 #define INPUTS_SLOPE 1 /* whether they may follow a derivative over a communication step */
 
 /* Rows of lam hold the contact forces, then the friction forces; rows of modes and event indicators likewise. */
@@ -54,14 +53,7 @@ typedef enum {
 /* How Co-Simulation integrates; the values of the variable `integrator`. */
 typedef enum { EXPLICIT_EULER = 1, SEMI_IMPLICIT_EULER, HEUN, RUNGE_KUTTA } Integrator;
 
-/* A row of the variable table; its position is the value reference. index: place within the variables of its kind. */
-typedef struct {
-    const char *name;
-    VariableKind kind;
-    int index;
-    double start, lower, upper;
-} Variable;
-
+#include "variable.h"
 #include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS, CONTACT_NOMINALS, FRICTION_NOMINALS */
 
 typedef struct {

@@ -3,6 +3,16 @@
 #define STEPPING_H
 
 #include "access.h"
+
+typedef enum { STEP_OK, STEP_EVENT, STEP_MASS, STEP_NOT_FINITE } StepResult;
+
+/* What the importer may do within a communication step; both functions may be NULL. Offsets are seconds after its beginning. */
+typedef struct {
+    void *context;
+    void (*set_inputs)(void *context, double offset);                    /* may change the Model's u */
+    void (*step_finished)(void *context, double offset, double *finish); /* the Model is at `offset`; may shorten the step to *finish */
+} Observer;
+
 #include "integrator.h"
 
 /* Two times are the same if they differ by less than this share: importers add up their steps. */

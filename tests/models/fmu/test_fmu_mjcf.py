@@ -245,6 +245,29 @@ def test_model_exchange_is_the_equations_of_motion(robot, version: str):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("version", VERSIONS)
+def test_directional_derivatives_are_those_of_the_equations(robot, version: str):
+    """Of d w/dt = -g/l sin(angle) by the angle, and of dq/dt = q (0, w) / 2 by w and by q."""
+    with instance(robot(PENDULUM), "ME", version) as fmu:
+        fmu.begin(q_swing=0.8, v_ball_wx=0.3, v_ball_wy=-2.0, v_ball_wz=1.1, q_ball_qw=0.5, q_ball_qx=-0.5, q_ball_qy=0.5, q_ball_qz=0.5)
+        fmu.fmu.settle()
+
+        def slopes(unknowns: Sequence[str], **seed: float) -> list[float]:
+            places = [[fmu.references[name] for name in names] for names in (unknowns, list(seed))]
+            return list(fmu.fmu.fmu.directional(places[0], places[1], list(seed.values()), len(unknowns)))
+
+        (found,) = slopes(["der(v_swing)"], q_swing=1.0)
+        assert found == pytest.approx(-9.81 / 0.7 * math.cos(0.8), rel=1e-7)
+        assert slopes(["der(q_swing)", "q_swing", "v_swing"], q_swing=2.0, v_swing=-3.0) == pytest.approx([-3.0, 2.0, -3.0], rel=1e-9)
+        rates = [f"der(q_ball_{part})" for part in ("qw", "qx", "qy", "qz")]
+        assert slopes(rates, v_ball_wx=1.0) == pytest.approx([0.25, 0.25, 0.25, -0.25], abs=1e-9)
+        assert slopes(rates, q_ball_qw=1.0) == pytest.approx([0.0, 0.15, -1.0, 0.55], abs=1e-9)
+        with pytest.raises(FMICallException):
+            slopes(["der(v_swing)"], mass_top=1.0)
+        assert fmu.get("der(q_swing)").tolist() == [0.0]  # nothing moved
+
+
+@pytest.mark.slow
 def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robot):
     leg = robot(LEG)
     with instance(leg) as fmu:

@@ -135,7 +135,7 @@ def child(code, *arguments):
 
 @pytest.fixture(params=SCENES, ids=lambda name: Path(name).stem, scope="module")
 def scene(request):
-    return load_scene(request.param)
+    return load_scene(request.param).continuous()  # as its FMU has it: a quasi-static scene's relaxation time is its grid's before
 
 
 @pytest.fixture(scope="module")

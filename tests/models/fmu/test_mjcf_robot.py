@@ -41,6 +41,7 @@ def _body(inside: str, outside: str = "", option: str = "") -> str:
         (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'), ("actuator", "user", "take them out")),
         (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'), ("sensor", "user", "take them out")),
         (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'), ("sleep", "take the flag out")),
+        (_body("<freejoint/>", option='<option timestep="0"/>'), ("timestep", "0 s", "at least 1e-09 s")),
         (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'), ("a:b", "a_b", "q_a_b", "rename")),
     ],
 )

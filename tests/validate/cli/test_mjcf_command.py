@@ -69,6 +69,53 @@ def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(folder: Pat
 
 
 @pytest.mark.slow
+def test_another_parameter_is_told_in_a_sentence(folder: Path, capfd: pytest.CaptureFixture[str]):
+    assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
+    record(folder / "plan.csv")
+    capfd.readouterr()
+    replay = ["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml"]
+
+    def varied(*options: str) -> list[dict]:
+        run([*replay, "--json", *options])
+        return json.loads(capfd.readouterr().out)["varied"]
+
+    half, same = varied("--own-step", "--vary", "timestep=0.5", "--vary", "gravity_z=1")
+    assert half["before"] == same["value"] == 0.0 < half["value"]
+    assert "stays, undecided" in same["sentence"]
+    given = Path("robot.toml").read_text()
+    asked = "\n[parameters]\nmass_ball = {}\n[limits]\nreplay_error = {{ value = {}, reason = 'a test' }}\n"
+    Path("robot.toml").write_text(given + asked.format(2.0, 50.0))
+    (times,) = varied("--vary", "mass_ball=3")
+    assert "turns" not in times["sentence"]
+    Path("robot.toml").write_text(given + asked.format(6.0, times["value"] * 1.01))
+    (back,) = varied("--vary", "mass_ball=0.03")
+    assert back["before"] == times["value"]  # three times what the map says is what a map with three times that says
+    assert "turns from consistent to violates" in back["sentence"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("timestep=0.5", ("robot.toml", "own step", "--own-step")),
+        ("mas_ball=2", ("robot.toml", "mas_ball", "mass_ball")),
+        ("u_push=2", ("u_push", "no parameter")),
+        ("mass_ball=-1", ("mass_ball", "not possible", "at least")),
+        ("mass_ball", ("--vary", "NAME=FACTOR")),
+        ("=2", ("--vary", "NAME=FACTOR")),
+        ("mass_ball=inf", ("--vary", "finite")),
+    ],
+)
+def test_what_cannot_be_varied_is_refused(folder: Path, given: str, said: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
+    assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
+    record(folder / "plan.csv")
+    capfd.readouterr()
+    assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", given]) == 2
+    told = capfd.readouterr().err
+    assert all(part in told for part in said), told
+
+
+@pytest.mark.slow
 def test_own_step_is_for_fmus_and_for_inputs_that_are_held(folder: Path, capfd: pytest.CaptureFixture[str]):
     assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
     record(folder / "plan.csv")
@@ -137,4 +184,9 @@ def test_every_check_of_what_is_offered_passes(folder: Path, version: str, capfd
         assert code == 0, [row for row in told["rows"] if row["status"] == "failed"]
         assert ("ME" in told["types"]) == (name == "swing")
         passed = {row["check"] for row in told["rows"] if row["status"] == "passed"}
-        assert {"set state restores", "serialised state loads elsewhere", "instances do not disturb each other"} <= passed
+        assert {
+            "set state restores",
+            "serialised state loads elsewhere",
+            "instances do not disturb each other",
+            "directional derivatives",
+        } <= passed

@@ -30,11 +30,14 @@ _STEPS = 500
 _ROUNDING = 1e-9
 
 
-def wire(package: Package, table: Table, given: MapFile | None, hold: str | None, where: str) -> tuple[Foreign, Trajectory]:
-    """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
+def wire(
+    package: Package, table: Table, given: MapFile | None, hold: str | None, where: str, factors: Mapping[str, float] | None = None
+) -> tuple[Foreign, Trajectory]:
+    """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters. Raises MapError, TrajectoryError."""
     table.check_form()
     named = Named(package)
-    wiring = _Wiring(package, named, table, given or map_schema.by_equal_names(named, table), where)
+    whole = map_schema.multiplied(given or map_schema.by_equal_names(named, table), named, factors, where)
+    wiring = _Wiring(package, named, table, whole, where)
     return wiring.foreign(), wiring.trajectory(hold)
 
 
@@ -61,9 +64,8 @@ class _Wiring:
         if name in self._named.twice:
             raise self._fail(path, f"the FMU has two variables {name!r}, so it is not clear which is meant.")
         if variable.type not in REAL or getattr(variable, "dimensions", None):
-            raise self._fail(
-                path, f"{name!r} is of type {variable.type}{' (an array)' if variable.type in REAL else ''}, but must be one number."
-            )
+            kind = f"{variable.type}{' (an array)' if variable.type in REAL else ''}"
+            raise self._fail(path, f"{name!r} is of type {kind}, but must be one number.")
         return variable
 
     def _reference(self, path: str, name: str) -> int:
