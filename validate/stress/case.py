@@ -35,6 +35,7 @@ _SOURCES = (
     "validate/fmi/",
     "validate/stress/case.py",
     "validate/stress/motion.py",
+    "validate/truth/problems.py",
 )
 
 

@@ -20,9 +20,8 @@ from reports.pages.truth import as_markdown, largest_disagreement
 from reports.render import render_truth
 from validate.cli.truth import as_csv, recorded, reference_is_right
 from validate.judge.simulator import Came, EngineAnswer, SimulatedMotion, describe_engine, load_engine, named_engines
-from validate.stress.cases.h06_zeno import restitution
 from validate.truth import suite
-from validate.truth.problems import TruthProblem, problems
+from validate.truth.problems import TruthProblem, problems, restitution
 from validate.truth.suite import EngineResult, drives, judged, observed_order
 
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
