@@ -46,7 +46,7 @@ def as_markdown(record: TruthRecord, command: str) -> str:
     ]
     lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for rows in record.problems:
-        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(_cell, rows))} |")
+        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(cell, rows))} |")
     lines += ["", "What explains the largest disagreement:", "", "| problem | exact answer | furthest | why |", "|---|---|---|---|"]
     for rows in record.problems:
         worst = largest_disagreement(rows)
@@ -55,7 +55,8 @@ def as_markdown(record: TruthRecord, command: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cell(row: TruthRow) -> str:
+def cell(row: TruthRow) -> str:
+    """The error at the finest level and its order, or what came of asking."""
     if row.came != "done":
         return row.came
     return "diverges" if row.error is None else f"{row.error:.0e}{'' if row.order is None else f' ({row.order:.1f})'}"

@@ -16,7 +16,7 @@ import importlib.util
 import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -281,8 +281,3 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
     applied = None if drive.feedback is None else inputs.values
     steps = drive.plan.steps * drive.parts
     return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began, applied=applied)
-
-
-def finer(drive: Drive, factor: int) -> Drive:
-    """The same with so many times as many steps, and a tolerance smaller by its square."""
-    return replace(drive, parts=drive.parts * factor, tolerance=drive.tolerance / factor**2)
