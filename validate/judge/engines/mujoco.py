@@ -49,8 +49,15 @@ def simulate(drive: Drive) -> SimulatedMotion:
     data.qpos[places], data.qvel[places] = (joints @ part for part in np.split(drive.start, 2))
     forces, u_now = mechanism.smooth(), np.zeros(scene.nu)
 
+    # What is pressed by a dead band: the row of its friction, the band, and the friction a metre of depth.
+    bands = [touch for touch in mechanism.touches if _band_rubs(touch)]
+    pressed = [(row, model.tendon(touch.name).id, touch.friction * touch.stiffness, touch.offset) for row, touch in enumerate(bands)]
+
     def passive(_: Any, now: Any) -> None:
-        now.qfrc_passive[places] += forces(*now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist())
+        if not mechanism.steady:
+            now.qfrc_passive[places] += forces(*now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist())
+        for row, band, rate, offset in pressed:
+            now.efc_frictionloss[now.ne + row] = rate * max(offset - now.ten_length[band], 0.0)
 
     def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (nq,) [m, rad, m/s, rad/s] after so many steps of h [s] under u (nu,) [N, N m], slope (nu,). Raises nothing."""
@@ -62,7 +69,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
             mujoco.mj_step(model, data, 1 if slope.any() else count)
         return back @ data.qpos[places], back @ data.qvel[places]
 
-    mujoco.set_mjcb_passive(None if mechanism.steady else passive)
+    mujoco.set_mjcb_passive(None if mechanism.steady and not pressed else passive)
     try:
         return stepped(drive, advance)
     finally:
@@ -77,7 +84,7 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
             raise CannotExpressError(f"contact {touch.name}: MuJoCo has no damping that grows with the depth (Hunt and Crossley's)")
         band = f'name="{touch.name}" stiffness="{touch.stiffness!r}" springlength="{touch.offset!r} {_FAR}"'
         limit = f'name="{touch.name}" limited="true" range="{touch.offset!r} {_FAR}" solimplimit="{_impedance(_SOFT)}"'
-        if touch.normal.any() and not touch.friction:
+        if touch.normal.any() and (not touch.friction or _band_rubs(touch)):
             tendons += _fixed(names, touch.normal, limit if touch.damping else band)
         elif touch.centres is not None and not (touch.friction or touch.damping):
             ends = "".join(f'<site site="centre_{names[centre[0]]}"/>' for centre in touch.centres)
@@ -90,11 +97,12 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
                 f'<pair name="{touch.name}" geom1="{touch.name}_0" geom2="{touch.name}_1" condim="{3 if touch.friction else 1}" '
                 f'solimp="{_impedance(_SOFT)}" friction="{rub}"/>'
             )
-    for rub in mechanism.rubs:
-        tendons += _fixed(names, rub.direction, f'name="rub_{rub.name}" frictionloss="{rub.coefficient * rub.pressed!r}"')
+    # Friction's rows are in the order of these tendons; what a band presses has its limit at each stage of a step.
+    for name, direction, limit in _rubs(mechanism):
+        tendons += _fixed(names, direction, f'name="rub_{name}" frictionloss="{limit!r}"')
     text = (
         f'<mujoco><option integrator="RK4" cone="elliptic" iterations="200" tolerance="1e-15" gravity="0 0 {-mechanism.gravity}">'
-        '<flag refsafe="disable" autoreset="disable"/></option><compiler angle="radian"/>'
+        '<flag refsafe="disable" autoreset="disable" island="disable"/></option><compiler angle="radian"/>'
         f"<worldbody>{mechanism.bodies}</worldbody></mujoco>"
     )
     # Twice: sites and geoms are put on the bodies of the text, and then what refers to them is added.
@@ -106,6 +114,17 @@ def _model(mechanism: Mechanism, names: list[str]) -> Any:
             _add_geoms(spec, touch)
     whole = spec.to_xml().replace("</mujoco>", f"<contact>{pairs}</contact><tendon>{tendons}</tendon></mujoco>")
     return mujoco.MjModel.from_xml_string(whole)
+
+
+def _band_rubs(touch: Touch) -> bool:
+    """Whether a dead band makes the contact and another tendon its friction: both along directions that do not change."""
+    return bool(touch.friction and not touch.damping and touch.normal.any() and touch.slip is not None)
+
+
+def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
+    """Tendons that rub, by name, direction (nq,) and limit [N]; those of bands first, with any limit."""
+    bands = [(touch.name, touch.slip, 1.0) for touch in mechanism.touches if touch.slip is not None and _band_rubs(touch)]
+    return bands + [(rub.name, rub.direction, rub.coefficient * rub.pressed) for rub in mechanism.rubs]
 
 
 def _add_geoms(spec: Any, touch: Touch) -> None:
@@ -147,7 +166,7 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) ->
             model.pair_solreffriction[pair] = -_TINY, -_DECAY / h * _SOFT
         elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]
-    for rub in mechanism.rubs:
-        tendon = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, f"rub_{rub.name}")
+    for name, _, _ in _rubs(mechanism):
+        tendon = model.tendon(f"rub_{name}").id
         model.tendon_solimp_fri[tendon, :2] = 1.0 - (1.0 - _HARD) * soft
         model.tendon_solref_fri[tendon] = -_TINY, -_DECAY / h
