@@ -68,16 +68,8 @@ class EngineVerdict:
     def as_json(self) -> dict[str, Any]:
         """As JSON holds it: what is infinite is null."""
         levels = [asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None} for level in self.levels]
-        why = "" if self.score is None else self.score.why
-        return {
-            "engine": self.engine,
-            "verdict": self.verdict,
-            "agrees": self.agrees,
-            "kind": self.kind.value,
-            "sentence": self.sentence,
-            "why": why,
-            "levels": levels,
-        }
+        told = {"engine": self.engine, "verdict": self.verdict, "agrees": self.agrees, "kind": self.kind.value, "sentence": self.sentence}
+        return told | {"why": "" if self.score is None else self.score.why, "levels": levels}
 
 
 def elsewhere(
@@ -129,14 +121,8 @@ class _Matrix:
         """Ask one engine. Raises UnknownNameError, MachineError."""
         if engine == REFERENCE:
             level = EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0)
-            return EngineVerdict(
-                engine=engine,
-                came=Came.DONE,
-                agrees=True,
-                score=self.ours.score,
-                levels=(level,),
-                sentence="what the others are held against",
-            )
+            found = {"score": self.ours.score, "levels": (level,), "sentence": "what the others are held against"}
+            return EngineVerdict(engine=engine, came=Came.DONE, agrees=True, **found)
         tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
         base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
         drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]

@@ -103,7 +103,7 @@ def judged(
     levels = tuple(
         LevelRecord(
             step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None, error=_finite(error),
-            energy=_finite(item.get("energy", math.inf)), microseconds=1e6 * motion.seconds / motion.steps if motion.steps else None,
+            energy=_finite(item.get("energy", math.inf)), microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
             seconds=motion.seconds,
         )
         for drive, item, error, motion in zip(asked, told, errors, answer.motions, strict=True)

@@ -220,14 +220,12 @@ class _Slides:
         return found
 
 
-def _affine(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], otherwise: str) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (n, symbols) and values at zero (n,) of expressions that are affine in the symbols. Raises CannotExpressError with the words of `otherwise`."""
-    column = sp.Matrix([sp.expand(expression) for expression in expressions])
-    slope = column.jacobian(sp.Matrix(list(symbols)))
-    if slope.free_symbols:
+def _affine(expression: sp.Expr, symbols: Sequence[sp.Symbol], otherwise: str) -> tuple[np.ndarray, float]:
+    """Slopes (symbols,) and value at zero of an expression that is affine in the symbols. Raises CannotExpressError with the words of `otherwise`."""
+    slopes = [sp.diff(sp.expand(expression), symbol) for symbol in symbols]
+    if set().union(*(slope.free_symbols for slope in slopes)):
         raise CannotExpressError(otherwise)
-    rest = column.subs(dict.fromkeys(symbols, 0))
-    return np.array(slope, dtype=float).reshape(len(expressions), len(symbols)), np.array(rest, dtype=float).ravel()
+    return np.array(slopes, dtype=float), float(expression.subs(dict.fromkeys(symbols, 0)))
 
 
 def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
@@ -242,12 +240,12 @@ def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
     if not is_tree and len(distances) == 1 and not (penetration + distances[0]).free_symbols:
         return replace(touch, offset=float(penetration + distances[0]), centres=_centres(contact, distances[0], q))
     try:
-        slope, rest = _affine([penetration], q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
+        slope, rest = _affine(penetration, q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
     except CannotExpressError:
         if is_tree:
             return touch
         raise
-    return replace(touch, normal=-slope[0], offset=float(rest[0]))
+    return replace(touch, normal=-slope, offset=rest)
 
 
 def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -263,9 +261,8 @@ def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tup
 def _slip(scene: Scene, friction: Friction) -> np.ndarray:
     """Its direction, (nq,) [-]."""
     v = [item.velocity for item in scene.coordinates]
-    return _affine([friction.slip.subs(scene.parameter_values)], v, f"the direction of friction {friction.name} depends on the positions")[
-        0
-    ][0]
+    otherwise = f"the direction of friction {friction.name} depends on the positions"
+    return _affine(friction.slip.subs(scene.parameter_values), v, otherwise)[0]
 
 
 def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...], tuple[Rub, ...]]:
