@@ -27,7 +27,7 @@ def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
 
 def as_markdown(record: TruthRecord, command: str) -> str:
     """The same as a page of the docs, without times: it is equal whenever it is made."""
-    head = ["problem", *(engine.name for engine in record.engines)]
+    head = ["problem", *record.engines]
     lines = [
         "# The contact truth suite",
         "",
@@ -36,9 +36,7 @@ def as_markdown(record: TruthRecord, command: str) -> str:
         record.summary,
         "",
     ]
-    lines += [
-        f"- **{engine.name}**: {engine.title}{f' {engine.version}' if engine.version else ''}; {engine.law}." for engine in record.engines
-    ]
+    lines += [f"- **{name}**: {words}." for name, words in record.engines.items()]
     lines += [
         "",
         "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step.",

@@ -41,19 +41,10 @@ class TruthRow(Model):
         return self.levels[-1].error if self.levels else None
 
 
-class EngineRecord(Model):
-    """An engine that was asked: its name, what it is called, how it makes contact, the version of its package."""
-
-    name: str
-    title: str
-    law: str
-    version: str
-
-
 class TruthRecord(Model):
-    """engines, and rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
+    """engines: by name, what each is called, its version and how it makes contact; rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
 
-    engines: tuple[EngineRecord, ...]
+    engines: dict[str, str]
     rows: tuple[TruthRow, ...]
     summary: str
     charts: tuple[ChartRecord, ...] = ()

@@ -13,7 +13,7 @@ import click
 
 from reports.pages.truth import as_markdown, cell, largest_disagreement
 from reports.records.check_record import ChartRecord
-from reports.records.truth_record import EngineRecord, TruthRecord, TruthRow
+from reports.records.truth_record import TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
@@ -84,13 +84,13 @@ def reference_is_right(rows: Sequence[TruthRow]) -> bool:
 def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
     """What is written of it."""
     about = {name: describe_engine(name) for name in engines}
+    told = {name: f"{' '.join((item.title, _version(item.package))).rstrip()}; {item.law}" for name, item in about.items()}
     summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."
     own = [row.error for row in rows if row.engine == REFERENCE and row.error is not None]
     if own:
         summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
     return TruthRecord(
-        engines=tuple(EngineRecord(name=name, title=item.title, law=item.law, version=_version(item.package)) for name, item in about.items()),
-        rows=tuple(rows), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
+        engines=told, rows=tuple(rows), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
     )  # fmt: skip
 
 

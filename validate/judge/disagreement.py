@@ -22,8 +22,9 @@ from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion,
 REFERENCE = "fmu"
 # An error falls if the last is so small a share of the first, over three halvings of the step at least.
 _FALLS = 0.25
-# What the last step is shortened by where that has not decided, while its steps are no more than these; what softness and stiffness are changed by.
-_MUCH, _MOST, _SOFTER, _STIFFER = 16, 1_000_000, 4.0, (8.0, 64.0)
+# What the last step is shortened by where that has not decided, or to so many radians of the stiffest contact, while its steps are no more than these; a tolerance
+# by the square, to that at least. What softness and stiffness are changed by.
+_MUCH, _RADIANS, _MOST, _TIGHTEST, _SOFTER, _STIFFER = 16, 0.01, 1_000_000, 1e-14, 4.0, (8.0, 64.0)
 
 
 class Otherwise(Enum):
@@ -91,9 +92,11 @@ def why(
     begun = f"{size(first)} at a {named} of {level_of(drives[0], engine):.2g}, {size(last)} at {level_of(finest, engine):.2g}"
     if settled or last <= _FALLS * first < math.inf or math.isfinite(last) > math.isfinite(first):
         return Otherwise.STEP, begun
-    factor = _MUCH if about.adaptive else min(_MUCH, _MOST // (finest.plan.steps * finest.parts))
+    factor = (
+        _MUCH if about.adaptive else min(max(_MUCH, math.ceil(_radians(finest) / _RADIANS)), _MOST // (finest.plan.steps * finest.parts))
+    )
     if factor > 1:
-        much = replace(finest, parts=finest.parts * factor, tolerance=finest.tolerance / factor)
+        much = replace(finest, parts=finest.parts * factor, tolerance=max(finest.tolerance / factor**2, _TIGHTEST))
         more = again(much)
         begun += f", {size(more)} at {level_of(much, engine):.2g}"
         if more <= last / 2.0 < math.inf or math.isfinite(more) > math.isfinite(last):
@@ -111,6 +114,13 @@ def why(
     kind = Otherwise.LAW if stiff < soft / 2.0 else Otherwise.GEOMETRY
     said = f"its contacts are {size(soft)} m deeper or less deep than our reference's, with {_STIFFER[1] / _STIFFER[0]:g} times the stiffness {size(stiff)} m"
     return kind, f"{begun}; all contacts {_STIFFER[0]:g} times as stiff {said}"
+
+
+def _radians(drive: Drive) -> float:
+    """How many radians of the stiffest contact, at the start, a step is."""
+    d = derive(drive.scene)
+    gap, mass, k = (d.function(part, d.q)(drive.start[: drive.scene.nq]) for part in (d.gap_jacobian, d.mass_matrix, d.stiffness))
+    return drive.step * math.sqrt(float((k.ravel() * np.diag(gap @ np.linalg.solve(mass, gap.T))).max()))
 
 
 def _depths_apart(engine: str, drive: Drive, stiffer: float, ask: Callable[[str, Sequence[Drive]], EngineAnswer]) -> float:
