@@ -22,7 +22,7 @@ from validate.judge.disagreement import REFERENCE
 from validate.judge.simulator import describe_engine, engine_names, named_engines
 from validate.store.provenance import command_line
 from validate.stress.case import chart
-from validate.truth.suite import NEAR, measure
+from validate.truth.suite import NEAR, EngineRow, measure
 
 # Of the CSV.
 _OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
@@ -57,8 +57,8 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
     docs/engines.md says what each engine is told.
     """
     asked = named_engines(engines) if engines else engine_names()
-    rows = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
-    record = recorded(asked, rows)
+    found = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
+    record = recorded(asked, found)
     if out is not None:
         write(out / "truth.html", render_truth(record, command_line(arguments)))
         write(out / "truth.csv", as_csv(record))
@@ -73,7 +73,7 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
         if worst is not None:
             say(f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}.")
     say(record.summary)
-    return 0 if reference_is_right(rows) else 1
+    return 0 if reference_is_right(record.rows) else 1
 
 
 def reference_is_right(rows: Sequence[TruthRow]) -> bool:
@@ -81,8 +81,9 @@ def reference_is_right(rows: Sequence[TruthRow]) -> bool:
     return all(row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE)
 
 
-def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
+def recorded(engines: tuple[str, ...], found: Sequence[EngineRow]) -> TruthRecord:
     """What is written of it."""
+    rows = [TruthRow.model_validate(row, from_attributes=True) for row in found]
     about = {name: describe_engine(name) for name in engines}
     told = {name: f"{' '.join((item.title, _version(item.package))).rstrip()}; {item.law}" for name, item in about.items()}
     summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
-from reports.records.truth_record import LevelRecord, TruthRow
 from validate.judge.disagreement import size, why
 from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, Simulator, describe_engine, run_engine
 from validate.truth.problems import TruthProblem, problems
@@ -30,7 +30,35 @@ _ROUNDING = 1e-11
 _RIGHT = 1e-8
 
 
-def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[TruthRow]:
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step, CPU time [s]."""
+
+    step: float | None
+    tolerance: float | None
+    error: float | None
+    energy: float | None
+    microseconds: float | None
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineRow:
+    """What an engine made of a problem; see reports.records.truth_record.TruthRow, which keeps it."""
+
+    phenomenon: str
+    problem: str
+    source: str
+    engine: str
+    came: str
+    sentence: str
+    kind: str = ""
+    worst: str = ""
+    order: float | None = None
+    levels: tuple[Level, ...] = ()
+
+
+def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[EngineRow]:
     """All problems by these engines, each in a child of its own, so many at a time, the longest first.
 
     Raises UnknownNameError for an engine that there is not, MachineError without a compiler or room.
@@ -38,7 +66,7 @@ def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None
     asked = list(product(problems(), engines))
     ends = {problem.name: problem.end() for problem in dict(asked)}
 
-    def one(item: tuple[TruthProblem, str]) -> TruthRow:
+    def one(item: tuple[TruthProblem, str]) -> EngineRow:
         problem, engine = item
         row = judged(problem, engine, run_engine(engine, drives(problem, describe_engine(engine))), ends[problem.name])
         tell(f"{problem.phenomenon}, {problem.name}: {engine}: {row.sentence}")
@@ -63,7 +91,7 @@ def judged(
     answer: EngineAnswer,
     end: np.ndarray,
     ask: Callable[[str, Sequence[Drive]], EngineAnswer] = run_engine,
-) -> TruthRow:
+) -> EngineRow:
     """The row of an answer.
 
     Parameters
@@ -79,7 +107,7 @@ def judged(
 
     Returns
     -------
-    TruthRow
+    EngineRow
         With its sentence.
 
     Raises
@@ -95,13 +123,13 @@ def judged(
         "came": answer.came.value,
     }
     if answer.came is not Came.DONE:
-        return TruthRow(**about, sentence=answer.why.rstrip("."))
+        return EngineRow(**about, sentence=answer.why.rstrip("."))
     energy, adaptive, asked = _energy_of(problem.scene), describe_engine(engine).adaptive, drives(problem, describe_engine(engine))
     told = [_errors(problem, motion, end, energy) for motion in answer.motions]
     worst = [_worst(item, problem) for item in told]
     errors = [error for error, _ in worst]
     levels = tuple(
-        LevelRecord(
+        Level(
             step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None, error=_finite(error),
             energy=_finite(item.get("energy", math.inf)), microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
             seconds=motion.seconds,
@@ -114,7 +142,7 @@ def judged(
         found, sentence = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
         kind, sentence = found.value, f"{found.value}: {sentence}"
     order = None if adaptive else observed_order(errors)
-    return TruthRow(**about, sentence=sentence, kind=kind, worst=worst[-1][1], order=order, levels=levels)
+    return EngineRow(**about, sentence=sentence, kind=kind, worst=worst[-1][1], order=order, levels=levels)
 
 
 def observed_order(errors: Sequence[float]) -> float | None:

@@ -1,7 +1,7 @@
 """MuJoCo: a scene as bodies on joints and tendons between them, by Runge-Kutta 4 at a fixed step.
 
-A frictionless, undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly. A damped one is a tendon with a limit, and one that
-rubs or that no tendon measures a pair of geoms: constraints, which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with
+An undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly; what rubs on it a tendon along the slip, whose friction loss follows
+that force at each stage of a step. A damped contact is a tendon with a limit, and one that no tendon measures a pair of geoms: constraints, which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with
 the inverse mass that it takes for the constraint. At the smallest impedance that it takes, d = 1e-4, the force is max(k phi + c phi', 0) but for 1e-4 of what
 else acts on the bodies; at its default of 0.9 a depth is 3 to 51 % wrong. Friction is a constraint on the slip, regularised whatever is asked: it creeps. What
 is smooth acts as forces on the joints, at each stage of a step.
@@ -24,7 +24,7 @@ mujoco: Any = importlib.import_module("mujoco")  # a checker without the package
 ENGINE = Simulator(
     title="MuJoCo, Runge-Kutta 4",
     package="mujoco",
-    law="tendons with a dead band; damped or rubbing contact: constraints at impedance 1e-4; elliptic cone, regularised",
+    law="tendons with a dead band, and tendons that rub as those press; damped contact and turning bodies: constraints at impedance 1e-4; friction regularised",
     softens="how much its friction gives way",
 )
 # The smallest and largest impedance that MuJoCo takes, and the first as it is told.
