@@ -116,7 +116,7 @@ def judged(
     UnknownNameError
         For an engine that there is not.
     """
-    about = {
+    about: dict[str, Any] = {
         "phenomenon": problem.phenomenon,
         "problem": problem.name,
         "source": problem.source,
