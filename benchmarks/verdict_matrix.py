@@ -14,6 +14,7 @@ import touchstone as ts
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.options import write, written_to
 from validate.execution.isolated import Limits
+from validate.execution.process import usable_cores
 from validate.judge.elsewhere import EngineVerdict, elsewhere
 from validate.judge.judgement import judge
 from validate.judge.simulator import describe_engine, named_engines
@@ -62,7 +63,7 @@ def as_markdown(engines: Sequence[str], rows: dict[str, tuple[str, str, list[Eng
     show_default=True,
     help="Where plans are kept.",
 )
-@click.option("--seconds", type=click.FloatRange(min=1.0), default=300.0, show_default=True, help="For each time that an engine is asked.")
+@click.option("--seconds", type=click.FloatRange(min=1.0), default=600.0, show_default=True, help="For each time that an engine is asked.")
 @written_to("--markdown", "markdown", "FILE.md", "the page, as docs/verdict_matrix.md is")
 def command(scenes: tuple[str, ...], engines: str, plans: Path, seconds: float, markdown: Path | None) -> int:
     """What other simulators say of the plan of each scene, and why where they say otherwise."""
@@ -78,7 +79,7 @@ def command(scenes: tuple[str, ...], engines: str, plans: Path, seconds: float, 
             write_netcdf(file, found, ts.scene(name))
         judgement = judge(name, file, limits=Limits())
         click.echo(f"{name}: {judgement.verdict.value}")
-        found = elsewhere(judgement, asked, limits=Limits(seconds=seconds), tell=lambda text: click.echo(f"  {text}"))
+        found = elsewhere(judgement, asked, limits=Limits(seconds=seconds), jobs=usable_cores(), tell=lambda text: click.echo(f"  {text}"))
         rows[name] = (PIPELINES[name], judgement.verdict.value, found)
         if markdown is not None:
             write(markdown, as_markdown(asked, rows))

@@ -163,11 +163,15 @@ def render(folder: Path) -> str:
     return _campaign_page(Templates(), report, _across(report, _others(report)))
 
 
-def render_run(record: RunRecord, folder: Path) -> str:
-    """The text of the page of a run that belongs to no campaign. folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on."""
+def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The text of the page of a run that belongs to no campaign.
+
+    folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on; engines: what other simulators say of it, as JSON holds that.
+    """
     report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
-    return page(Templates(), [run.build(report, record)], title=title, lead=record.scene.title, again="")
+    others = [Section("engines", "What other simulators say", "engines.html", {"rows": engines})] if engines else []
+    return page(Templates(), [run.build(report, record), *others], title=title, lead=record.scene.title, again="")
 
 
 def render_players(folder: Path) -> dict[str, str]:

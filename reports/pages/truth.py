@@ -27,7 +27,7 @@ def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
 
 def as_markdown(record: TruthRecord, command: str) -> str:
     """The same as a page of the docs, without times: it is equal whenever it is made."""
-    head = ["problem", *(engine.name for engine in record.engines)]
+    head = ["problem", *record.engines]
     lines = [
         "# The contact truth suite",
         "",
@@ -36,9 +36,7 @@ def as_markdown(record: TruthRecord, command: str) -> str:
         record.summary,
         "",
     ]
-    lines += [
-        f"- **{engine.name}**: {engine.title}{f' {engine.version}' if engine.version else ''}; {engine.law}." for engine in record.engines
-    ]
+    lines += [f"- **{name}**: {words}." for name, words in record.engines.items()]
     lines += [
         "",
         "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step.",
@@ -46,7 +44,7 @@ def as_markdown(record: TruthRecord, command: str) -> str:
     ]
     lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for rows in record.problems:
-        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(_cell, rows))} |")
+        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(cell, rows))} |")
     lines += ["", "What explains the largest disagreement:", "", "| problem | exact answer | furthest | why |", "|---|---|---|---|"]
     for rows in record.problems:
         worst = largest_disagreement(rows)
@@ -55,7 +53,8 @@ def as_markdown(record: TruthRecord, command: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cell(row: TruthRow) -> str:
+def cell(row: TruthRow) -> str:
+    """The error at the finest level and its order, or what came of asking."""
     if row.came != "done":
         return row.came
     return "diverges" if row.error is None else f"{row.error:.0e}{'' if row.order is None else f' ({row.order:.1f})'}"

@@ -7,17 +7,22 @@ from reports.records.record import Finite, Model
 
 
 class LevelRecord(Model):
-    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step."""
+    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step, CPU time [s]."""
 
     step: Finite | None
     tolerance: Finite | None
     error: Finite | None
     energy: Finite | None
     microseconds: Finite | None
+    seconds: Finite
 
 
 class TruthRow(Model):
-    """What an engine made of a problem. came: done, cannot express it, not installed, failed; worst: the quantity that decides its error."""
+    """What an engine made of a problem.
+
+    came: done, cannot express it, not installed, failed; kind: of its disagreement, where there is one; worst: the quantity that decides its error; order: of
+    the error in the step, None where there is none to tell.
+    """
 
     phenomenon: str
     problem: str
@@ -25,9 +30,10 @@ class TruthRow(Model):
     engine: str
     came: str
     sentence: str
-    worst: str
-    order: Finite | None
-    levels: tuple[LevelRecord, ...]
+    kind: str = ""
+    worst: str = ""
+    order: Finite | None = None
+    levels: tuple[LevelRecord, ...] = ()
 
     @property
     def error(self) -> float | None:
@@ -35,19 +41,10 @@ class TruthRow(Model):
         return self.levels[-1].error if self.levels else None
 
 
-class EngineRecord(Model):
-    """An engine that was asked: its name, what it is called, how it makes contact, the version of its package."""
-
-    name: str
-    title: str
-    law: str
-    version: str
-
-
 class TruthRecord(Model):
-    """engines, and rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
+    """engines: by name, what each is called, its version and how it makes contact; rows by problem, then by engine; summary: a sentence; charts: error against CPU time."""
 
-    engines: tuple[EngineRecord, ...]
+    engines: dict[str, str]
     rows: tuple[TruthRow, ...]
     summary: str
     charts: tuple[ChartRecord, ...] = ()

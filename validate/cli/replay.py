@@ -156,7 +156,7 @@ def command(
     if out is not None:
         _write(out, told, judgement)
     if html_file is not None:
-        _write_page(html_file, judgement, plan, arguments, warnings)
+        _write_page(html_file, judgement, plan, arguments, told)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
@@ -278,11 +278,11 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
-def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], warnings: list[str]) -> None:
+def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]) -> None:
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
-    write(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), warnings))
+    write(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), told["warnings"], told.get("engines", ())))
 
 
 def _print(judgement: Judgement) -> None:

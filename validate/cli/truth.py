@@ -5,28 +5,28 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
 import click
 
-from reports.pages.truth import as_markdown, largest_disagreement
+from reports.pages.truth import as_markdown, cell, largest_disagreement
 from reports.records.check_record import ChartRecord
-from reports.records.truth_record import EngineRecord, LevelRecord, TruthRecord, TruthRow
+from reports.records.truth_record import TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
 from validate.execution.process import usable_cores
+from validate.judge.disagreement import REFERENCE
 from validate.judge.simulator import describe_engine, engine_names, named_engines
 from validate.store.provenance import command_line
 from validate.stress.case import chart
-from validate.truth.suite import NEAR, REFERENCE, EngineResult, measure
+from validate.truth.suite import NEAR, EngineRow, measure
 
-# Of the CSV; times come last, as nothing else differs between two runs.
-_COLUMNS = (
-    *("phenomenon", "problem", "engine", "came", "step", "tolerance"),
-    *("error", "worst", "energy error", "order", "sentence", "microseconds"),
-)
+# Of the CSV.
+_OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
+_OF_LEVELS = ("step", "tolerance", "error", "energy", "microseconds", "seconds")
 # Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind of contact.
 _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
 
@@ -57,21 +57,15 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
     docs/engines.md says what each engine is told.
     """
     asked = named_engines(engines) if engines else engine_names()
-    rows = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
-    record = recorded(asked, rows)
+    found = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
+    record = recorded(asked, found)
     if out is not None:
         write(out / "truth.html", render_truth(record, command_line(arguments)))
         write(out / "truth.csv", as_csv(record))
         write(out / "truth.json", record.model_dump_json(indent=1))
     if markdown is not None:
         write(markdown, as_markdown(record, command_line(arguments)))
-    shown = [
-        [
-            f"{of[0].phenomenon}: {of[0].problem}",
-            *(row.came if row.came != "done" else "diverges" if row.error is None else f"{row.error:.0e}" for row in of),
-        ]
-        for of in record.problems
-    ]
+    shown = [[f"{of[0].phenomenon}: {of[0].problem}", *map(cell, of)] for of in record.problems]
     print_table(["problem", *asked], shown, tuple(asked))
     click.echo()
     for of in record.problems:
@@ -79,55 +73,25 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
         if worst is not None:
             say(f"{worst.phenomenon}, {worst.problem}: furthest is {worst.engine}: {worst.sentence}.")
     say(record.summary)
-    return 0 if reference_is_right(rows) else 1
+    return 0 if reference_is_right(record.rows) else 1
 
 
-def reference_is_right(rows: list[EngineResult]) -> bool:
+def reference_is_right(rows: Sequence[TruthRow]) -> bool:
     """Whether our reference, where it was asked, is as near to every answer as it must be."""
-    return all(row.error <= NEAR for row in rows if row.engine == REFERENCE)
+    return all(row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE)
 
 
-def recorded(engines: tuple[str, ...], rows: list[EngineResult]) -> TruthRecord:
+def recorded(engines: tuple[str, ...], found: Sequence[EngineRow]) -> TruthRecord:
     """What is written of it."""
-
-    def finite(value: float | None) -> float | None:
-        return value if value is not None and math.isfinite(value) else None
-
-    told = []
-    for row in rows:
-        problem = row.problem
-        levels = tuple(
-            LevelRecord(
-                step=level.step,
-                tolerance=level.tolerance,
-                error=finite(level.error),
-                energy=finite(level.energy),
-                microseconds=level.microseconds,
-            )
-            for level in row.levels
-        )
-        told.append(
-            TruthRow(
-                phenomenon=problem.phenomenon,
-                problem=problem.name,
-                source=problem.source,
-                engine=row.engine,
-                came=row.came.value,
-                sentence=row.sentence,
-                worst=row.worst,
-                order=row.order,
-                levels=levels,
-            )
-        )
+    rows = [TruthRow.model_validate(row, from_attributes=True) for row in found]
     about = {name: describe_engine(name) for name in engines}
-    phenomena = len({row.phenomenon for row in told})
-    own = [row.error for row in rows if row.engine == REFERENCE]
-    summary = f"{phenomena} phenomena in {len(told) // len(engines)} problems, by {', '.join(engines)}."
+    told = {name: f"{' '.join((item.title, _version(item.package))).rstrip()}; {item.law}" for name, item in about.items()}
+    summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."
+    own = [row.error for row in rows if row.engine == REFERENCE and row.error is not None]
     if own:
         summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
     return TruthRecord(
-        engines=tuple(EngineRecord(name=name, title=item.title, law=item.law, version=_version(item.package)) for name, item in about.items()),
-        rows=tuple(told), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
+        engines=told, rows=tuple(rows), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
     )  # fmt: skip
 
 
@@ -138,30 +102,27 @@ def _version(package: str) -> str:
         return ""
 
 
-def _chart(phenomenon: str, rows: list[EngineResult]) -> ChartRecord | None:
+def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
     """Error against CPU time of the first problem of a phenomenon, a curve an engine."""
-    first = next((row.problem for row in rows if row.problem.phenomenon == phenomenon), None)
+    of = [row for row in rows if row.phenomenon == phenomenon]
     drawn = {
-        row.engine: ([level.seconds for level in row.levels], [level.error for level in row.levels])
-        for row in rows
-        if row.problem is first and row.levels
+        row.engine: ([level.seconds for level in row.levels], [math.nan if level.error is None else level.error for level in row.levels])
+        for row in of
+        if row.problem == of[0].problem and row.levels
     }
-    if first is None or not drawn:
+    if not drawn:
         return None
     words = "Down and to the left is better: less error for less time. Each curve is one engine at four steps or tolerances."
-    return chart(f"{phenomenon}, {first.name}", ("CPU time", "s"), ("error", ""), drawn, log_x=True, log_y=True, words=words)
+    return chart(f"{phenomenon}, {of[0].problem}", ("CPU time", "s"), ("error", ""), drawn, log_x=True, log_y=True, words=words)
 
 
 def as_csv(record: TruthRecord) -> str:
-    """A row a level: all that was measured."""
+    """A row a level: all that was measured; times come last, as nothing else differs between two runs."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(_COLUMNS)
+    rows.writerow((*_OF_ROWS, *_OF_LEVELS))
     for row in record.rows:
         for level in row.levels or (None,):
-            numbers = (None,) * 5 if level is None else (level.step, level.tolerance, level.error, level.energy, level.microseconds)
-            step, tolerance, error, energy, microseconds = ("" if value is None else repr(value) for value in numbers)
-            order = "" if row.order is None else repr(row.order)
-            about = (row.phenomenon, row.problem, row.engine, row.came)
-            rows.writerow([*about, step, tolerance, error, row.worst, energy, order, row.sentence, microseconds])
+            found = [getattr(row, name) for name in _OF_ROWS] + [getattr(level, name, None) for name in _OF_LEVELS]
+            rows.writerow(["" if value is None else repr(value) if isinstance(value, float) else value for value in found])
     return text.getvalue()

@@ -5,8 +5,7 @@
 
 Every engine gets the plan's inputs from its start, at three steps or tolerances, each a quarter of the one before, and what it makes of them is scored as our own
 replay is, with the difference of the last two as its error; with feedback, our law around the plan, where the score asks for that. A disagreement is of any
-of the three with our verdict. Its class is measured: the step made shorter, the engine's own softness changed, our own error growth from where the
-two part, all contacts stiffened.
+of the three with our verdict; its class is measured (validate.judge.disagreement).
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from enum import Enum
 from itertools import pairwise
 from typing import Any
 
@@ -25,33 +23,20 @@ from models.codegen.kernel import load_kernel
 from models.errors import SceneError
 from models.scene import Limit, Scene
 from validate.execution.isolated import Limits
+from validate.judge.disagreement import REFERENCE, Otherwise, level_of, size, why
 from validate.judge.judgement import Judgement
 from validate.judge.replay.error_estimate import ReplayNodes, difference
 from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
-from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort
+from validate.judge.replay.wiring import Feedback, measure_effort
 from validate.judge.score import Score, score, wants_feedback
-from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, finer, run_engine
+from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, run_engine
 
-REFERENCE = "fmu"
 # Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter of the one before at each level.
 ROWS, LEVELS = 4, (1, 4, 16)
-# What the last of them is shortened by once more where that has not decided; what softness and stiffness are changed by.
-_MUCH, _SOFTER, _STIFFER = 4, 4.0, (8.0, 64.0)
 # From which growth of an error on a motion is called unstable.
 _GROWS = 30.0
 _OF_THE_JUDGE = "of the judge's own health; what an engine loses or gains is what its motion is judged by"
-
-
-class Otherwise(Enum):
-    """Why an engine says something else."""
-
-    NONE = ""
-    STEP = "step error"
-    FRICTION = "friction regularisation"
-    UNSTABLE = "unstable motion"
-    LAW = "contact law"
-    GEOMETRY = "geometry"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,16 +68,8 @@ class EngineVerdict:
     def as_json(self) -> dict[str, Any]:
         """As JSON holds it: what is infinite is null."""
         levels = [asdict(level) | {"distance": level.distance if math.isfinite(level.distance) else None} for level in self.levels]
-        why = "" if self.score is None else self.score.why
-        return {
-            "engine": self.engine,
-            "verdict": self.verdict,
-            "agrees": self.agrees,
-            "kind": self.kind.value,
-            "sentence": self.sentence,
-            "why": why,
-            "levels": levels,
-        }
+        told = {"engine": self.engine, "verdict": self.verdict, "agrees": self.agrees, "kind": self.kind.value, "sentence": self.sentence}
+        return told | {"why": "" if self.score is None else self.score.why, "levels": levels}
 
 
 def elsewhere(
@@ -114,9 +91,8 @@ def elsewhere(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """A level's motion as a replay, and its score."""
+    """A level's motion, its score, and how far it is from ours."""
 
-    replay: Replay
     score: Score
     distance: float
     drive: Drive
@@ -145,68 +121,70 @@ class _Matrix:
         """Ask one engine. Raises UnknownNameError, MachineError."""
         if engine == REFERENCE:
             level = EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0)
-            return EngineVerdict(
-                engine=engine,
-                came=Came.DONE,
-                agrees=True,
-                score=self.ours.score,
-                levels=(level,),
-                sentence="what the others are held against",
-            )
-        about = describe_engine(engine)
-        tolerances = about.tolerances[1:] or (1.0,) * len(LEVELS)
+            found = {"score": self.ours.score, "levels": (level,), "sentence": "what the others are held against"}
+            return EngineVerdict(engine=engine, came=Came.DONE, agrees=True, **found)
+        tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
         base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
         drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]
         answer, found = self._scored(engine, drives)
         if answer.came is not Came.DONE:
             return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
         levels = tuple(
-            EngineLevel(
-                step=item.drive.tolerance if about.adaptive else item.drive.step, verdict=item.score.verdict.value, distance=item.distance
-            )
-            for item in found
+            EngineLevel(step=level_of(item.drive, engine), verdict=item.score.verdict.value, distance=item.distance) for item in found
         )
         agrees = all(level.verdict == self.ours.verdict.value for level in levels)
-        kind, sentence = (Otherwise.NONE, f"{_size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
+        kind, sentence = (Otherwise.NONE, f"{size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
         return EngineVerdict(
             engine=engine, came=Came.DONE, agrees=agrees, score=found[-1].score, levels=levels, kind=kind, sentence=sentence
         )
 
-    def _scored(self, engine: str, drives: Sequence[Drive], after: _Found | None = None) -> tuple[EngineAnswer, list[_Found]]:
-        """All motions of these drives scored, each against the one before it, the first against `after`; with feedback where the score of one asks for it."""
-        answer = run_engine(engine, drives, limits=self.limits)
+    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Otherwise, str]:
+        """The class of a disagreement, and what was measured."""
+        kind, sentence = why(
+            engine, [item.drive for item in found], [item.distance for item in found], lambda motion: self._distance(motion.q),
+            settled=levels[-1].verdict == self.ours.verdict.value, unstable=lambda: self._unstable(found[-1]), ask=self._ask,
+        )  # fmt: skip
+        return kind, f"{', '.join(level.verdict for level in levels)}; from ours {sentence}"
+
+    def _ask(self, engine: str, drives: Sequence[Drive]) -> EngineAnswer:
+        return run_engine(engine, drives, limits=self.limits)
+
+    def _unstable(self, found: _Found) -> str:
+        """That our own error growth makes the distance at the end of that where it begins, in words; empty: it does not."""
+        growth, plan = self.replay.growth, self.plan
+        if growth is None or growth.amplification <= _GROWS:
+            return ""
+        begin = min(int(np.searchsorted(plan.t, growth.begin)) + 1, plan.steps)
+        apart = self._distance(found.motion.q, slice(begin, begin + 1))
+        if apart * growth.amplification < found.distance / 3.0:
+            return ""
+        return f"{size(apart)} at {plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
+
+    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, list[_Found]]:
+        """All motions of these drives scored, each against the one before it; with feedback where the score of one asks for it."""
+        answer = self._ask(engine, drives)
         if answer.came is not Came.DONE:
             return answer, []
-        opened = self._replays(drives, answer.motions, None if after is None else after.replay)
+        opened = self._replays(drives, answer.motions)
         scores, followed = [score(self.scene, self.plan, item) for item in opened], [None] * len(drives)
         if self.feedback is not None and any(wants_feedback(item.metrics) for item in scores):
             asked = [replace(drive, feedback=self.feedback) for drive in drives]
-            tracked = run_engine(engine, asked, limits=self.limits)
+            tracked = self._ask(engine, asked)
             if tracked.came is Came.DONE:
-                followed = self._replays(asked, tracked.motions, None if after is None else after.replay.tracked)
+                followed = self._replays(asked, tracked.motions)
         found = []
         for drive, motion, item, other, alone in zip(drives, answer.motions, opened, followed, scores, strict=True):
             whole = item if other is None else replace(item, tracked=other)
             judged = alone if other is None else score(self.scene, self.plan, whole)
-            found.append(
-                _Found(
-                    replay=whole,
-                    score=judged,
-                    distance=self._distance(motion.q),
-                    drive=drive,
-                    motion=motion,
-                )
-            )
+            found.append(_Found(score=judged, distance=self._distance(motion.q), drive=drive, motion=motion))
         return answer, found
 
-    def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion], before: Replay | None) -> list[Replay]:
+    def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
         """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""
         made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
-        whole = [item if item is not None and item.ok else None for item in (before, *made)]
-        apart = [difference(*(None if item is None else ReplayNodes(item) for item in pair)) for pair in pairwise(whole)]
-        errors = [scaled(item, 0.5) for item in apart]
-        if before is None and len(apart) > 1:
-            errors[0] = scaled(apart[1], 2.0)
+        nodes = [ReplayNodes(item) if item.ok else None for item in made]
+        apart = [difference(*pair) for pair in pairwise(nodes)]
+        errors = [scaled(apart[0], 2.0), *(scaled(item, 0.5) for item in apart)]
         return [replace(item, error=ReplayError(estimate=error)) for item, error in zip(made, errors, strict=True)]
 
     def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
@@ -233,66 +211,7 @@ class _Matrix:
         apart = np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times] / self.nominal
         return float(np.nan_to_num(apart, nan=np.inf).max())
 
-    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Otherwise, str]:
-        """The class of a disagreement, and what was measured."""
-        ours, about, last, first, end = self.ours.verdict.value, describe_engine(engine), found[-1], levels[0], levels[-1]
-        step = "tolerance" if about.adaptive else "step"
-        begun = f"{first.verdict} at a {step} of {first.step:.2g}, {_size(first.distance)} from ours"
-        if end.verdict == ours:
-            return Otherwise.STEP, f"{begun}; {end.verdict} at {end.step:.2g}, {_size(end.distance)} from ours"
-        much = finer(last.drive, _MUCH)
-        _, more = self._scored(engine, [much], last)
-        told = much.tolerance if about.adaptive else much.step
-        if more and (more[0].score.verdict.value == ours or more[0].distance < end.distance / 2.0):
-            return Otherwise.STEP, f"{begun}; {more[0].score.verdict.value} at {told:.2g}, {_size(more[0].distance)} from ours"
-        stays = f"{end.verdict} at a {step} of {end.step:.2g}, {_size(end.distance)} from ours, and no nearer at {told:.2g}"
-        if about.softens and self.scene.nf:
-            soft = self._apart(replace(last.drive, soft=_SOFTER), engine)
-            if soft > _SOFTER / 2.0 * end.distance:
-                return Otherwise.FRICTION, f"{stays}; with its friction {_SOFTER:g} times as soft {_size(soft)}"
-        growth = self.replay.growth
-        if growth is not None and growth.amplification > _GROWS:
-            begin = min(int(np.searchsorted(self.plan.t, growth.begin)) + 1, self.plan.steps)
-            apart = self._distance(last.motion.q, slice(begin, begin + 1))
-            if apart * growth.amplification >= end.distance / 3.0:
-                grows = f"{_size(apart)} at {self.plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
-                return Otherwise.UNSTABLE, f"{stays}; {grows}"
-        # What contacts give is less the stiffer they are; where they meet is not.
-        soft, stiff = (self._depths_apart(last.drive, engine, factor) for factor in _STIFFER)
-        kind = Otherwise.LAW if stiff < soft / 2.0 else Otherwise.GEOMETRY
-        said = f"its deepest contact is {_size(soft)} m from ours, with {_STIFFER[1] / _STIFFER[0]:g} times the stiffness {_size(stiff)} m"
-        return kind, f"{stays}; all contacts {_STIFFER[0]:g} times as stiff {said}"
-
-    def _apart(self, drive: Drive, engine: str) -> float:
-        """How far from ours an engine is by that drive, in nominal sizes [-]; infinite where it comes to no end."""
-        answer = run_engine(engine, [drive], limits=self.limits)
-        return self._distance(answer.motions[0].q) if answer.came is Came.DONE else np.inf
-
-    def _depths_apart(self, drive: Drive, engine: str, stiffer: float) -> float:
-        """How much deeper, or less deep, an engine's deepest contact is than our reference's, both with contacts so much stiffer [m]; infinite without a number."""
-        contacts = tuple(replace(contact, stiffness=stiffer * contact.stiffness) for contact in drive.scene.contacts)
-        held, plan, part = HeldInputs(self.plan), self.plan, np.arange(ROWS) / ROWS
-        h = np.diff(plan.t)[:, None]
-        t = np.append((plan.t[:-1, None] + h * part).ravel(), plan.t[-1])
-        u = (held.values[:, None] + held.slopes[:, None] * (h * part)[:, :, None]).reshape(len(t) - 1, -1)
-        nothing = np.zeros((len(t), 0))
-        fine = replace(plan, t=t, u=u, q=nothing, v=nothing, lam=nothing[1:], scheme=None)
-        scene = replace(drive.scene, contacts=contacts)
-        asked = replace(drive, scene=scene, plan=fine, parts=drive.parts // ROWS, rows=1)
-        told = [
-            run_engine(engine, [asked], limits=self.limits),
-            run_engine(REFERENCE, [replace(asked, tolerance=describe_engine(REFERENCE).tolerances[-1])], limits=self.limits),
-        ]
-        if any(answer.came is not Came.DONE for answer in told):
-            return np.inf
-        one, other = (self.kernel.penetration(answer.motions[0].q).max(axis=0) for answer in told)
-        return float(np.nan_to_num(np.abs(one - other), nan=np.inf).max())
-
 
 def scaled(apart: Difference | None, factor: float) -> Difference | None:
     """A difference so many times as large."""
     return None if apart is None else Difference(position=factor * apart.position, state=factor * apart.state, gap=factor * apart.gap)
-
-
-def _size(distance: float) -> str:
-    return f"{distance:.2g}" if np.isfinite(distance) else "out of every bound"

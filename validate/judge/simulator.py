@@ -10,20 +10,20 @@ cannot express it says by CannotExpressError.
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.errors import MachineError, TouchstoneError, UnknownNameError, did_you_mean
+from models.loading import declared
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.judge.replay.wiring import Feedback, HeldInputs
 
@@ -89,13 +89,12 @@ class Drive:
 class SimulatedMotion:
     """What an engine made of a drive.
 
-    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made, nu): inputs with feedback [N, N m]; its steps, 0 where it
-    does not count them, and CPU seconds [s].
+    q, v (rows, nq) [m, rad, m/s, rad/s], not finite from where it diverged; applied (steps made, nu): inputs with feedback [N, N m]; seconds: of CPU
+    time [s].
     """
 
     q: np.ndarray
     v: np.ndarray
-    steps: int
     seconds: float
     applied: np.ndarray | None = None
 
@@ -134,11 +133,7 @@ def describe_engine(name: str) -> Simulator:
     if name not in engine_names():
         known = f"there are {', '.join(engine_names())}."
         raise UnknownNameError(f"there is no engine {name!r}; {did_you_mean(name, engine_names(), known)}")
-    tree = ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and getattr(node.targets[0], "id", "") == "ENGINE":
-            return Simulator(**{word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg})
-    raise UnknownNameError(f"engine file {name}.py: it must define ENGINE = Simulator(...) with literals.")
+    return declared(FOLDER / f"{name}.py", "ENGINE", Simulator)
 
 
 def missing(name: str) -> str:
@@ -206,15 +201,15 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
     motions = []
-    for number, told in enumerate(done.value):
+    for number, seconds in enumerate(done.value):
         q, v, applied = (done.arrays.get(f"{number}_{part}") for part in ("q", "v", "applied"))
         assert q is not None
         assert v is not None
-        motions.append(SimulatedMotion(q=q, v=v, applied=applied, **told))
+        motions.append(SimulatedMotion(q=q, v=v, applied=applied, seconds=seconds))
     return EngineAnswer(came=Came.DONE, motions=tuple(motions))
 
 
-def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], dict[str, np.ndarray]]:
     """In the child: all motions of the engine.
 
     Parameters
@@ -227,7 +222,7 @@ def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, 
     Returns
     -------
     tuple
-        What JSON holds of each motion; q, v (rows, nq) of each [m, rad, m/s, rad/s].
+        CPU seconds of each motion [s]; q, v (rows, nq) of each [m, rad, m/s, rad/s].
 
     Raises
     ------
@@ -237,7 +232,7 @@ def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[dict[str, 
     simulate, value, found = load_engine(name), [], {}
     for number, drive in enumerate(pickle.loads(arrays["drives"].tobytes())):
         motion = simulate(drive)
-        value.append({"steps": motion.steps, "seconds": motion.seconds})
+        value.append(motion.seconds)
         found |= {f"{number}_{part}": array for part in ("q", "v", "applied") if (array := getattr(motion, part)) is not None}
     return value, found
 
@@ -279,10 +274,4 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
         if row < (interval + 1) * drive.rows:
             break
     applied = None if drive.feedback is None else inputs.values
-    steps = drive.plan.steps * drive.parts
-    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], steps=steps, seconds=time.process_time() - began, applied=applied)
-
-
-def finer(drive: Drive, factor: int) -> Drive:
-    """The same with so many times as many steps, and a tolerance smaller by its square."""
-    return replace(drive, parts=drive.parts * factor, tolerance=drive.tolerance / factor**2)
+    return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], seconds=time.process_time() - began, applied=applied)

@@ -34,6 +34,7 @@ _SOURCES = (
     "validate/fmi/",
     "validate/stress/case.py",
     "validate/stress/motion.py",
+    "validate/truth/problems.py",
 )
 
 

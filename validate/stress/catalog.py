@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import UnknownNameError, did_you_mean
+from models.loading import declared
 
 if TYPE_CHECKING:  # names cost no numpy
     from validate.tasks.check import Found
@@ -43,14 +43,7 @@ def heading(name: str) -> str:
 
 def describe_case(name: str) -> StressCase:
     """What a case says of itself. Raises UnknownNameError."""
-    text = _path(name).read_text(encoding="utf-8")
-    begin = text.find("\nCASE = StressCase(")
-    if begin >= 0:
-        # All of a file is not parsed: that took a sixth of `list`.
-        node = ast.parse(text[begin:]).body[0]
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-            return StressCase(**{word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg})
-    raise UnknownNameError(f"stress case file {name}.py: it must define CASE = StressCase(...) with literals.")
+    return declared(_path(name), "CASE", StressCase)
 
 
 def load_case(name: str) -> Callable[[], Found]:

@@ -2,10 +2,12 @@
 
 plan = rolled(scene, start=..., u=..., step=..., steps=...)       # a Trajectory by the compiled step
 motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
+plan, motion = of_truth(problem)                                    # both, of a problem of the truth suite
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
+from validate.truth.problems import TruthProblem
 
 
 def rolled(
@@ -79,6 +82,21 @@ def rolled(
 def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settings: Any) -> Replay:
     """Replay of a plan, without feedback, by the FMU of the scene, or of `like`: one with other parameter values, which the FMU is given."""
     return replay(scene, build_fmu(scene if like is None else like), plan, **{"track": False, **settings})
+
+
+def of_truth(problem: TruthProblem, like: Scene | None = None) -> tuple[Trajectory, Replay]:
+    """A problem of the truth suite by the compiled step between its nodes, and its replay; `like` as of `replayed`. Raises KernelError, FmuError."""
+    plan = rolled(problem.scene, u=problem.plan.u, step=problem.step)
+    return plan, replayed(problem.scene, plan, like=like)
+
+
+def wrong_by(problem: TruthProblem, motion: Trajectory | Replay) -> dict[str, float]:
+    """Errors of a plan or a replay against the exact answer of its problem, by what is asked, as shares of its scales [-]; infinite where a replay stopped. Raises MotionError."""
+    rows = motion.knots if isinstance(motion, Replay) else slice(None)
+    q, v = motion.q[rows], motion.v[rows]
+    if len(q) <= problem.nodes:
+        return {"the end, which was not reached": math.inf}
+    return problem.errors(problem.plan.t, q, v, problem.end())
 
 
 def at_nodes(motion: Replay) -> np.ndarray:

@@ -10,10 +10,10 @@ This stands above the judge, which knows neither methods nor reports; `touchston
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -146,9 +146,9 @@ class JudgedPlan(Judgement):
         # A foreign model answers in the same words as a scene.
         return self.plan.plot(cast(Scene, self.scene), replay)
 
-    def page(self, command: str, warnings: Sequence[str] = ()) -> str:
-        """The page of a run for this plan: one HTML file that needs nothing else. command: what repeats it; warnings: sentences shown with it."""
-        return _page(self.scene, self.plan, self.replay, self._stage(warnings), self.name, command)
+    def page(self, command: str, warnings: Sequence[str] = (), engines: Sequence[Mapping[str, Any]] = ()) -> str:
+        """The page of a run for this plan: one HTML file that needs nothing else. command: what repeats it; warnings: sentences shown with it; engines: rows of others."""
+        return _page(self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines)
 
     def _repr_html_(self) -> str:
         command = f"touchstone.judge({self.scene.name!r}, plan)"
@@ -170,7 +170,9 @@ def _seconds(replay: Replay | None) -> float:
     return 0.0 if replay is None else replay.seconds_reference + replay.seconds_everyday + _seconds(replay.tracked)
 
 
-def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str) -> str:
+def _page(
+    subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str, engines: Sequence[Mapping[str, Any]] = ()
+) -> str:  # fmt: skip
     """The page of a run of one stage, drawn from files as a campaign's are."""
     drawn = subject if isinstance(subject, Scene) else _with_common_names(subject)
     run = _run(scene_record(drawn) if isinstance(drawn, Scene) else _foreign_record(drawn, plan), stage, name, command)
@@ -182,7 +184,7 @@ def _page(subject: Subject, plan: Trajectory | None, replay: Replay | None, stag
         for what, motion in (("replay", replay), ("tracked", None if replay is None else replay.tracked)):
             if motion is not None and len(motion.t):
                 write_replay(folder / files[what], motion, drawn)
-        return render_run(run, Path(place))
+        return render_run(run, Path(place), engines)
 
 
 def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> RunRecord:

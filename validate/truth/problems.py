@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
+from scipy.interpolate import CubicHermiteSpline
 from scipy.special import lambertw
 
 from models.catalog import load_scene
@@ -33,14 +34,15 @@ FOUR = (1, 2, 4, 8)
 BOUNCES, HEIGHT = 1000, 0.05
 STIFFNESSES = tuple(10.0**power for power in range(0, 9, 2))
 RATIOS = (1e-4, 1e-2, 1e2, 1e4)
+# Of the soft plane under what slides [N/m].
+_PLANE = 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ask:
-    """A number of a motion beside its end: measure(t, q, v) of nodes (nodes,) [s], (nodes, nq) [m, rad, m/s, rad/s]; exact and scale in `unit`."""
+    """A number of a motion beside its end: measure(t, q, v) of nodes (nodes,) [s], (nodes, nq) [m, rad, m/s, rad/s]; exact and scale in its unit."""
 
     name: str
-    unit: str
     exact: float
     scale: float
     measure: Callable[[np.ndarray, np.ndarray, np.ndarray], float]
@@ -67,14 +69,19 @@ class TruthProblem:
     parts: tuple[int, ...] = FOUR
     u: tuple[float, ...] = ()
     energy_kept: bool = False
-    asks: tuple[Ask, ...] = field(default=())
+    asks: tuple[Ask, ...] = ()
+
+    @property
+    def step(self) -> float:
+        """Between two nodes [s]."""
+        return self.duration / self.nodes
 
     @property
     def plan(self) -> Trajectory:
         """Its inputs on its nodes."""
         nothing = np.zeros((self.nodes + 1, 0))
         u = np.tile(np.array(self.u, dtype=float), (self.nodes, 1)).reshape(self.nodes, self.scene.nu)
-        return Trajectory(t=uniform_grid(self.duration / self.nodes, self.nodes), q=nothing, v=nothing, u=u, lam=nothing[1:])
+        return Trajectory(t=uniform_grid(self.step, self.nodes), q=nothing, v=nothing, u=u, lam=nothing[1:])
 
     def end(self) -> np.ndarray:
         """The true end, (2 nq,) positions, then velocities [m, m/s]; NaN where it is not asked. Raises MotionError where it cannot be integrated."""
@@ -103,210 +110,190 @@ class TruthProblem:
         ValueError
             If the shapes do not fit.
         """
-        nq = self.scene.nq
         found = {}
-        for kind, reached, true, scale in (("position", q[-1], end[:nq], self.position), ("velocity", v[-1], end[nq:], self.velocity)):
-            asked = np.isfinite(true)
-            if asked.any():
-                found[f"{kind} at the end"] = float(np.abs(reached - true)[asked].max()) / scale
+        for kind, reached, true, scale in zip(
+            ("position", "velocity"), (q, v), np.split(end, 2), (self.position, self.velocity), strict=True
+        ):
+            if np.isfinite(true).any():
+                found[f"{kind} at the end"] = float(np.nanmax(np.abs(reached[-1] - true))) / scale
         return found | {ask.name: abs(ask.measure(t, q, v) - ask.exact) / ask.scale for ask in self.asks}
 
 
 def problems() -> tuple[TruthProblem, ...]:
     """All problems, by phenomenon."""
     return (
-        *_rebounds(), _collision(), *_mass_ratios(), _grazing(), _squeeze(), _dying_bounces(), _stop(), *_ramps(), _creep(), _stick_slip(),
-        _bounces(), *_stiffnesses(), _overlap(),
+        *_rebounds(), _collision(), *map(mass_ratio, RATIOS), grazing(1e-4), squeeze(), _dying_bounces(), _stop(),
+        *(ramp(mu, share) for mu in (0.2, 0.8) for share in (0.95, 1.05)), creep(0.5), _stick_slip(), _bounces(), *map(stiff, STIFFNESSES), _overlap(),
     )  # fmt: skip
 
 
-def _started(scene: Scene, start: tuple[float, ...], **parameters: float) -> Scene:
-    """Another start and other parameters; answers and limits of the scene's own are not those of this any more."""
-    changed = replace(scene, answers=(), limits=()).with_parameters(**parameters)
-    return changed.with_task(start=start)
+def _started(name: str, start: tuple[float, ...] | None = None, **parameters: float) -> Scene:
+    """A scene of the bank with another start and other parameters; its answers and limits are not those of this any more."""
+    changed = replace(load_scene(name), answers=(), limits=()).with_parameters(**parameters)
+    return changed if start is None else changed.with_task(start=start)
 
 
-def deepest(place: int) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
-    """Measures the largest depth of a coordinate below 0 [m], between nodes by the cubic through positions and velocities, of t (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises nothing."""
-
-    def measure(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-        """Of t (nodes,) [s], q, v (nodes, nq) [m, m/s]: [m]. Raises nothing."""
-        turns = np.flatnonzero((v[:-1, place] < 0.0) & (v[1:, place] >= 0.0))
-        lowest = q[:, place].min()
-        for i in turns:
-            h = t[i + 1] - t[i]
-            rise, (a, b) = (q[i + 1, place] - q[i, place]) / h, v[i : i + 2, place]
-            s = np.roots([3 * (a + b - 2 * rise), 2 * (3 * rise - 2 * a - b), a])
-            s = s[np.isreal(s)].real
-            s = s[(s >= 0.0) & (s <= 1.0)]
-            cubic = q[i, place] + h * (a * s + (3 * rise - 2 * a - b) * s**2 + (a + b - 2 * rise) * s**3)
-            lowest = min(lowest, cubic.min(initial=np.inf))
-        return -float(lowest)
-
-    return measure
+def deepest(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
+    """The largest depth of coordinate 0 below 0 [m], between nodes by cubics; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises ValueError if the shapes do not fit."""
+    curve = CubicHermiteSpline(t, q[:, 0], v[:, 0])
+    return -float(np.nanmin(curve(np.append(t, curve.derivative().roots(extrapolate=False)))))
 
 
-def _floor(law: DampingLaw, damping: float) -> Scene:
-    """The bouncing mass on a damped floor."""
-    scene, c = load_scene("bouncing_mass"), sp.Symbol("c", positive=True)
+def last_fall(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
+    """The last time at which coordinate 0 falls below 0 [s], 0 where it never does: from then on it rests; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. Raises ValueError as `deepest`."""
+    curve = CubicHermiteSpline(t, q[:, 0], v[:, 0])
+    through = curve.roots(extrapolate=False)
+    return float(through[curve(through, 1) < 0.0].max(initial=0.0))
+
+
+def asymmetry(q: np.ndarray, v: np.ndarray) -> float:
+    """Largest distance of positions (nodes, nq) [m], mirrored about the first middle, and velocities (nodes, nq) [m/s] from their mirror images. Raises nothing."""
+    return max(float(np.abs(q + q[:, ::-1] - q[0, 0] - q[0, -1]).max()), float(np.abs(v + v[:, ::-1]).max()))
+
+
+def damped_floor(law: DampingLaw, damping: float, start: tuple[float, ...] | None = None, **parameters: float) -> Scene:
+    """The bouncing mass on a damped floor; damping in the law's unit."""
+    scene, c = _started("bouncing_mass", start, **parameters), sp.Symbol("c", positive=True)
     damper = Parameter(symbol=c, value=damping, unit=law.unit, lower=0.0, description="damping of the floor")
-    floor = replace(scene.contacts[0], damping=c, damping_law=law)
-    return replace(scene, parameters=(*scene.parameters, damper), contacts=(floor,), answers=(), limits=())
+    return replace(scene, parameters=(*scene.parameters, damper), contacts=(replace(scene.contacts[0], damping=c, damping_law=law),))
+
+
+def restitution(z: float) -> float:
+    """Of a Kelvin-Voigt contact without gravity that is released when its force is zero, at the damping ratio z < 1/sqrt(2) (T. Schwager and T. Poeschel, Granular Matter 9, 2007)."""
+    root = math.sqrt(1.0 - z**2)
+    return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
 
 
 def _rebounds() -> list[TruthProblem]:
-    duration, nodes, phenomenon = 0.6, 300, "rebound"
-    flight = duration - drop.FALL_TIME - drop.CONTACT_TIME
-    elastic = TruthProblem(
-        phenomenon=phenomenon, name="undamped", scene=load_scene("bouncing_mass"), duration=duration, nodes=nodes, position=drop.DROP, velocity=drop.SPEED,
-        source="closed form of the scene: free fall, swing about the static depth", energy_kept=True,
-        exact=(drop.SPEED * flight - drop.GRAVITY * flight**2 / 2, drop.SPEED - drop.GRAVITY * flight),
-        asks=(Ask(name="depth", unit="m", exact=drop.DEPTH, scale=drop.DEPTH, measure=deepest(0)),),
+    duration, speed, damping = 0.6, 3.0, 0.2
+    common = {"phenomenon": "rebound", "duration": duration, "nodes": 300, "position": drop.DROP}
+    flight, y = duration - drop.FALL_TIME - drop.CONTACT_TIME, 1.0 + damping * speed
+    return [
+        TruthProblem(
+            **common, name="undamped", scene=_started("bouncing_mass"), velocity=drop.SPEED, energy_kept=True,
+            source="closed form of the scene: free fall, swing about the static depth",
+            exact=(drop.SPEED * flight - drop.GRAVITY * flight**2 / 2, drop.SPEED - drop.GRAVITY * flight),
+            asks=(Ask(name="depth", exact=drop.DEPTH, scale=drop.DEPTH, measure=deepest),),
+        ),
+        TruthProblem(
+            **common, name="Kelvin-Voigt damping", scene=damped_floor(DampingLaw.KELVIN_VOIGT, 10.0), velocity=drop.SPEED, source=INTEGRATED,
+        ),
+        TruthProblem(
+            **common, name="Hunt-Crossley damping", scene=damped_floor(DampingLaw.HUNT_CROSSLEY, damping, (0.6, -speed), g=0.0), velocity=speed,
+            source="closed form: Lambert's W (as in damped_collision), no gravity",
+            exact=(math.nan, (1.0 + float(lambertw(-y * math.exp(-y), 0).real)) / damping),
+        ),
+    ]  # fmt: skip
+
+
+def _met(
+    phenomenon: str, name: str, start: tuple[float, float, float, float] = pair.START, *, after: float, step: float, position: float,
+    m1: float = pair.MASS_1, m2: float = pair.MASS_2, k: float = pair.STIFFNESS,
+) -> TruthProblem:  # fmt: skip
+    """Two bodies on a line that meet once, or overlap at rest, until `after` [s] beyond their parting."""
+    (q1, q2, v1, v2), w = start, contact_rate(m1, m2, k)
+    gap, opening, mass = q2 - q1 - 2 * pair.RADIUS, v2 - v1, m1 + m2
+    parted, parting = (math.pi / w - gap / opening, -opening) if gap > 0.0 else (math.pi / 2 / w, -gap * w)
+    nodes = math.ceil((parted + after) / step)
+    mean, apart = (m1 * v1 + m2 * v2) / mass, (nodes * step - parted) * parting + 2 * pair.RADIUS
+    centre, masses = (m1 * q1 + m2 * q2) / mass + mean * nodes * step, np.array([m1, m2])
+    size = max(m1 * abs(v1) + m2 * abs(v2), m1 * m2 / mass * parting)
+
+    def momentum(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
+        """Where it is furthest from what it was; t (nodes,) [s], q, v (nodes, 2) [m, m/s]: [kg m/s]. Raises nothing."""
+        return float((v @ masses)[np.abs(v @ masses - mass * mean).argmax()])
+
+    return TruthProblem(
+        phenomenon=phenomenon, name=name, scene=_started("two_body_collision", start, m1=m1, m2=m2, k=k), duration=nodes * step, nodes=nodes,
+        source="closed form: the centre of mass moves on, the distance swings half a period", position=position, velocity=parting, energy_kept=True,
+        exact=(centre - m2 / mass * apart, centre + m1 / mass * apart, mean - m2 / mass * parting, mean + m1 / mass * parting),
+        asks=(Ask(name="momentum", exact=mass * mean, scale=size, measure=momentum),),
     )  # fmt: skip
-    linear = TruthProblem(
-        phenomenon=phenomenon, name="Kelvin-Voigt damping", scene=_floor(DampingLaw.KELVIN_VOIGT, 10.0), duration=duration, nodes=nodes,
-        position=drop.DROP, velocity=drop.SPEED, source=INTEGRATED,
-    )  # fmt: skip
-    speed, damping = 3.0, 0.2
-    y = 1.0 + damping * speed
-    after = (1.0 + float(lambertw(-y * math.exp(-y), 0).real)) / damping
-    growing = TruthProblem(
-        phenomenon=phenomenon, name="Hunt-Crossley damping", scene=_started(_floor(DampingLaw.HUNT_CROSSLEY, damping), (0.6, -speed), g=0.0),
-        duration=duration, nodes=nodes, position=drop.DROP, velocity=speed, source="closed form: Lambert's W (as in damped_collision), no gravity",
-        exact=(math.nan, after),
-    )  # fmt: skip
-    return [elastic, linear, growing]
 
 
-def _collided(scene: Scene, duration: float) -> tuple[float, float, float, float]:
-    """The true end of two bodies on a line that meet once by a linear spring, or overlap at the start: the mean moves on, the distance swings half a period."""
-    values = {parameter.name: parameter.value for parameter in scene.parameters}
-    m1, m2, k, r = (values[name] for name in ("m1", "m2", "k", "r"))
-    q1, q2, v1, v2 = (value for value in scene.task.start if value is not None)
-    w = math.sqrt(k * (m1 + m2) / (m1 * m2))
-    gap, opening = q2 - q1 - 2 * r, v2 - v1
-    if gap > 0.0:
-        gap, opening = (duration + gap / opening - math.pi / w) * -opening, -opening
-    else:  # at rest
-        gap, opening = (duration - math.pi / 2 / w) * -gap * w, -gap * w
-    centre, mean = (m1 * q1 + m2 * q2 + (m1 * v1 + m2 * v2) * duration) / (m1 + m2), (m1 * v1 + m2 * v2) / (m1 + m2)
-    share1, share2 = m2 / (m1 + m2), m1 / (m1 + m2)
-    distance = gap + 2 * r
-    return centre - share1 * distance, centre + share2 * distance, mean - share1 * opening, mean + share2 * opening
-
-
-_SWING = "closed form: the centre of mass moves on, the distance swings half a period"
+def contact_rate(m1: float, m2: float, k: float) -> float:
+    """Of the swing of two bodies [kg] on a spring [N/m]: [rad/s]. Raises ZeroDivisionError without mass."""
+    return math.sqrt(k * (m1 + m2) / (m1 * m2))
 
 
 def _collision() -> TruthProblem:
-    scene = load_scene("two_body_collision")
-    masses, start = np.array([pair.MASS_1, pair.MASS_2]), np.array(pair.START[2:])
-    momentum = Ask(
-        name="momentum", unit="kg m/s", exact=float(masses @ start), scale=float(masses @ np.abs(start)), measure=lambda t, q, v: float(v[-1] @ masses)
-    )  # fmt: skip
+    return _met("two-body collision", "masses 1 and 3", after=0.27, step=0.004, position=1.0)
+
+
+def mass_ratio(ratio: float) -> TruthProblem:
+    """Bodies of 1 kg and `ratio` [kg] meet; at the coarsest a step is a fifth of a radian of the contact."""
+    w, start = contact_rate(1.0, ratio, pair.STIFFNESS), (0.0, 2 * pair.RADIUS + 0.03, 2.0, -1.0)
+    return _met("mass ratio", f"1 to {ratio:g}", start, after=0.01, step=0.2 / w, position=pair.CLOSING_SPEED / w, m1=1.0, m2=ratio)
+
+
+def stiff(k: float) -> TruthProblem:
+    """Bodies meet at 1 cm/s on a spring of k [N/m], at the steps of all the others."""
+    gap, speed = 0.005, 0.01
+    start = (0.0, 2 * pair.RADIUS + gap, speed / 2, -speed / 2)
+    return _met("stiffness at fixed step", f"k = {k:g} N/m, h = 4 to 0.5 ms", start, after=0.2, step=0.004, position=gap, k=k)
+
+
+def _overlap() -> TruthProblem:
+    start = (0.0, 2 * pair.RADIUS - 0.05, 0.0, 0.0)
+    return _met("penetration at the start", "two bodies 5 cm into each other", start, after=0.17, step=0.002, position=0.1)
+
+
+def grazing(depth: float) -> TruthProblem:
+    """A disc passes another at 1 m/s, at rest in the origin, this deep [m], negative: beside it; they are nearest at the middle node."""
+    ahead, height = 0.05, math.sqrt((2 * RADIUS - depth) ** 2 - BLUR**2)
+    # What one disc gives the other at 0.1 mm: some 5 mm/s.
     return TruthProblem(
-        phenomenon="two-body collision", name="masses 1 and 3", scene=scene, duration=0.6, nodes=150, source=_SWING, exact=_collided(scene, 0.6),
-        position=1.0, velocity=pair.CLOSING_SPEED, energy_kept=True, asks=(momentum,),
+        phenomenon="grazing contact", name=f"discs pass at a depth of {1e3 * depth:g} mm", duration=2 * ahead, nodes=50, source=INTEGRATED, u=(0.0, 0.0),
+        scene=_started("two_discs", (-ahead, height, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)), position=5e-3 * ahead, velocity=5e-3, energy_kept=True,
     )  # fmt: skip
 
 
-def _mass_ratios() -> list[TruthProblem]:
-    found = []
-    for ratio in RATIOS:
-        base = load_scene("two_body_collision")
-        scene = _started(base, (0.0, 2 * pair.RADIUS + 0.03, 2.0, -1.0), m1=1.0, m2=ratio)
-        w = math.sqrt(pair.STIFFNESS * (1.0 + ratio) / ratio)
-        duration = 0.02 + math.pi / w
-        # A fifth of a radian of the contact is the coarsest step.
-        found.append(
-            TruthProblem(
-                phenomenon="mass ratio",
-                name=f"1 to {ratio:g}",
-                scene=scene,
-                duration=duration,
-                nodes=math.ceil(duration * w / 0.2),
-                source=_SWING,
-                exact=_collided(scene, duration),
-                position=pair.CLOSING_SPEED / w,
-                velocity=pair.CLOSING_SPEED,
-                energy_kept=True,
-            )
-        )
-    return found
-
-
-def _grazing() -> TruthProblem:
-    depth, ahead = 1e-4, 0.05
-    height = math.sqrt((2 * RADIUS - depth) ** 2 - BLUR**2)
-    scene = _started(load_scene("two_discs"), (-ahead, height, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
-    # What one disc gives the other: some 5 mm/s.
+def squeeze() -> TruthProblem:
+    """Two carts press a third from both sides at once, for 2 s."""
+    even = Ask(name="asymmetry", exact=0.0, scale=0.1, measure=lambda t, q, v: asymmetry(q, v))
     return TruthProblem(
-        phenomenon="grazing contact", name="discs pass at a depth of 0.1 mm", scene=scene, duration=2 * ahead, nodes=50, source=INTEGRATED, u=(0.0, 0.0),
-        position=5e-3 * ahead, velocity=5e-3, energy_kept=True,
+        phenomenon="symmetric squeeze", name="two carts press a third", scene=load_scene("three_cart"), duration=2.0, nodes=200, source=INTEGRATED,
+        u=(6.0, -6.0), position=0.1, velocity=0.5, asks=(even,),
     )  # fmt: skip
-
-
-def _squeeze() -> TruthProblem:
-    scene = load_scene("three_cart")
-    middle = Ask(
-        name="middle cart moved", unit="m", exact=scene.task.start[1], scale=0.1, measure=lambda t, q, v: float(q[np.abs(q[:, 1] - q[0, 1]).argmax(), 1])
-    )  # fmt: skip
-    return TruthProblem(
-        phenomenon="symmetric squeeze", name="two carts press a third", scene=scene, duration=2.0, nodes=200, source=INTEGRATED, u=(6.0, -6.0),
-        position=0.1, velocity=0.5, asks=(middle,),
-    )  # fmt: skip
-
-
-def last_lift(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
-    """The last time at which coordinate 0 falls below 0: from then on it rests; t (nodes,) [s], q, v (nodes, nq) [m, m/s]. 0 where it never does. Raises nothing."""
-    falls = np.flatnonzero((q[:-1, 0] > 0.0) & (q[1:, 0] <= 0.0))
-    if not len(falls):
-        return 0.0
-    i = falls[-1]
-    return float(t[i] + (t[i + 1] - t[i]) * q[i, 0] / (q[i, 0] - q[i + 1, 0]))
 
 
 def _dying_bounces() -> TruthProblem:
     # A contact lasts 0.1 s: at a twentieth of that our own integration sees each.
-    scene = _floor(DampingLaw.KELVIN_VOIGT, 2.0 * 0.2 * math.sqrt(drop.STIFFNESS * drop.MASS)).with_task(step=0.005)
+    scene = damped_floor(DampingLaw.KELVIN_VOIGT, 2.0 * 0.2 * math.sqrt(drop.STIFFNESS * drop.MASS)).with_task(step=0.005)
     duration, nodes = 2.5, 5000
     t = uniform_grid(duration / nodes, nodes)
     states, _ = true_motion(Equations(scene), [Piece(end=duration, u=np.zeros(0))], t)
-    # Between nodes half a millisecond apart a parabola is 1e-6 m off its chord, which at the last falls is 1e-5 s; both sides measure with it.
-    rest = Ask(name="time of rest", unit="s", exact=last_lift(t, states[:, :1], states[:, 1:]), scale=1.0, measure=last_lift)
-    third = int(np.flatnonzero((states[:-1, 0] > 0.0) & (states[1:, 0] <= 0.0))[1]) + 400
-    height = Ask(
-        name="height after two bounces", unit="m", exact=float(states[third, 0]), scale=0.1, measure=lambda t, q, v: float(q[third, 0])
-    )  # fmt: skip
+    q, v = states[:, :1], states[:, 1:]
+    third = int(np.flatnonzero((q[:-1] > 0.0) & (q[1:] <= 0.0))[1]) + 400
     return TruthProblem(
         phenomenon="dying bounces", name="damping ratio 0.2, until it rests", scene=scene, duration=duration, nodes=nodes, source=INTEGRATED,
-        exact=tuple(states[-1]), position=0.1, velocity=0.5, asks=(rest, height),
+        exact=tuple(states[-1]), position=0.1, velocity=0.5,
+        asks=(
+            Ask(name="time of rest", exact=last_fall(t, q, v), scale=1.0, measure=last_fall),
+            Ask(name="height after two bounces", exact=float(q[third, 0]), scale=0.1, measure=lambda t, q, v: float(q[third, 0])),
+        ),
     )  # fmt: skip
 
 
-def ground(angle: float, mu: float, *, belt: float = 0.0, spring: float = 0.0, start: tuple[float, ...] | None = None) -> Scene:
+def ground(angle: float, mu: float, *, belt: float = 0.0, spring: float = 0.0, speed: float = 0.0) -> Scene:
     """A block on a soft, rubbing plane that is tilted by `angle` [rad]; with a belt of that mass [kg] under it instead, and a spring [N/m] to the ground.
 
-    s is the place along the plane, n that above it; at the start it lies as deep as it weighs.
+    s is the place along the plane, n that above it; at the start it lies as deep as it weighs, and has that speed along it [m/s], as the belt has.
     """
-    s, n, b = sp.symbols("s n b", real=True)
-    v_s, v_n, v_b = sp.symbols("v_s v_n v_b", real=True)
+    s, n, b, v_s, v_n, v_b = sp.symbols("s n b v_s v_n v_b", real=True)
     m, g, tilt, k, mu_, m_b, k_s = sp.symbols("m g tilt k mu m_b k_s", positive=True)
-    stiffness, gravity = 1e4, drop.GRAVITY
-    on_belt = belt > 0.0
-    values = ((m, 1.0, "kg"), (g, gravity, "m/s^2"), (tilt, angle, "rad"), (k, stiffness, "N/m"), (mu_, mu, "1"))
-    values += ((m_b, belt, "kg"), (k_s, spring, "N/m")) if on_belt else ()
-    sag = gravity * math.cos(angle) / stiffness
-    begun = start or (0.0, -sag, 0.0, 0.0)
-    moving = [(s, v_s, "place of the block along the plane"), (n, v_n, "its height above the plane")]
-    moving += [(b, v_b, "place of the belt")] if on_belt else []
+    on_belt, g_n = belt > 0.0, drop.GRAVITY * math.cos(angle)
+    values = [(m, 1.0, "kg"), (g, drop.GRAVITY, "m/s^2"), (tilt, angle, "rad"), (k, _PLANE, "N/m"), (mu_, mu, "1")]
+    moving = [(s, v_s, "place of the block along the plane", 0.0, speed), (n, v_n, "its height above the plane", -g_n / _PLANE, 0.0)]
+    if on_belt:
+        values += [(m_b, belt, "kg"), (k_s, spring, "N/m")]
+        moving += [(b, v_b, "place of the belt", 0.0, speed)]
+    start = (*(item[3] for item in moving), *(item[4] for item in moving))
     return Scene(
-        name="belt" if on_belt else "ramp",
-        title="A block on a moving belt" if on_belt else "A block on a ramp",
-        source="Newton's second law",
-        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m", description=words) for q, v, words in moving),
+        name="belt" if on_belt else "ramp", title="A block on a moving belt" if on_belt else "A block on a ramp", source="Newton's second law",
+        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m", description=words) for q, v, words, _, _ in moving),
         inputs=(),
-        parameters=tuple(Parameter(symbol=symbol, value=value, unit=unit, description=str(symbol)) for symbol, value, unit in values),
+        parameters=tuple(Parameter(symbol=item, value=value, unit=unit, lower=0.0, description=item.name) for item, value, unit in values),
         kinetic_energy=m * (v_s**2 + v_n**2) / 2 + (m_b * v_b**2 / 2 if on_belt else 0),
         potential_energy=m * g * (n * sp.cos(tilt) - s * sp.sin(tilt)) + (k_s * s**2 / 2 if on_belt else 0),
         forces=(sp.Integer(0),) * len(moving),
@@ -314,91 +301,60 @@ def ground(angle: float, mu: float, *, belt: float = 0.0, spring: float = 0.0, s
             Contact(name="plane", bodies=("block", "plane"), penetration=-n, stiffness=k, depth=0.1, depth_reason="the height of the block", nominal=1e-3),
         ),
         frictions=(Friction(name="plane", slip=v_s - v_b if on_belt else v_s, coefficient=mu_, contact="plane"),),
-        task=Task(start=begun, goal=(None,) * (2 * len(moving)), running_cost=sp.Integer(0), step=0.01, steps=100),
+        task=Task(start=start, goal=(None,) * (2 * len(moving)), running_cost=sp.Integer(0), step=0.01, steps=100),
     )  # fmt: skip
 
 
 def _stop() -> TruthProblem:
     mu, speed = 0.4, 2.0
-    sag, distance = drop.GRAVITY / 1e4, speed**2 / (2 * mu * drop.GRAVITY)
-    scene = ground(0.0, mu, start=(0.0, -sag, speed, 0.0))
+    distance = speed**2 / (2 * mu * drop.GRAVITY)
     return TruthProblem(
-        phenomenon="stopping distance", name="a block slides to rest, mu = 0.4", scene=scene, duration=0.8, nodes=80, position=distance, velocity=speed,
-        source="closed form: v^2/(2 mu g)", exact=(distance, -sag, 0.0, 0.0),
+        phenomenon="stopping distance", name="a block slides to rest, mu = 0.4", scene=ground(0.0, mu, speed=speed), duration=0.8, nodes=80,
+        position=distance, velocity=speed, source="closed form: v^2/(2 mu g)", exact=(distance, -drop.GRAVITY / _PLANE, 0.0, 0.0),
     )  # fmt: skip
 
 
-def _tilted(phenomenon: str, name: str, mu: float, share: float) -> TruthProblem:
-    """A ramp that asks `share` of what friction can hold; errors are shares of the way without friction."""
+def ramp(mu: float, share: float) -> TruthProblem:
+    """A block on a ramp that asks `share` of what friction can hold; errors are shares of the way without friction."""
     angle, duration = math.atan(share * mu), 1.0
-    pull = drop.GRAVITY * math.sin(angle)
-    rate = max(0.0, pull - mu * drop.GRAVITY * math.cos(angle))
-    sag = drop.GRAVITY * math.cos(angle) / 1e4
+    down, on = drop.GRAVITY * math.sin(angle), drop.GRAVITY * math.cos(angle)
+    rate, does = max(0.0, down - mu * on), "slides" if share > 1.0 else "sticks"
     return TruthProblem(
-        phenomenon=phenomenon, name=name, scene=ground(angle, mu), duration=duration, nodes=100, position=pull * duration**2 / 2, velocity=pull * duration,
-        source="closed form: constant forces", exact=(rate * duration**2 / 2, -sag, rate * duration, 0.0),
+        phenomenon="ramp", name=f"mu = {mu:g}, tilted to {share:g} of its angle: it {does}", scene=ground(angle, mu), duration=duration, nodes=100,
+        position=down * duration**2 / 2, velocity=down * duration, source="closed form: constant forces",
+        exact=(rate * duration**2 / 2, -on / _PLANE, rate * duration, 0.0),
     )  # fmt: skip
 
 
-def _ramps() -> list[TruthProblem]:
-    return [
-        _tilted("ramp", f"mu = {mu:g}, tilted to {share:g} of its angle: it {'slides' if share > 1 else 'sticks'}", mu, share)
-        for mu in (0.2, 0.8)
-        for share in (0.95, 1.05)
-    ]
-
-
-def _creep() -> TruthProblem:
-    return _tilted("creep under load", "mu = 0.5, half of what friction holds", 0.5, 0.5)
+def creep(mu: float) -> TruthProblem:
+    """The ramp at half of what friction holds."""
+    return replace(ramp(mu, 0.5), phenomenon="creep under load", name=f"mu = {mu:g}, half of what friction holds")
 
 
 def _stick_slip() -> TruthProblem:
-    speed, mu = 0.2, 0.3
-    scene = ground(0.0, mu, belt=100.0, spring=100.0, start=(0.0, -drop.GRAVITY / 1e4, 0.0, speed, 0.0, speed))
+    speed = 0.2
     return TruthProblem(
-        phenomenon="stick-slip", name="a block on a spring, on a belt of 100 kg", scene=scene, duration=2.0, nodes=200, source=INTEGRATED, position=0.03, velocity=speed
+        phenomenon="stick-slip", name="a block on a spring, on a belt of 100 kg", scene=ground(0.0, 0.3, belt=100.0, spring=100.0, speed=speed),
+        duration=2.0, nodes=200, source=INTEGRATED, position=0.03, velocity=speed,
     )  # fmt: skip
 
 
 def _bounces() -> TruthProblem:
-    scene = _started(load_scene("bouncing_mass"), (HEIGHT, 0.0))
     speed = math.sqrt(2 * drop.GRAVITY * HEIGHT)
     contact = (2 * math.pi - 2 * math.atan2(speed / drop.RATE, drop.SAG)) / drop.RATE
-    period = 2 * speed / drop.GRAVITY + contact
-    return TruthProblem(
-        phenomenon="energy over 1000 bounces", name="undamped", scene=scene, duration=BOUNCES * period, nodes=BOUNCES, source="closed form: none is lost",
-        exact=(math.nan, math.nan), position=HEIGHT, velocity=speed, energy_kept=True, parts=tuple(150 * part for part in FOUR),
-    )  # fmt: skip
 
-
-def _stiffnesses() -> list[TruthProblem]:
-    found, base, gap, speed = [], load_scene("two_body_collision"), 0.005, 0.01
-    for stiffness in STIFFNESSES:
-        scene = _started(base, (0.0, 2 * pair.RADIUS + gap, speed / 2, -speed / 2), k=stiffness)
-        w = math.sqrt(stiffness / pair.REDUCED_MASS)
-        duration = round((gap / speed + math.pi / w + 0.2) / 0.004) * 0.004
-        found.append(
-            TruthProblem(
-                phenomenon="stiffness at fixed step",
-                name=f"k = {stiffness:g} N/m, h = 4 to 0.5 ms",
-                scene=scene,
-                duration=duration,
-                nodes=round(duration / 0.004),
-                source=_SWING,
-                exact=_collided(scene, duration),
-                position=gap,
-                velocity=speed,
-                energy_kept=True,
-            )
+    def lost(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> float:
+        """At the pace at which the first half was, where that is gone: all of it alone would be the same at every step. t (nodes,) [s], q, v (nodes, 1): [-]. Raises nothing."""
+        share = abs(
+            (v[:, 0] ** 2 / 2 + drop.GRAVITY * q[:, 0] + drop.STIFFNESS / drop.MASS * np.minimum(q[:, 0], 0.0) ** 2 / 2)
+            / (drop.GRAVITY * HEIGHT)
+            - 1
         )
-    return found
+        gone = np.append(np.flatnonzero(share > 0.5), BOUNCES)[0]
+        return float(share[gone] * BOUNCES / gone)
 
-
-def _overlap() -> TruthProblem:
-    depth = 0.05
-    scene = _started(load_scene("two_body_collision"), (0.0, 2 * pair.RADIUS - depth, 0.0, 0.0))
-    w = math.sqrt(pair.STIFFNESS / pair.REDUCED_MASS)
     return TruthProblem(
-        phenomenon="penetration at the start", name="two bodies 5 cm into each other", scene=scene, duration=0.2, nodes=100, source=_SWING,
-        exact=_collided(scene, 0.2), position=0.1, velocity=depth * w, energy_kept=True,
+        phenomenon="energy over 1000 bounces", name="undamped", scene=_started("bouncing_mass", (HEIGHT, 0.0)), nodes=BOUNCES,
+        duration=BOUNCES * (2 * speed / drop.GRAVITY + contact), source="closed form: none is lost", exact=(math.nan, math.nan), position=HEIGHT,
+        velocity=speed, energy_kept=True, parts=tuple(50 * part for part in FOUR), asks=(Ask(name="energy lost by bounces", exact=0.0, scale=1.0, measure=lost),),
     )  # fmt: skip

@@ -1,7 +1,7 @@
 """Drake's plant of a scene, which its engines share: bodies by their MJCF, contacts as points between balls and half-spaces, all else as applied forces.
 
 Both of a pair have twice the stiffness of the contact: Drake puts them in series. What rubs under a constant weight is pressed on a plane of its own.
-Hunt and Crossley's damping is Drake's own; Kelvin and Voigt's only its SAP knows.
+Hunt and Crossley's damping is Drake's own; Kelvin and Voigt's only its SAP knows. A stop on a joint, which no pads express, is one of the forces.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ drake: Any = importlib.import_module("pydrake.all")  # a checker without the pac
 # Slip at which regularised friction is whole [m/s]; Drake's default is 1e-3.
 STICTION = 1e-4
 _TINY = 1e-12
-_SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")}
+_SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp", "log")} | {"Max": drake.max}
 
 
 class Plant:
@@ -38,7 +38,7 @@ class Plant:
             f'<mujoco model="scene"><worldbody>{mechanism.bodies}</worldbody></mujoco>', "xml"
         )
         self.plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -mechanism.gravity])
-        pairs = [self._pads(touch, linear) for touch in mechanism.touches]
+        pairs = [self._pads(touch, linear) for touch in mechanism.touches if not touch.stops]
         self.plant.Finalize()
         filters = graph.collision_filter_manager()
         filters.Apply(drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet([pad for pair in pairs for pad in pair])))
@@ -103,7 +103,7 @@ class Plant:
         )
         found = [drake.Expression(0.0)] * len(v)
         own = [q[place] for place in self._q], [v[place] for place in self._v], u[: len(mechanism.symbols[2])]
-        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC])(*own[0], *own[1], *own[2]), strict=True):
+        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC], stops=True)(*own[0], *own[1], *own[2]), strict=True):
             found[place] = drake.Expression() + force
         for name, weight, _ in mechanism.weights:
             found[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)

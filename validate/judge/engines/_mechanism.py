@@ -11,6 +11,7 @@ smooth - springs, dampers, inputs - acts on it as forces.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,7 +33,7 @@ _BALL = 0.1
 class Touch:
     """A contact: gap = normal @ q - offset, or with centres the distance of those two bodies less offset; with neither only its pads tell.
 
-    normal (nq,); offset, stiffness, damping in the scene's units; law of its damping; friction: its coefficient; centres: the coordinates (x, y) of each body;
+    normal (nq,); offset, stiffness, damping in the scene's units; law of its damping; friction: its coefficient; slip (nq,): its direction, where that is constant; centres: the coordinates (x, y) of each body;
     pads: what meets, steepness: the gap's change over that of their distance; without pads `why` says why.
     """
 
@@ -43,10 +44,16 @@ class Touch:
     damping: float
     law: DampingLaw
     friction: float = 0.0
+    slip: np.ndarray | None = None
     centres: tuple[tuple[int, int], tuple[int, int]] | None = None
     pads: tuple[Pad, Pad] | None = None
     steepness: float = 1.0
     why: str = ""
+
+    @property
+    def stops(self) -> bool:
+        """Whether it acts on coordinates alone: without pads, damping and friction."""
+        return self.pads is None and bool(self.normal.any()) and not (self.damping or self.friction)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,12 +88,16 @@ class Mechanism:
         """Whether the smooth forces depend on inputs alone."""
         return not set().union(*(force.free_symbols for force in self.forces)) & {*self.symbols[0], *self.symbols[1]}
 
-    def smooth(self, modules: Any = "math") -> Callable[..., list[float]]:
-        """The smooth forces on the joints, in the arithmetic of `modules`, as a function of q, v of the joints and u one by one. Raises nothing."""
-        q, v, u = self.symbols
+    def smooth(self, modules: Any = "math", *, stops: bool = False) -> Callable[..., list[float]]:
+        """The smooth forces on the joints, with those of stops or without, in the arithmetic of `modules`, of q, v of the joints and u one by one. Raises nothing."""
+        (q, v, u), forces = self.symbols, sp.Matrix(self.forces)
+        for touch in self.touches if stops else ():
+            if touch.stops:
+                depth = touch.offset - sum(slope * symbol for slope, symbol in zip(touch.normal, q, strict=True))
+                forces += touch.stiffness * sp.Max(depth, 0) * sp.Matrix(touch.normal)
         back = sp.Matrix(np.linalg.inv(self.joints).tolist()) if (self.joints != np.eye(len(q))).any() else sp.eye(len(q))
         turned = dict(zip((*q, *v), (*(back * sp.Matrix(q)), *(back * sp.Matrix(v))), strict=True))
-        return sp.lambdify([*q, *v, *u], list((back.T * sp.Matrix(self.forces)).subs(turned, simultaneous=True)), modules)
+        return sp.lambdify([*q, *v, *u], list((back.T * forces).subs(turned, simultaneous=True)), modules)
 
 
 def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
@@ -147,11 +158,8 @@ class _Slides:
                 self._join(x, y, 1)
         for friction in scene.frictions:
             if friction.contact is not None:
-                slip = _slip(scene, friction)
-                pressed, along = (
-                    np.flatnonzero(next(touch.normal for touch in touches if touch.name == friction.contact)),
-                    np.flatnonzero(slip > 0.0),
-                )
+                slip, touch = _slip(scene, friction), next(touch for touch in touches if touch.name == friction.contact)
+                pressed, along = np.flatnonzero(touch.normal), np.flatnonzero(slip > 0.0)
                 if len(pressed) != 1 or len(along) != 1 or along[0] == pressed[0]:
                     raise CannotExpressError(f"friction {friction.name} is pressed by a contact of more than one coordinate")
                 self._join(int(along[0]), int(pressed[0]), 2)
@@ -212,14 +220,12 @@ class _Slides:
         return found
 
 
-def _affine(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], otherwise: str) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (n, symbols) and values at zero (n,) of expressions that are affine in the symbols. Raises CannotExpressError with the words of `otherwise`."""
-    column = sp.Matrix([sp.expand(expression) for expression in expressions])
-    slope = column.jacobian(sp.Matrix(list(symbols)))
-    if slope.free_symbols:
+def _affine(expression: sp.Expr, symbols: Sequence[sp.Symbol], otherwise: str) -> tuple[np.ndarray, float]:
+    """Slopes (symbols,) and value at zero of an expression that is affine in the symbols. Raises CannotExpressError with the words of `otherwise`."""
+    slopes = [sp.diff(sp.expand(expression), symbol) for symbol in symbols]
+    if set().union(*(slope.free_symbols for slope in slopes)):
         raise CannotExpressError(otherwise)
-    rest = column.subs(dict.fromkeys(symbols, 0))
-    return np.array(slope, dtype=float).reshape(len(expressions), len(symbols)), np.array(rest, dtype=float).ravel()
+    return np.array(slopes, dtype=float), float(expression.subs(dict.fromkeys(symbols, 0)))
 
 
 def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
@@ -234,12 +240,12 @@ def _touch(scene: Scene, contact: Contact, is_tree: bool) -> Touch:
     if not is_tree and len(distances) == 1 and not (penetration + distances[0]).free_symbols:
         return replace(touch, offset=float(penetration + distances[0]), centres=_centres(contact, distances[0], q))
     try:
-        slope, rest = _affine([penetration], q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
+        slope, rest = _affine(penetration, q, f"the gap of contact {contact.name} is neither linear nor the distance of two centres")
     except CannotExpressError:
         if is_tree:
             return touch
         raise
-    return replace(touch, normal=-slope[0], offset=float(rest[0]))
+    return replace(touch, normal=-slope, offset=rest)
 
 
 def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -255,9 +261,8 @@ def _centres(contact: Contact, distance: sp.Expr, q: Sequence[sp.Symbol]) -> tup
 def _slip(scene: Scene, friction: Friction) -> np.ndarray:
     """Its direction, (nq,) [-]."""
     v = [item.velocity for item in scene.coordinates]
-    return _affine([friction.slip.subs(scene.parameter_values)], v, f"the direction of friction {friction.name} depends on the positions")[
-        0
-    ][0]
+    otherwise = f"the direction of friction {friction.name} depends on the positions"
+    return _affine(friction.slip.subs(scene.parameter_values), v, otherwise)[0]
 
 
 def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...], tuple[Rub, ...]]:
@@ -267,7 +272,10 @@ def _with_friction(scene: Scene, touches: list[Touch]) -> tuple[tuple[Touch, ...
     for friction in scene.frictions:
         coefficient = float(friction.coefficient.subs(values))
         if friction.contact is not None:
-            found[friction.contact] = replace(found[friction.contact], friction=coefficient)
+            slip = None
+            with contextlib.suppress(CannotExpressError):
+                slip = _slip(scene, friction)
+            found[friction.contact] = replace(found[friction.contact], friction=coefficient, slip=slip)
             continue
         pressed = sp.S.Zero if friction.normal_force is None else friction.normal_force.subs(values)
         if pressed.free_symbols:

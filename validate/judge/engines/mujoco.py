@@ -1,7 +1,7 @@
 """MuJoCo: a scene as bodies on joints and tendons between them, by Runge-Kutta 4 at a fixed step.
 
-A frictionless, undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly. A damped one is a tendon with a limit, and one that
-rubs or that no tendon measures a pair of geoms: constraints, which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with
+An undamped contact is a tendon with a dead band, whose force is k max(phi, 0) exactly; what rubs on it a tendon along the slip, whose friction loss follows
+that force at each stage of a step. A damped contact is a tendon with a limit, and one that no tendon measures a pair of geoms: constraints, which MuJoCo makes of acceleration units at an impedance d, so that k and c are weighed with
 the inverse mass that it takes for the constraint. At the smallest impedance that it takes, d = 1e-4, the force is max(k phi + c phi', 0) but for 1e-4 of what
 else acts on the bodies; at its default of 0.9 a depth is 3 to 51 % wrong. Friction is a constraint on the slip, regularised whatever is asked: it creeps. What
 is smooth acts as forces on the joints, at each stage of a step.
@@ -16,6 +16,7 @@ import numpy as np
 
 from models.scene.contacts import DampingLaw
 from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
+from validate.judge.engines._trees import Pad
 from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
 
 mujoco: Any = importlib.import_module("mujoco")  # a checker without the package takes this file for it
@@ -23,11 +24,12 @@ mujoco: Any = importlib.import_module("mujoco")  # a checker without the package
 ENGINE = Simulator(
     title="MuJoCo, Runge-Kutta 4",
     package="mujoco",
-    law="tendons with a dead band; damped or rubbing contact: constraints at impedance 1e-4; elliptic cone, regularised",
+    law="tendons with a dead band, and tendons that rub as those press; damped contact and turning bodies: constraints at impedance 1e-4; friction regularised",
     softens="how much its friction gives way",
 )
-# The smallest and largest impedance that MuJoCo takes, in its order.
+# The smallest and largest impedance that MuJoCo takes, and the first as it is told.
 _SOFT, _HARD = 1e-4, 0.9999
+_IMPEDANCE = [_SOFT, _SOFT, 0.001, 0.5, 1.0]
 # Constraint force of friction over that of the normal at the same violation: 1e8 leaves friction with 1e-4 of the inverse mass as compliance, as _HARD does.
 _RATIO = 1e8
 # Slip decays by this share of itself in a step: Runge-Kutta 4 bears 2.7.
@@ -49,8 +51,15 @@ def simulate(drive: Drive) -> SimulatedMotion:
     data.qpos[places], data.qvel[places] = (joints @ part for part in np.split(drive.start, 2))
     forces, u_now = mechanism.smooth(), np.zeros(scene.nu)
 
+    # What is pressed by a dead band: the row of its friction, the band, and the friction a metre of depth.
+    bands = [touch for touch in mechanism.touches if _band_rubs(touch)]
+    pressed = [(row, model.tendon(touch.name).id, touch.friction * touch.stiffness, touch.offset) for row, touch in enumerate(bands)]
+
     def passive(_: Any, now: Any) -> None:
-        now.qfrc_passive[places] += forces(*now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist())
+        if not mechanism.steady:
+            now.qfrc_passive[places] += forces(*now.qpos[places].tolist(), *now.qvel[places].tolist(), *u_now.tolist())
+        for row, band, rate, offset in pressed:
+            now.efc_frictionloss[now.ne + row] = rate * max(offset - now.ten_length[band], 0.0)
 
     def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (nq,) [m, rad, m/s, rad/s] after so many steps of h [s] under u (nu,) [N, N m], slope (nu,). Raises nothing."""
@@ -62,7 +71,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
             mujoco.mj_step(model, data, 1 if slope.any() else count)
         return back @ data.qpos[places], back @ data.qvel[places]
 
-    mujoco.set_mjcb_passive(None if mechanism.steady else passive)
+    mujoco.set_mjcb_passive(None if mechanism.steady and not pressed else passive)
     try:
         return stepped(drive, advance)
     finally:
@@ -71,67 +80,64 @@ def simulate(drive: Drive) -> SimulatedMotion:
 
 def _model(mechanism: Mechanism, names: list[str]) -> Any:
     """The model, but for the constraints' numbers, which need its inverse masses."""
-    tendons = pairs = ""
+    spec = mujoco.MjSpec.from_string(
+        f'<mujoco><option integrator="RK4" cone="elliptic" iterations="200" tolerance="1e-15" gravity="0 0 {-mechanism.gravity}">'
+        '<flag refsafe="disable" autoreset="disable" island="disable"/></option><compiler angle="radian"/>'
+        f"<worldbody>{mechanism.bodies}</worldbody></mujoco>"
+    )
     for touch in mechanism.touches:
         if touch.damping and touch.law is DampingLaw.HUNT_CROSSLEY:
             raise CannotExpressError(f"contact {touch.name}: MuJoCo has no damping that grows with the depth (Hunt and Crossley's)")
-        band = f'name="{touch.name}" stiffness="{touch.stiffness!r}" springlength="{touch.offset!r} {_FAR}"'
-        limit = f'name="{touch.name}" limited="true" range="{touch.offset!r} {_FAR}" solimplimit="{_impedance(_SOFT)}"'
-        if touch.normal.any() and not touch.friction:
-            tendons += _fixed(names, touch.normal, limit if touch.damping else band)
+        band = {"name": touch.name, "stiffness": touch.stiffness, "springlength": [touch.offset, _FAR]}
+        if touch.normal.any() and (not touch.friction or _band_rubs(touch)):
+            limit = {"name": touch.name, "limited": True, "range": [touch.offset, _FAR], "solimp_limit": _IMPEDANCE}
+            _fixed(spec, names, touch.normal, **(limit if touch.damping else band))
         elif touch.centres is not None and not (touch.friction or touch.damping):
-            ends = "".join(f'<site site="centre_{names[centre[0]]}"/>' for centre in touch.centres)
-            tendons += f"<spatial {band}>{ends}</spatial>"
+            tendon = spec.add_tendon(**band)
+            for centre in touch.centres:
+                tendon.wrap_site(spec.body(names[centre[0]]).add_site(name=f"{touch.name}_{names[centre[0]]}").name)
         elif touch.pads is None:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         else:
-            rub = f"{touch.friction!r} {touch.friction!r} 0 0 0"
-            pairs += (
-                f'<pair name="{touch.name}" geom1="{touch.name}_0" geom2="{touch.name}_1" condim="{3 if touch.friction else 1}" '
-                f'solimp="{_impedance(_SOFT)}" friction="{rub}"/>'
-            )
-    for rub in mechanism.rubs:
-        tendons += _fixed(names, rub.direction, f'name="rub_{rub.name}" frictionloss="{rub.coefficient * rub.pressed!r}"')
-    text = (
-        f'<mujoco><option integrator="RK4" cone="elliptic" iterations="200" tolerance="1e-15" gravity="0 0 {-mechanism.gravity}">'
-        '<flag refsafe="disable" autoreset="disable"/></option><compiler angle="radian"/>'
-        f"<worldbody>{mechanism.bodies}</worldbody></mujoco>"
-    )
-    # Twice: sites and geoms are put on the bodies of the text, and then what refers to them is added.
-    spec = mujoco.MjSpec.from_string(text)
-    for body in spec.bodies[1:]:
-        body.add_site(name=f"centre_{body.name}")
-    for touch in mechanism.touches:
-        if f'<pair name="{touch.name}"' in pairs:
-            _add_geoms(spec, touch)
-    whole = spec.to_xml().replace("</mujoco>", f"<contact>{pairs}</contact><tendon>{tendons}</tendon></mujoco>")
-    return mujoco.MjModel.from_xml_string(whole)
+            _add_pair(spec, touch, touch.pads)
+    # Friction's rows are in the order of these tendons; what a band presses has its limit at each stage of a step.
+    for name, direction, limit in _rubs(mechanism):
+        _fixed(spec, names, direction, name=f"rub_{name}", frictionloss=limit)
+    return spec.compile()
 
 
-def _add_geoms(spec: Any, touch: Touch) -> None:
+def _band_rubs(touch: Touch) -> bool:
+    """Whether a dead band makes the contact and another tendon its friction: both along directions that do not change."""
+    return bool(touch.friction and not touch.damping and touch.normal.any() and touch.slip is not None)
+
+
+def _rubs(mechanism: Mechanism) -> list[tuple[str, np.ndarray, float]]:
+    """Tendons that rub, by name, direction (nq,) and limit [N]; those of bands first, with any limit."""
+    bands = [(touch.name, touch.slip, 1.0) for touch in mechanism.touches if touch.slip is not None and _band_rubs(touch)]
+    return bands + [(rub.name, rub.direction, rub.coefficient * rub.pressed) for rub in mechanism.rubs]
+
+
+def _add_pair(spec: Any, touch: Touch, pads: tuple[Pad, Pad]) -> None:
     """A ball and a plane, or two balls, that touch nothing but each other."""
-    assert touch.pads is not None
-    for place, pad in enumerate(touch.pads):
+    names = [f"{touch.name}_{place}" for place in range(2)]
+    for name, pad in zip(names, pads, strict=True):
         body = spec.body(pad.body) if pad.body else spec.worldbody
-        shape, at = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (pad.radius, 0.0, 0.0)}, np.array(pad.at)
+        shape, at, turn = mujoco.mjtGeom.mjGEOM_SPHERE, np.array(pad.at), np.array([1.0, 0.0, 0.0, 0.0])
         if not pad.radius:
-            turn = np.zeros(4)
+            shape, at = mujoco.mjtGeom.mjGEOM_BOX, at - _DEPTH * np.array(pad.normal)
             mujoco.mju_quatZ2Vec(turn, np.array(pad.normal))
-            shape, at = (
-                {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": (_BLOCK, _BLOCK, _DEPTH), "quat": turn},
-                at - _DEPTH * np.array(pad.normal),
-            )
-        body.add_geom(name=f"{touch.name}_{place}", pos=at, mass=0.0, contype=0, conaffinity=0, **shape)
+        size = (pad.radius, 0.0, 0.0) if pad.radius else (_BLOCK, _BLOCK, _DEPTH)
+        body.add_geom(name=name, type=shape, size=size, pos=at, quat=turn, mass=0.0, contype=0, conaffinity=0)
+    rubs = [touch.friction, touch.friction, 0.0, 0.0, 0.0]
+    condim = 3 if touch.friction else 1
+    spec.add_pair(name=touch.name, geomname1=names[0], geomname2=names[1], condim=condim, solimp=_IMPEDANCE, friction=rubs)
 
 
-def _fixed(names: list[str], direction: np.ndarray, what: str) -> str:
+def _fixed(spec: Any, names: list[str], direction: np.ndarray, **what: Any) -> None:
     """A tendon whose length is direction @ q."""
-    ends = "".join(f'<joint joint="{names[place]}" coef="{float(direction[place])!r}"/>' for place in np.flatnonzero(direction))
-    return f"<fixed {what}>{ends}</fixed>"
-
-
-def _impedance(value: float) -> str:
-    return f"{value} {value} .001 .5 1"
+    tendon = spec.add_tendon(**what)
+    for place in np.flatnonzero(direction):
+        tendon.wrap_joint(names[place], direction[place])
 
 
 def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) -> None:
@@ -147,7 +153,7 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) ->
             model.pair_solreffriction[pair] = -_TINY, -_DECAY / h * _SOFT
         elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]
-    for rub in mechanism.rubs:
-        tendon = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, f"rub_{rub.name}")
+    for name, _, _ in _rubs(mechanism):
+        tendon = model.tendon(f"rub_{name}").id
         model.tendon_solimp_fri[tendon, :2] = 1.0 - (1.0 - _HARD) * soft
         model.tendon_solref_fri[tendon] = -_TINY, -_DECAY / h

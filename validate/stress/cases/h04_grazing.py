@@ -12,33 +12,27 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
-from models.scene import Scene
-from models.scenes.two_discs import BLUR, RADIUS
+from models.scenes.two_discs import RADIUS
 from validate.stress.case import Found, StressCase, at_most, finding, unlimited
-from validate.stress.motion import replayed, rolled
+from validate.stress.motion import of_truth
+from validate.truth.problems import TruthProblem, grazing
 
-DEPTH, SPEED, NODES, BEFORE = 1e-9, 1.0, 200, 100
+DEPTH, SPEED = 1e-9, 1.0
 # Differences must stay on one side of the touch, which is 1e-9 m away; their rounding is then 1e-16/2e-10 of the state.
 _DIFFERENCE = 2e-10
 
 
-def _passing(scene: Scene, depth: float, speed: float = SPEED) -> np.ndarray:
-    """Start (8,) of disc 1 moving along x past disc 2, at rest in the origin; a node lies exactly where they are nearest."""
-    height = math.sqrt((2.0 * RADIUS - depth) ** 2 - BLUR**2)
-    return np.array([-BEFORE * scene.task.step * speed, height, 0.0, 0.0, speed, 0.0, 0.0, 0.0])
-
-
-def _gradient_error(kernel: Kernel, start: np.ndarray) -> float:
+def _gradient_error(kernel: Kernel, problem: TruthProblem) -> float:
     """Adjoint against central differences: derivative of the end (y of disc 2 and its speed) with respect to the start, relative to its largest."""
-    scene, u = kernel.scene, np.zeros((NODES, 2))
-    weights = np.zeros((2, NODES + 1, 4))
+    start, u = np.array(problem.scene.task.start, dtype=float), problem.plan.u
+    weights = np.zeros((2, problem.nodes + 1, 4))
     weights[:, -1, 3] = 1.0
 
     def _end(x: np.ndarray) -> float:
-        plan = kernel.rollout(x, u, scene.task.step)
+        plan = kernel.rollout(x, u, problem.step)
         return float(plan.q[-1, 3] + plan.v[-1, 3])
 
-    _, exact = kernel.adjoint(kernel.rollout(start, u, scene.task.step), u, weights[0], weights[1])
+    _, exact = kernel.adjoint(kernel.rollout(start, u, problem.step), u, weights[0], weights[1])
     differences = np.array([(_end(start + d) - _end(start - d)) / (2.0 * _DIFFERENCE) for d in _DIFFERENCE * np.eye(8)])
     return float(np.abs(exact - differences).max() / np.abs(exact).max())
 
@@ -46,15 +40,13 @@ def _gradient_error(kernel: Kernel, start: np.ndarray) -> float:
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("two_discs")
-    kernel, h = load_kernel(scene), scene.task.step
-    k = float(kernel.stiffness()[0])
-    touching, missing = _passing(scene, DEPTH), _passing(scene, -DEPTH)
-    plans = [rolled(scene, start=start, steps=NODES) for start in (touching, missing)]
+    kernel, problems = load_kernel(scene), (grazing(DEPTH), grazing(-DEPTH))
+    k, h = float(kernel.stiffness()[0]), problems[0].step
+    plans, replays = zip(*(of_truth(problem, scene) for problem in problems), strict=True)
     impulses = [float(plan.lam.sum()) * h for plan in plans]
-    replays = [replayed(scene, plan) for plan in plans]
     real = [math.nan if item.contact_impulse is None or not item.ok else float(item.contact_impulse[-1].sum()) for item in replays]
     exact = 4.0 / 3.0 * k * DEPTH * math.sqrt(4.0 * RADIUS * DEPTH) / SPEED
-    errors = [_gradient_error(kernel, start) for start in (touching, missing)]
+    errors = [_gradient_error(kernel, problem) for problem in problems]
     limit = "with rounding of 1e-16 over differences of 2e-10"
     return finding(
         f"The touch gives {impulses[0]:.1e} N s on the plan's grid, {real[0]:.1e} N s in the replay (exactly {exact:.1e}); the miss gives nothing. "

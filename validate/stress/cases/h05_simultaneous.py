@@ -1,4 +1,4 @@
-"""Simultaneous impacts: two carts squeeze a third from both sides at once. Symmetric in, symmetric out, in whatever order the contacts are listed."""
+"""Simultaneous impacts: two carts squeeze a third from both sides at once. Symmetric in, symmetric out, in whatever order the contacts are listed (validate.truth has the exact motion)."""
 
 from __future__ import annotations
 
@@ -6,35 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.catalog import load_scene
 from models.scenes.cart_chain import cart_chain
-from models.trajectory import Trajectory
 from validate.stress.case import Found, StressCase, at_most, finding
-from validate.stress.motion import at_nodes, replayed, rolled
-
-NODES, SQUEEZE = 200, 6.0
-
-
-def _asymmetry(q: np.ndarray, v: np.ndarray) -> float:
-    """Largest distance of positions (n, nq), mirrored about the middle, and velocities (n, nq) from their mirror images."""
-    middle = (q[0, 0] + q[0, -1]) / 2.0
-    return max(float(np.abs(q + q[:, ::-1] - 2.0 * middle).max()), float(np.abs(v + v[:, ::-1]).max()))
+from validate.stress.motion import at_nodes, of_truth, rolled
+from validate.truth.problems import asymmetry, squeeze
 
 
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
-    scene = load_scene("three_cart")
-    listed = {"as listed": scene, "reversed": replace(scene, contacts=scene.contacts[::-1])}
-    u = np.tile([SQUEEZE, -SQUEEZE], (NODES, 1))
-    plans: dict[str, Trajectory] = {name: rolled(item, u=u) for name, item in listed.items()}
-    replays = {name: replayed(item, plans[name]) for name, item in listed.items()}
+    problem = squeeze()
+    scene, u = problem.scene, problem.plan.u
+    listed = (scene, replace(scene, contacts=scene.contacts[::-1]))
+    plans, replays = zip(*(of_truth(replace(problem, scene=item)) for item in listed), strict=True)
     chain = cart_chain(7)
-    many = rolled(chain, u=u)
-    plan_error = max(_asymmetry(plan.q, plan.v) for plan in (*plans.values(), many))
-    replay_error = max(_asymmetry(told.q[told.knots], told.v[told.knots]) if told.ok else np.inf for told in replays.values())
-    one, other = plans.values()
+    many = rolled(chain, u=u, step=problem.step)
+    plan_error = max(asymmetry(plan.q, plan.v) for plan in (*plans, many))
+    replay_error = max(asymmetry(told.q[told.knots], told.v[told.knots]) if told.ok else np.inf for told in replays)
+    one, other = plans
     order = float(max(np.abs(one.q - other.q).max(), np.abs(one.lam - other.lam[:, ::-1]).max()))
-    first, second = (at_nodes(told) for told in replays.values())
+    first, second = (at_nodes(told) for told in replays)
     replay_order = float(np.abs(first - second).max()) if len(first) == len(second) else np.inf
     squeezed = float(one.lam.max())
     return finding(

@@ -1,60 +1,37 @@
 """Zeno-like bouncing: a mass falls on a damped floor, each bounce a share of the one before. It ends, and so does its replay.
 
 With restitution e of each bounce and v the first speed at the floor, the flights take 2 v/g (e + e^2 + ...) together: the time of rest is
-t_1 + (2 v/g) e/(1 - e), but for the contact times themselves. Of a Kelvin-Voigt contact that is released when its force is zero (T. Schwager and
-T. Poeschel, Granular Matter 9, 2007), with z = c/(2 sqrt(k m)) < 1/sqrt(2):
-
-    e = exp(-z/sqrt(1 - z^2) (pi - atan(2 z sqrt(1 - z^2)/(1 - 2 z^2))))
+t_1 + (2 v/g) e/(1 - e), but for the contact times themselves. The floor and e are those of the truth suite (validate.truth.problems), the floor stiffer,
+so that gravity does next to nothing within a contact.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-import sympy as sp
 
-from models.catalog import load_scene
-from models.scene import Parameter, Scene
+from models.scene.contacts import DampingLaw
+from models.scenes import bouncing_mass as drop
 from validate.judge.replay import ReplayOutcome
 from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
 from validate.stress.motion import replayed, rolled
+from validate.truth.problems import damped_floor, restitution
 
 STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
 # Fewer events than the bounces have, to see the budget told.
 BUDGET = 6
 
 
-def _damped(scene: Scene) -> Scene:
-    """The bouncing mass on a stiff floor with a damper."""
-    c = sp.Symbol("c", positive=True)
-    values = {parameter.name: parameter.value for parameter in scene.parameters}
-    damper = Parameter(
-        symbol=c, value=2.0 * RATIO * math.sqrt(STIFFNESS * values["m"]), unit="N s/m", lower=0.0, description="damping of the floor"
-    )
-    floor = replace(scene.contacts[0], damping=c)
-    dropped = replace(scene, parameters=(*scene.parameters, damper), contacts=(floor,), answers=(), limits=())
-    return dropped.with_parameters(k=STIFFNESS).with_task(step=STEP, steps=NODES)
-
-
-def restitution(z: float) -> float:
-    """See the module docstring."""
-    root = math.sqrt(1.0 - z**2)
-    return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
-
-
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
-    scene = _damped(load_scene("bouncing_mass"))
-    gravity = next(parameter.value for parameter in scene.parameters if parameter.name == "g")
-    height = scene.task.start[0]
+    damping = 2.0 * RATIO * math.sqrt(STIFFNESS * drop.MASS)
+    scene = damped_floor(DampingLaw.KELVIN_VOIGT, damping, k=STIFFNESS).with_task(step=STEP, steps=NODES)
     fine = 20000  # the plan: the step that the stiff floor needs, at the nodes of the replay
     plan = rolled(scene, step=STEP / fine, steps=NODES * fine, every=fine)
     told_replay = replayed(scene, plan)
-    speed, first = math.sqrt(2.0 * gravity * height), math.sqrt(2.0 * height / gravity)
-    e = restitution(RATIO)
-    series = first + 2.0 * speed / gravity * e / (1.0 - e)
+    e, first = restitution(RATIO), 2.0 * drop.FALL_TIME
+    series = drop.FALL_TIME + first * e / (1.0 - e)
     touches = [event for event in told_replay.events if event.contact == "floor"]  # beside them: when the damped force lets go
     opened = [event.time for event in touches if not event.closes]
     closed = [event.time for event in touches if event.closes]
@@ -91,7 +68,7 @@ def measure() -> Found:
                 y=("time of flight", "s"),
                 series={
                     "replay": (np.arange(1, len(flights) + 1), flights),
-                    "geometric series": (np.arange(1, len(flights) + 1), 2.0 * speed / gravity * e ** np.arange(1, len(flights) + 1)),
+                    "geometric series": (np.arange(1, len(flights) + 1), first * e ** np.arange(1, len(flights) + 1)),
                 },
                 log_y=True,
             ),
