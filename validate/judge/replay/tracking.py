@@ -20,8 +20,9 @@ inputs: of second order in h, and half a contact where it closes in between.
 
 How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the
 plan's own time step (of one that declares no scheme: of steps so small that smaller ones give the same), with the true contact law, from the block's
-first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of S^-1 Phi(j, i) S
-over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
+first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm over i < j of
+S^-1 Phi_qq(j, i) S, the positions that positions lead to, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that
+amplification = exp(rate T). Velocities are left out: in a contact of frequency w a position becomes w times as much speed, which is no growth.
 
 An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding decides which. So the
 number explains a verdict, and decides none.
@@ -245,13 +246,13 @@ def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Gr
 
 
 def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
-    """The largest gain of products of transition matrices, taken in at most 50 blocks.
+    """The largest gain of products of transition matrices, from positions to positions, taken in at most 50 blocks.
 
     Parameters
     ----------
-    steps : (n, nx, nx) transition matrices from t[i] to t[i + 1].
+    steps : (n, 2*nq, 2*nq) transition matrices of positions and velocities from t[i] to t[i + 1].
     t : (n + 1,) [s].
-    scale : (nx,) typical size of each component of the state [m or rad, then per second].
+    scale : (2*nq,) typical size of each component of the state [m or rad, then per second].
 
     Returns
     -------
@@ -262,7 +263,7 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
     ValueError : if the shapes do not fit.
     """
     scaled = steps * (scale[None, None, :] / scale[None, :, None])
-    best = (0.0, 0, 0)
+    best, nq = (0.0, 0, 0), len(scale) // 2
     products = np.empty((0, *steps.shape[1:]))
     edges = _edges(len(steps))
     t = t[edges]
@@ -275,7 +276,7 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
             products = np.concatenate([matrix @ products, matrix[None]])
             if not np.isfinite(products).all():
                 return None
-            gains = np.linalg.norm(products, ord=2, axis=(1, 2))
+            gains = np.linalg.norm(products[:, :nq, :nq], ord=2, axis=(1, 2))
             begin = int(gains.argmax())
             best = max(best, (float(gains[begin]), begin, end))
     amplification, begin, end = best

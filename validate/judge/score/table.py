@@ -393,7 +393,7 @@ FEEDBACK = (
 GROWTH = (
     MetricEntry(
         name="amplification", question=Question.SHOWN, unit=lambda scene: "1", measure=lambda case: _growth(case).amplification,
-        meaning="how many times larger an error of the state may become along the plan in the open loop (nominals as units)",
+        meaning="how many times larger an error of the positions may become along the plan in the open loop (nominals as units)",
     ),
     MetricEntry(
         name="growth_rate", question=Question.SHOWN, unit=lambda scene: "1/s", measure=lambda case: _growth(case).rate,
