@@ -34,6 +34,7 @@ _NONLINEAR = 20  # a nonlinear scene tries this part of the mode sequences that 
 # 1557.3 stay; with two contacts the first source led twenty starts of the three carts to the same plan.
 _MANY = 3
 _LOOSE = (0.3, 0.03, 3e-3)  # [N^2] bounds of the relaxation: the first of whose modes has a plan
+_WALK = 1000  # most iterations of a walk of relaxed complementarity
 _NEAREST = 3  # of the rollouts that came nearest so many are continued to the goal
 
 
@@ -147,7 +148,7 @@ class Finder:
         Two fingers that carry a disc have no softplus plan after 348 iterations, and modes that have a plan are read off here after 121. Its own rules
         limit the work of the walk; what is done with its plan may cost as much as a first one once more.
         """
-        with load_method("relaxed_lcp").open(self._scene, {"first_eps": RELAXED_FROM}) as session:
+        with load_method("relaxed_lcp").open(self._scene, {"first_eps": RELAXED_FROM, "max_iterations": _WALK}) as session:
             found = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
         budget.told(found)
         self._is_walked = True
@@ -292,31 +293,42 @@ class Finder:
         )
 
     def _searched_again(self, budget: SolveBudget, problem: ModesProblem, found: FinderResult, stride: int) -> FinderResult:
-        """Around the modes of loosely relaxed complementarity, where all contacts change theirs at once: far only where shifts alone lead below the plan."""
+        """Around the modes of other sources, until one leads below the plan: far only where shifts alone do."""
         assert found.answer is not None, "what was searched around has a plan"
-        rollout, u = correct_end(self._scene, self._kernel, found.answer.u, self._options.goal_tolerance)
-        if rollout.diverged:
-            return found
-        plan: Trajectory | None = plan_of(self._scene, rollout, u)
-        answer = None
+        tried = found.tried
+        for source, words in ((self._loosened, "loosened"), (self._walked, "walked down from a cold start")):
+            answer = None if budget.is_over else source(budget, problem, found.answer)
+            for far in (False, True):
+                if answer is None:
+                    break
+                again = self.searched(budget, problem, answer, stride, far=far)
+                tried, answer = tried + again.tried, again.answer
+                if answer is None or answer.cost >= found.answer.cost:
+                    break
+            else:
+                told = f"Around modes of relaxed contact, {words}; around those of softplus contact the cheapest plan costs {found.answer.cost:.6g}."
+                return replace(again, tried=tried, message=f"{again.message} {told}")
+        return replace(found, tried=tried)
+
+    def _loosened(self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer) -> ModesAnswer | None:
+        """For the modes of loosely relaxed complementarity from a plan, where all contacts change theirs at once."""
+        rollout, u = correct_end(self._scene, self._kernel, best.u, self._options.goal_tolerance)
+        plan, answer = None if rollout.diverged else plan_of(self._scene, rollout, u), None
         with load_method("relaxed_lcp").open(self._scene) as session:
             for eps in _LOOSE:
+                if plan is None or answer is not None or budget.is_over:
+                    break
                 loose = session.solve(eps=eps, warm_start=plan, time_limit=budget.remaining)
                 budget.told(loose)
                 plan = loose.trajectory
                 answer = None if plan is None or budget.is_over else self._exact(budget, problem, plan)
-                if plan is None or answer is not None or budget.is_over:
-                    break
-        if answer is None or budget.is_over:
-            return found
-        again, tried = found, found.tried
-        for far in (False, True):
-            again = self.searched(budget, problem, answer, stride, far=far)
-            tried, answer = tried + again.tried, again.answer
-            if answer is None or answer.cost >= found.answer.cost:
-                return replace(found, tried=tried)
-        words = f"Around modes of relaxed contact; around those of softplus contact the cheapest plan costs {found.answer.cost:.6g}."
-        return replace(again, tried=tried, message=f"{again.message} {words}")
+        return answer
+
+    def _walked(self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer) -> ModesAnswer | None:
+        """For the modes of relaxed complementarity walked down, which knows nothing of the plan."""
+        plan = None if self._is_walked else self._relaxed(budget)
+        budget.most_work = self._most_work
+        return None if plan is None or budget.is_over else self._exact(budget, problem, plan)
 
     def _most_sequences(self) -> int:
         """Mode sequences that a search may ask for; a nonlinear scene's cost a run of Ipopt each."""
