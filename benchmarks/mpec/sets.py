@@ -62,7 +62,7 @@ def load(path: Path, data: Path | None = None) -> Any:
     return found if data is None and found.is_constructed() else found.create_instance(None if data is None else str(data))
 
 
-def solve_one(model: Any, limit: float, proof_seconds: float, published: float = math.nan) -> dict[str, Any]:
+def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> dict[str, Any]:
     """What is found of one problem, as JSON data."""
     import pyomo.environ as pyo
     from pyomo.mpec import Complementarity
@@ -76,7 +76,7 @@ def solve_one(model: Any, limit: float, proof_seconds: float, published: float =
         "pairs": len(list(model.component_data_objects(Complementarity, active=True))),
     }
     began = time.process_time()
-    result = solve_mpec(model, time_limit=limit)
+    result = solve_mpec(model)
     told: dict[str, Any] = {
         **sizes, "status": result.outcome.name.lower(), "message": result.message, "strategy": result.strategy, "sense": result.sense,
         "solve_s": time.process_time() - began,
@@ -211,7 +211,7 @@ def _problems(folder: Path, listed: Path | None) -> list[Problem]:
 
 
 def _run(problem: Problem, limit: float, proof: float, published: float, peer: int | None, folder: Path) -> dict[str, Any]:
-    told, reason = _child(problem, folder, (f"{limit:g}", f"{proof:g}", repr(published)), limit + proof + _BESIDE)
+    told, reason = _child(problem, folder, (f"{proof:g}", repr(published)), limit + proof + _BESIDE)
     row = {"problem": problem.name, **told} if told else {"problem": problem.name, "status": "no answer", "sense": 1, "message": reason}
     if peer is not None and row.get("pairs", 0) <= peer:
         told, reason = _child(problem, folder, (), limit + _BESIDE)
@@ -261,7 +261,7 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
 @click.option(
     "--problems", "listed", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CSV", help="Which model with which data."
 )
-@click.option("--limit", type=POSITIVE, default=120.0, show_default=True, metavar="SECONDS", help="Of one problem.")
+@click.option("--limit", type=POSITIVE, default=120.0, show_default=True, metavar="SECONDS", help="CPU seconds of one problem.")
 @click.option(
     "--proof", type=FiniteRange(min=0.0), default=10.0, show_default=True, metavar="SECONDS", help="Of the proof of one global bound."
 )

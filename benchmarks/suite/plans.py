@@ -33,7 +33,7 @@ from validate.cli.options import write, written_to
 EXACT = ("strict", "relaxed+strict", "softplus_dc+strict", "mpcc", "best_exact")
 SCENES = ("transport", "hopper_planar", "push_box", "two_finger", "two_finger_lift")
 _STEPS, _SECONDS = 300, 5.0
-_PUSHED, _PIECES = 240, 8  # steps with pushes, of so many sizes
+_PIECES = 8  # pushes of so many sizes
 _MEAN, _SPREAD = 3.0, 5.0  # [N]
 _CASADI = "casadi"
 _LEFT = 1e-6  # of rows and products of the reference: with more it is no exact plan
@@ -42,14 +42,18 @@ _COLUMNS = ("outcome", "verdict", "cost", "above", "iterations", "cpu")
 
 def task(seed: int) -> Scene:
     """See the module docstring."""
-    n = 3 + seed % 4
-    random = np.random.default_rng((seed, n))
+    return pushed_row(seed, 3 + seed % 4, _STEPS)
+
+
+def pushed_row(seed: int, n: int, steps: int) -> Scene:
+    """n carts, pushed in the first four fifths of so many steps."""
+    random, pushed = np.random.default_rng((seed, n)), steps * 4 // 5
     start = np.concatenate([2.0 + np.concatenate([[0.0], np.cumsum(LENGTH + random.uniform(0.05, 0.5, n - 1))]), np.zeros(n)])
-    scene = cart_chain(n).with_task(start=tuple(start), steps=_STEPS, step=_SECONDS / _STEPS)
-    kernel, pieces = load_kernel(scene), np.arange(_PUSHED) * _PIECES // _PUSHED
+    scene = cart_chain(n).with_task(start=tuple(start), steps=steps, step=_SECONDS / steps)
+    kernel, pieces = load_kernel(scene), np.arange(pushed) * _PIECES // pushed
     while True:
-        u = np.zeros((_STEPS, 2))
-        u[:_PUSHED] = np.array([_MEAN, -_MEAN]) + random.uniform(-_SPREAD, _SPREAD, (_PIECES, 2))[pieces]
+        u = np.zeros((steps, 2))
+        u[:pushed] = np.array([_MEAN, -_MEAN]) + random.uniform(-_SPREAD, _SPREAD, (_PIECES, 2))[pieces]
         rollout = kernel.rollout(start, u, scene.task.step)
         pressed = rollout.lam > 0.0
         if pressed.any(axis=0).all() and pressed.mean() < 0.5:
