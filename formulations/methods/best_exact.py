@@ -135,6 +135,7 @@ def _is_followed(found: Solution) -> bool:
     return found.residuals.get(_DEPARTURE, 0.0) <= 1.0
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def departure(scene: Scene, plan: Trajectory) -> float:
     """How far the true motion departs from a plan on finer steps with linear feedback around it: the largest part of what the scene allows.
 
@@ -165,6 +166,8 @@ def departure(scene: Scene, plan: Trajectory) -> float:
     goal = goal_state(scene.task)
     value, gains = np.diag(np.where(np.isnan(goal), 1.0, float(plan.steps))), np.empty((plan.steps, scene.nu, len(size)))
     for t in reversed(range(plan.steps)):
+        if not np.isfinite(value).all():
+            return _LOST
         gains[t] = np.linalg.solve(np.eye(scene.nu) + by_u[t].T @ value @ by_u[t], by_u[t].T @ value @ by_x[t])
         value = np.eye(len(size)) + by_x[t].T @ value @ (by_x[t] - by_u[t] @ gains[t])
     x, u, off = x_plan[0], np.empty_like(plan.u), 0.0
