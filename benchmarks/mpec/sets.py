@@ -31,8 +31,8 @@ from benchmarks.measure import run_child
 from benchmarks.mpec.proved import prove
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.records import Table
-from benchmarks.results import store_tables
-from validate.cli.options import FiniteRange
+from benchmarks.results import as_markdown, store_tables
+from validate.cli.options import FiniteRange, write, written_to
 from validate.store.disk import temporary_folder
 
 # A published value is reached within this, relative to max(1, |value|).
@@ -41,6 +41,8 @@ REACHED = 1e-4
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published", "against it", "bound", "class", "primal", "complementarity", "dual",
             "CPU s", "strategy", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
+_PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "class", "primal, complementarity, dual", "CPU s", "by",
+         "CasADi + Ipopt", "its CPU s")  # fmt: skip
 # Times of the faster one at which a performance profile is told.
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
@@ -239,6 +241,18 @@ def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | N
     )  # fmt: skip
 
 
+def _page(told: Table) -> Table:
+    """What `docs` has of the table: objectives in eight digits, the rest in two."""
+    lines = []
+    for row in (dict(zip(told.columns, line, strict=True)) for line in told.rows):
+        residuals = " ".join(f"{row[name]:.0e}" for name in ("primal", "complementarity", "dual") if row[name] is not None)
+        seconds = (None if row[name] is None else f"{row[name]:.1f}" for name in ("CPU s", "peer's CPU s"))
+        lines.append(
+            (*(row[name] for name in _PAGE[:7]), residuals, next(seconds), row["strategy"], row["peer's objective"], next(seconds))
+        )
+    return Table(caption=told.caption, columns=_PAGE, rows=tuple(lines))
+
+
 def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]:
     compared = [row for row in rows if row["problem"] in published]
     verdicts = [_against(row, published[row["problem"]]) for row in compared]
@@ -251,6 +265,19 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
         f"'solved' without a feasible, B-stationary point by the certificate: {len(false)} {', '.join(false)}".rstrip(),
         f"CPU seconds of all: {sum(row.get('solve_s') or 0.0 for row in rows):.0f}",
     ]
+
+
+def _tell(out: Path, name: str, rows: list[dict[str, Any]], published: dict[str, float], markdown: Path | None) -> None:
+    """The record, the CSV and the page of all rows."""
+    lines = tuple(_line(row, published.get(row["problem"])) for row in rows)
+    table = Table(caption=f"{len(rows)} problems.", columns=_COLUMNS, rows=lines, notes=tuple(_notes(rows, published)))
+    tables = [table, _profile(rows)] if any("peer_s" in row or "peer_reason" in row for row in rows) else [table]
+    store_tables(out, name, f"MPECs: {name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
+    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([_COLUMNS, *lines])
+    if markdown is not None:
+        write(markdown, "\n".join(as_markdown(told) for told in (_page(table), *tables[1:])))
+    click.echo("\n".join(table.notes))
 
 
 @click.command()
@@ -268,9 +295,19 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
 @click.option("--peer", type=click.IntRange(min=0), metavar="PAIRS", help="CasADi with Ipopt beside ours, with up to so many pairs.")
 @click.option("-k", "part", default="", metavar="TEXT", help="Only problems whose name holds this.")
 @click.option("-j", "jobs", type=COUNT, default=os.cpu_count() or 1, show_default=True, help="So many at a time.")
+@written_to("--markdown", "markdown", "FILE.md", "the tables, as docs/mpec_sets.md has them")
 @out_option
 def command(
-    folder: Path, optima: Path | None, listed: Path | None, limit: float, proof: float, peer: int | None, part: str, jobs: int, out: Path
+    folder: Path,
+    optima: Path | None,
+    listed: Path | None,
+    limit: float,
+    proof: float,
+    peer: int | None,
+    part: str,
+    jobs: int,
+    markdown: Path | None,
+    out: Path,
 ) -> int:
     """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
     problems = [problem for problem in _problems(folder, listed) if part in problem.name]
@@ -287,17 +324,7 @@ def command(
                 )
             )
             rows.append(row)
-    table = Table(
-        caption=f"{len(rows)} problems of {folder.name}.",
-        columns=_COLUMNS,
-        rows=tuple(_line(row, published.get(row["problem"])) for row in rows),
-        notes=tuple(_notes(rows, published)),
-    )
-    tables = [table, _profile(rows)] if peer is not None else [table]
-    store_tables(out, f"mpec-sets-{folder.name}", f"MPECs of {folder.name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
-    with (out / f"mpec-sets-{folder.name}.csv").open("w", encoding="utf-8", newline="") as lines:
-        csv.writer(lines).writerows([_COLUMNS, *table.rows])
-    click.echo("\n".join(table.notes))
+    _tell(out, f"mpec-sets-{folder.name}", rows, published, markdown)
     return 0
 
 
