@@ -36,7 +36,7 @@ _MANY = 3
 _LOOSE = (0.3, 0.03, 3e-3)  # [N^2] bounds of the relaxation: the first of whose modes has a plan
 # Most iterations of a walk of relaxed complementarity. Six carts, tasks 3, 11 and 7: 702 lead from 980.6 to 854.7; 734 to 2516, where loosened modes lead from
 # 2484.9 to 2377.6; 1871 to no plan, and loosened modes from 1557.3 to 1476.4. So these come first, and where they lead below the plan nothing is walked.
-_WALK = 1000
+_WALK = 800
 _NEAREST = 3  # of the rollouts that came nearest so many are continued to the goal
 
 
