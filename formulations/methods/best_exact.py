@@ -1,14 +1,15 @@
 """Exact contact on every scene, from a cold start: several ways are gone, and the cheapest plan is kept.
 
     contacts that are open or closed:  mpcc, which searches their modes; it has a plan -> done
-    else three ways:                   relaxed_lcp walked down from eps = 0.9, and from 1e-2 -> strict_lcp
+    else four ways:                    relaxed_lcp walked down from eps = 0.9, and from 1e-2 -> strict_lcp
                                        softplus_dc walked down from eps = 1e-3               -> strict_lcp
-    none of their plans is followed:   softplus_dc by the paper's eps                        -> strict_lcp
+                                       softplus_multiple_shooting, eps = 1e-3 .. 1e-48       -> strict_lcp
 
-A walk chooses its own eps (`transcription.homotopy`). No way is the best one: exact cost by the first, the second and the third, transport 0.704, 0.916 and
-0.701, two_finger_lift 59.410, 59.399 and 77.2, hopper_planar none, none and 737.8. Where the loosest relaxation has no plan a tighter one is not tried, and a
-walk that did not come to its end is not followed by strict_lcp while another way has a plan: that is where 77.2 comes from, and from a cold start 18214 for
-hopper_planar, in 1600 iterations.
+A walk chooses its own eps (`transcription.homotopy`). No way is the best one: exact cost by the first to the fourth, transport 0.704, 0.916, 0.701 and 1.84,
+two_finger_lift 59.410, 59.399, 77.2 and 59.410, hopper_planar none, none, 737.8 and 748.8, a drawer pushed shut over a rough rail 25.9, 26.5, none and 9.5.
+Where the loosest relaxation has no plan a tighter one is not tried, and a walk that did not come to its end is not followed by strict_lcp while another
+way has a plan: that is where 77.2 comes from, and from a cold start 18214 for hopper_planar, in 1600 iterations. Multiple shooting may stop at its limit:
+its plan is nearly that of its inputs, and strict_lcp ends near it.
 
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is followed on finer steps by linear feedback around it
 (`departure`): how far the motion leaves the plan and misses the goal, and what the feedback takes of the plan's own inputs, in parts of what the scene
@@ -17,7 +18,7 @@ allows. A plan with more than 1 is taken only where there is no other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
@@ -25,7 +26,7 @@ import numpy as np
 
 from formulations.grids import input_bounds
 from formulations.method import Clock, Kind, Method, Options, Session, option, without_inputs
-from formulations.pipelines import RELAXED_EPS, RELAXED_FROM, SOFTPLUS_EPS, load_method
+from formulations.pipelines import MULTIPLE_SHOOTING_COUNT, MULTIPLE_SHOOTING_EPS, RELAXED_EPS, RELAXED_FROM, SOFTPLUS_EPS, load_method
 from formulations.solution import Attempt, Outcome, Seconds, Solution
 from formulations.transcription.method import ended
 from models.codegen.steps import load_steps
@@ -33,12 +34,12 @@ from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
 
-# (method, first eps of a walk, eps that are asked for); the last only where no plan of the others is followed
-_WAYS = (
-    ("relaxed_lcp", RELAXED_FROM, RELAXED_EPS[-1:]),
-    ("relaxed_lcp", RELAXED_EPS[0], RELAXED_EPS[-1:]),
-    ("softplus_dc", SOFTPLUS_EPS[0], SOFTPLUS_EPS[-1:]),
-    ("softplus_dc", 0.0, SOFTPLUS_EPS),
+# (method, its options, eps that are asked for)
+_WAYS: tuple[tuple[str, Mapping[str, float], tuple[float, ...]], ...] = (
+    ("relaxed_lcp", {"first_eps": RELAXED_FROM}, RELAXED_EPS[-1:]),
+    ("relaxed_lcp", {"first_eps": RELAXED_EPS[0]}, RELAXED_EPS[-1:]),
+    ("softplus_dc", {"first_eps": SOFTPLUS_EPS[0]}, SOFTPLUS_EPS[-1:]),
+    ("softplus_multiple_shooting", {"max_iterations": MULTIPLE_SHOOTING_COUNT}, MULTIPLE_SHOOTING_EPS),
 )
 # Part of a cost by which two are the same.
 _SAME = 1e-9
@@ -98,13 +99,12 @@ class BestExactSession(Session):
             if solved and not self._options.all_ways:
                 return
         without: set[str] = set()  # methods with a walk that did not come to its end
-        for method, first, schedule in _WAYS:
-            is_walk = first > 0.0
-            if monotonic() >= ends or (method in without if is_walk else not solved or any(map(_is_followed, solved))):
+        for method, options, schedule in _WAYS:
+            if method in without or monotonic() >= ends:
                 continue
-            words = f"{method} from eps = {first or schedule[0]:g}{'' if is_walk else ' by fixed steps'}, then strict_lcp"
-            walked = self._walked(method, schedule, start, ends, first_eps=first)
-            if walked.trajectory is None or (solved and walked.outcome is not Outcome.SOLVED):
+            words = f"{method} from eps = {options.get('first_eps', schedule[0]):g}, then strict_lcp"
+            walked = self._walked(method, schedule, start, ends, options)
+            if walked.trajectory is None or (len(schedule) == 1 and solved and walked.outcome is not Outcome.SOLVED):
                 without.add(method)
                 yield words, replace(walked, trajectory=None, cost=None)
                 continue
@@ -116,15 +116,21 @@ class BestExactSession(Session):
         if not solved and monotonic() < ends:
             yield "strict_lcp", self._stage("strict_lcp", None, start, ends)
 
-    def _walked(self, method: str, schedule: tuple[float, ...], start: Trajectory | None, ends: float, **options: object) -> Solution:
-        """The last stage, with the iterations and seconds of all."""
-        stages: list[Solution] = []
+    def _walked(
+        self, method: str, schedule: tuple[float, ...], start: Trajectory | None, ends: float, options: Mapping[str, object]
+    ) -> Solution:
+        """The last stage before one that stalls, with the iterations and seconds of those up to it."""
+        walked: Solution | None = None
         with load_method(method).open(self._scene, options) as session:
             for eps in schedule:
                 found = session.solve(eps=eps, warm_start=start, time_limit=max(1e-3, ends - monotonic()))
-                stages.append(_after(stages[-1], found) if stages else found)
+                if walked is not None and found.outcome not in (Outcome.SOLVED, Outcome.ITERATION_LIMIT):
+                    return walked
+                walked = found if walked is None else _after(walked, found)
                 start = found.trajectory or start
-        return stages[-1]
+        if walked is None:
+            raise ValueError(f"the way by {method} has no eps.")
+        return walked
 
     def _stage(self, name: str, eps: float | None, start: Trajectory | None, ends: float, **options: object) -> Solution:
         with load_method(name).open(self._scene, options) as session:
