@@ -49,6 +49,13 @@ def store_tables(
     return store(out, name, record.model_dump(exclude={"provenance"}))
 
 
+def as_markdown(told: Table) -> str:
+    """The rows of a table as a page of `docs` has them."""
+    rows = [told.columns, ["---"] * len(told.columns), *told.rows]
+    cells = [["" if cell is None else f"{cell:.8g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    return "".join(f"| {' | '.join(row)} |\n" for row in cells)
+
+
 def tables_of(out: Path, name: str) -> TableRecord | None:
     """What `store_tables` wrote; None if there is nothing. Raises click.UsageError for a file that is something else."""
     path = out / f"{name}.json"

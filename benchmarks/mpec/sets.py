@@ -4,9 +4,10 @@
 
 DIR holds `.nl` files, or Python files that define `model` or a function `model()`. The optima are a CSV of `name, .., published_optimum`.
 Where models are abstract, `--problems` is a CSV of `name, model, data`: which file with which data is which problem.
-With `--peer`, CasADi and Ipopt are given each problem too (Scholtes, `benchmarks.mpec.solvers`), and a performance profile stands beside the table.
+With `--peer N`, CasADi and Ipopt are given each problem of at most N pairs too (Scholtes, `benchmarks.mpec.solvers`), and a performance profile stands
+beside the table.
 The child's own answer is not believed: rows, bounds, pairs and stationarity are recomputed from the values of the model's variables, and where rows are
-linear and the objective is convex a tree of convex programs bounds the global optimum (`benchmarks.mpec.proved`).
+linear and the objective is convex a tree of convex programs bounds the global optimum (`benchmarks.mpec.proved`), unless the published value is reached.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from benchmarks.measure import run_child
 from benchmarks.mpec.proved import prove
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.records import Table
-from benchmarks.results import store_tables
-from validate.cli.options import FiniteRange
+from benchmarks.results import as_markdown, store_tables
+from validate.cli.options import FiniteRange, write, written_to
 from validate.store.disk import temporary_folder
 
 # A published value is reached within this, relative to max(1, |value|).
@@ -39,7 +40,9 @@ REACHED = 1e-4
 # CPU seconds for reading the model and judging the point.
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published", "against it", "bound", "class", "primal", "complementarity", "dual",
-            "CPU s", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
+            "CPU s", "strategy", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
+_PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "class", "primal, complementarity, dual", "CPU s", "by",
+         "CasADi + Ipopt", "its CPU s")  # fmt: skip
 # Times of the faster one at which a performance profile is told.
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
@@ -61,7 +64,7 @@ def load(path: Path, data: Path | None = None) -> Any:
     return found if data is None and found.is_constructed() else found.create_instance(None if data is None else str(data))
 
 
-def solve_one(model: Any, limit: float, proof_seconds: float) -> dict[str, Any]:
+def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> dict[str, Any]:
     """What is found of one problem, as JSON data."""
     import pyomo.environ as pyo
     from pyomo.mpec import Complementarity
@@ -75,7 +78,7 @@ def solve_one(model: Any, limit: float, proof_seconds: float) -> dict[str, Any]:
         "pairs": len(list(model.component_data_objects(Complementarity, active=True))),
     }
     began = time.process_time()
-    result = solve_mpec(model, time_limit=limit)
+    result = solve_mpec(model)
     told: dict[str, Any] = {
         **sizes, "status": result.outcome.name.lower(), "message": result.message, "strategy": result.strategy, "sense": result.sense,
         "solve_s": time.process_time() - began,
@@ -87,7 +90,8 @@ def solve_one(model: Any, limit: float, proof_seconds: float) -> dict[str, Any]:
             "objective": sum(pyo.value(item) for item in model.component_data_objects(pyo.Objective, active=True)), "class": found.stationarity.letter, "b_stationary": found.b_stationary, "feasible": found.feasible,
             "primal": found.primal, "complementarity": found.complementarity, "dual": found.dual, "biactive": found.biactive,
         }  # fmt: skip
-    bound = prove(model, best=told["objective"] if told.get("feasible") else math.inf, seconds=proof_seconds)
+    best = told["objective"] if told.get("feasible") else math.inf
+    bound = None if _away(best, published) == 0.0 else prove(model, best=best, seconds=proof_seconds)
     if bound is not None:
         told |= {"bound": bound.bound, "proved": bound.complete}
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in told.items()}
@@ -159,6 +163,12 @@ def _published(path: Path) -> dict[str, float]:
     return found
 
 
+def _away(objective: float, published: float) -> float:
+    """How far an objective is from the published one, relative to max(1, |value|); 0 where it is reached, NaN where none is published."""
+    difference = (objective - published) / max(1.0, abs(published))
+    return 0.0 if abs(difference) <= REACHED else difference
+
+
 def _against(row: dict[str, Any], published: float | None) -> str:
     """How an answer stands to the published value; empty where one of the two is not there."""
     if published is None:
@@ -167,12 +177,12 @@ def _against(row: dict[str, Any], published: float | None) -> str:
         return "proved infeasible"
     if row.get("objective") is None or not row.get("feasible"):
         return ""
-    difference = row["sense"] * (row["objective"] - published) / max(1.0, abs(published))
-    if difference > REACHED and row.get("bound") is not None:
+    difference = row["sense"] * _away(row["objective"], published)
+    if difference > 0 and row.get("bound") is not None:
         gap = row["sense"] * (row["objective"] - row["bound"]) / max(1.0, abs(published))
         if gap <= REACHED:
             return "proved optimal: the published value is of other data"
-    if abs(difference) <= REACHED:
+    if difference == 0.0:
         return "reached"
     return "better" if difference < 0 else f"worse by {difference:.2g}"
 
@@ -202,10 +212,10 @@ def _problems(folder: Path, listed: Path | None) -> list[Problem]:
     return [Problem(row["name"], folder / row["model"], folder / row["data"] if row.get("data") else None) for row in rows]
 
 
-def _run(problem: Problem, limit: float, proof: float, with_peer: bool, folder: Path) -> dict[str, Any]:
-    told, reason = _child(problem, folder, (f"{limit:g}", f"{proof:g}"), limit + proof + _BESIDE)
+def _run(problem: Problem, limit: float, proof: float, published: float, peer: int | None, folder: Path) -> dict[str, Any]:
+    told, reason = _child(problem, folder, (f"{proof:g}", repr(published)), limit + proof + _BESIDE)
     row = {"problem": problem.name, **told} if told else {"problem": problem.name, "status": "no answer", "sense": 1, "message": reason}
-    if with_peer:
+    if peer is not None and row.get("pairs", 0) <= peer:
         told, reason = _child(problem, folder, (), limit + _BESIDE)
         row |= told or {"peer_reason": reason}
     return row
@@ -225,10 +235,22 @@ def _child(problem: Problem, folder: Path, limits: tuple[str, ...], cpu_limit: f
 def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | None, ...]:
     return (
         row["problem"], row.get("variables"), row.get("rows"), row.get("pairs"), row["status"], row.get("objective"), published,
-        _against(row, published), row.get("bound"), row.get("class"), row.get("primal"), row.get("complementarity"), row.get("dual"), row.get("solve_s"),
+        _against(row, published), row.get("bound"), row.get("class"), row.get("primal"), row.get("complementarity"), row.get("dual"), row.get("solve_s"), row.get("strategy"),
         row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason", "infeasible" if "peer_s" in row else None), row.get("peer_s"),
         "" if row["status"] == "solved" else row["message"][:160],
     )  # fmt: skip
+
+
+def _page(told: Table) -> Table:
+    """What `docs` has of the table: objectives in eight digits, the rest in two."""
+    lines = []
+    for row in (dict(zip(told.columns, line, strict=True)) for line in told.rows):
+        residuals = " ".join(f"{row[name]:.0e}" for name in ("primal", "complementarity", "dual") if row[name] is not None)
+        seconds = (None if row[name] is None else f"{row[name]:.1f}" for name in ("CPU s", "peer's CPU s"))
+        lines.append(
+            (*(row[name] for name in _PAGE[:7]), residuals, next(seconds), row["strategy"], row["peer's objective"], next(seconds))
+        )
+    return Table(caption=told.caption, columns=_PAGE, rows=tuple(lines))
 
 
 def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]:
@@ -245,6 +267,19 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     ]
 
 
+def _tell(out: Path, name: str, rows: list[dict[str, Any]], published: dict[str, float], markdown: Path | None) -> None:
+    """The record, the CSV and the page of all rows."""
+    lines = tuple(_line(row, published.get(row["problem"])) for row in rows)
+    table = Table(caption=f"{len(rows)} problems.", columns=_COLUMNS, rows=lines, notes=tuple(_notes(rows, published)))
+    tables = [table, _profile(rows)] if any("peer_s" in row or "peer_reason" in row for row in rows) else [table]
+    store_tables(out, name, f"MPECs: {name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
+    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([_COLUMNS, *lines])
+    if markdown is not None:
+        write(markdown, "\n".join(as_markdown(told) for told in (_page(table), *tables[1:])))
+    click.echo("\n".join(table.notes))
+
+
 @click.command()
 @click.option(
     "--from", "folder", type=click.Path(path_type=Path, exists=True, file_okay=False), required=True, metavar="DIR", help="The problems."
@@ -253,16 +288,26 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
 @click.option(
     "--problems", "listed", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CSV", help="Which model with which data."
 )
-@click.option("--limit", type=POSITIVE, default=120.0, show_default=True, metavar="SECONDS", help="Of one problem.")
+@click.option("--limit", type=POSITIVE, default=120.0, show_default=True, metavar="SECONDS", help="CPU seconds of one problem.")
 @click.option(
     "--proof", type=FiniteRange(min=0.0), default=10.0, show_default=True, metavar="SECONDS", help="Of the proof of one global bound."
 )
-@click.option("--peer", "with_peer", is_flag=True, help="CasADi with Ipopt beside ours.")
+@click.option("--peer", type=click.IntRange(min=0), metavar="PAIRS", help="CasADi with Ipopt beside ours, with up to so many pairs.")
 @click.option("-k", "part", default="", metavar="TEXT", help="Only problems whose name holds this.")
 @click.option("-j", "jobs", type=COUNT, default=os.cpu_count() or 1, show_default=True, help="So many at a time.")
+@written_to("--markdown", "markdown", "FILE.md", "the tables, as docs/mpec_sets.md has them")
 @out_option
 def command(
-    folder: Path, optima: Path | None, listed: Path | None, limit: float, proof: float, with_peer: bool, part: str, jobs: int, out: Path
+    folder: Path,
+    optima: Path | None,
+    listed: Path | None,
+    limit: float,
+    proof: float,
+    peer: int | None,
+    part: str,
+    jobs: int,
+    markdown: Path | None,
+    out: Path,
 ) -> int:
     """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
     problems = [problem for problem in _problems(folder, listed) if part in problem.name]
@@ -271,7 +316,7 @@ def command(
     published = _published(optima) if optima is not None else {}
     with temporary_folder("touchstone-sets-") as work, ThreadPoolExecutor(jobs) as pool:
         rows = []
-        for row in pool.map(lambda problem: _run(problem, limit, proof, with_peer, work), problems):
+        for row in pool.map(lambda p: _run(p, limit, proof, published.get(p.name, math.nan), peer, work), problems):
             click.echo(
                 "  ".join(
                     str(word)
@@ -279,17 +324,7 @@ def command(
                 )
             )
             rows.append(row)
-    table = Table(
-        caption=f"{len(rows)} problems of {folder.name}.",
-        columns=_COLUMNS,
-        rows=tuple(_line(row, published.get(row["problem"])) for row in rows),
-        notes=tuple(_notes(rows, published)),
-    )
-    tables = [table, _profile(rows)] if with_peer else [table]
-    store_tables(out, f"mpec-sets-{folder.name}", f"MPECs of {folder.name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
-    with (out / f"mpec-sets-{folder.name}.csv").open("w", encoding="utf-8", newline="") as lines:
-        csv.writer(lines).writerows([_COLUMNS, *table.rows])
-    click.echo("\n".join(table.notes))
+    _tell(out, f"mpec-sets-{folder.name}", rows, published, markdown)
     return 0
 
 

@@ -30,10 +30,13 @@ STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
 _STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
 _RANDOM = 6  # random inputs that are corrected to end on the goal if the first guess leads nowhere
 _NONLINEAR = 20  # a nonlinear scene tries this part of the mode sequences that a linear one may
-# From so many contacts on modes are searched around two sources. Six carts, tasks 11, 3 and 7 of the benchmark `plans`: 2484.9 becomes 2377.6, 980.6 and
-# 1557.3 stay; with two contacts the first source led twenty starts of the three carts to the same plan.
+# From so many contacts on modes are searched around other sources too (`_searched_again`); with two contacts the first source led twenty starts of the three
+# carts to the same plan.
 _MANY = 3
 _LOOSE = (0.3, 0.03, 3e-3)  # [N^2] bounds of the relaxation: the first of whose modes has a plan
+# Most iterations of a walk of relaxed complementarity. Six carts, tasks 3, 11 and 7: 702 lead from 980.6 to 854.7; 734 to 2516, where loosened modes lead from
+# 2484.9 to 2377.6; 1871 to no plan, and loosened modes from 1557.3 to 1476.4. So these come first, and where they lead below the plan nothing is walked.
+_WALK = 800
 _NEAREST = 3  # of the rollouts that came nearest so many are continued to the goal
 
 
@@ -147,7 +150,7 @@ class Finder:
         Two fingers that carry a disc have no softplus plan after 348 iterations, and modes that have a plan are read off here after 121. Its own rules
         limit the work of the walk; what is done with its plan may cost as much as a first one once more.
         """
-        with load_method("relaxed_lcp").open(self._scene, {"first_eps": RELAXED_FROM}) as session:
+        with load_method("relaxed_lcp").open(self._scene, {"first_eps": RELAXED_FROM, "max_iterations": _WALK}) as session:
             found = session.solve(eps=RELAXED_TO, warm_start=None, time_limit=budget.remaining)
         budget.told(found)
         self._is_walked = True
@@ -292,31 +295,43 @@ class Finder:
         )
 
     def _searched_again(self, budget: SolveBudget, problem: ModesProblem, found: FinderResult, stride: int) -> FinderResult:
-        """Around the modes of loosely relaxed complementarity, where all contacts change theirs at once: far only where shifts alone lead below the plan."""
+        """Around the modes of other sources, until one leads below the plan: far only where shifts alone do."""
         assert found.answer is not None, "what was searched around has a plan"
-        rollout, u = correct_end(self._scene, self._kernel, found.answer.u, self._options.goal_tolerance)
-        if rollout.diverged:
-            return found
-        plan: Trajectory | None = plan_of(self._scene, rollout, u)
-        answer = None
+        tried = found.tried
+        for source, words in ((self._loosened, "loosened"), (self._walked, "walked down from a cold start")):
+            answer = None if budget.is_over else source(budget, problem, found.answer)
+            for far in (False, True):
+                if answer is None:
+                    break
+                again = self.searched(budget, problem, answer, stride, far=far)
+                tried, answer = tried + again.tried, again.answer
+                if answer is None or answer.cost >= found.answer.cost:
+                    break
+            else:
+                told = f"Around modes of relaxed contact, {words}; around those of softplus contact the cheapest plan costs {found.answer.cost:.6g}."
+                return replace(again, tried=tried, message=f"{again.message} {told}")
+        return replace(found, tried=tried)
+
+    def _loosened(self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer) -> ModesAnswer | None:
+        """For the modes of loosely relaxed complementarity from a plan, where all contacts change theirs at once."""
+        rollout, u = correct_end(self._scene, self._kernel, best.u, self._options.goal_tolerance)
+        plan, answer = None if rollout.diverged else plan_of(self._scene, rollout, u), None
         with load_method("relaxed_lcp").open(self._scene) as session:
             for eps in _LOOSE:
+                if plan is None or answer is not None or budget.is_over:
+                    break
                 loose = session.solve(eps=eps, warm_start=plan, time_limit=budget.remaining)
                 budget.told(loose)
                 plan = loose.trajectory
                 answer = None if plan is None or budget.is_over else self._exact(budget, problem, plan)
-                if plan is None or answer is not None or budget.is_over:
-                    break
-        if answer is None or budget.is_over:
-            return found
-        again, tried = found, found.tried
-        for far in (False, True):
-            again = self.searched(budget, problem, answer, stride, far=far)
-            tried, answer = tried + again.tried, again.answer
-            if answer is None or answer.cost >= found.answer.cost:
-                return replace(found, tried=tried)
-        words = f"Around modes of relaxed contact; around those of softplus contact the cheapest plan costs {found.answer.cost:.6g}."
-        return replace(again, tried=tried, message=f"{again.message} {words}")
+        return answer
+
+    def _walked(self, budget: SolveBudget, problem: ModesProblem, best: ModesAnswer) -> ModesAnswer | None:
+        """For the modes of relaxed complementarity walked down, which knows nothing of the plan; where the search's share is what a first plan may take."""
+        room = self._options.search_share * (budget.most_work - budget.work)
+        plan = None if self._is_walked or room < 1e6 * self._options.first_work else self._relaxed(budget)
+        budget.most_work = self._most_work
+        return None if plan is None or budget.is_over else self._exact(budget, problem, plan)
 
     def _most_sequences(self) -> int:
         """Mode sequences that a search may ask for; a nonlinear scene's cost a run of Ipopt each."""

@@ -75,15 +75,11 @@ class Scholtes(Strategy):
         return lifted.shadow.mpec_bound
 
 
-class _PathEquation(Strategy):
-    """v + w = sqrt(radicand): one equation a pair in place of its complementarity, with v w = eps at every point of the path, and v, w > 0."""
+class Smoothing(Strategy):
+    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow): in place of the complementarity, with v w = eps and v, w > 0 on the path."""
 
+    name = "smoothing"
     last = 1e-10
-
-    @staticmethod
-    @abstractmethod
-    def radicand(v: Any, w: Any, eps: Any) -> Any:
-        """Of two expressions and the Param that goes to 0."""
 
     def attach(self, lifted: Lifted) -> Any:
         """One equation a pair instead of its product."""
@@ -93,37 +89,16 @@ class _PathEquation(Strategy):
 
         def equation(block: Any, k: int) -> Any:
             v, w = sides[k]
-            return v + w - pyo.sqrt(self.radicand(v, w, block.smoothing)) == 0
+            return v + w - pyo.sqrt(v**2 + w**2 + 2 * block.smoothing) == 0
 
         block.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
         return block.smoothing
 
 
-class Smoothing(_PathEquation):
-    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow)."""
+class L1Penalty(Strategy):
+    """f + (1 / eps) sum v w: the products in the objective. Exact: a finite weight is enough where the solution is strongly stationary."""
 
-    name = "smoothing"
-
-    @staticmethod
-    def radicand(v: Any, w: Any, eps: Any) -> Any:
-        """Sum of squares and 2 eps."""
-        return v**2 + w**2 + 2 * eps
-
-
-class Chks(_PathEquation):
-    """v + w = sqrt((v - w)^2 + 4 eps) (Chen, Harker, Kanzow, Smale): the same path as Fischer-Burmeister, by another equation."""
-
-    name = "chks"
-
-    @staticmethod
-    def radicand(v: Any, w: Any, eps: Any) -> Any:
-        """Square of the difference and 4 eps."""
-        return (v - w) ** 2 + 4 * eps
-
-
-class _Penalty(Strategy):
-    """The objective and (1 / eps) times what is to vanish."""
-
+    name = "l1_penalty"
     last = 1e-8
     eps_is_weight = True
 
@@ -131,36 +106,12 @@ class _Penalty(Strategy):
         """No products; a weighted penalty in the objective."""
         block = lifted.relaxation()
         block.weight = pyo.Param(mutable=True, initialize=1.0)
-        _replace_objective(lifted.shadow, self._penalty(block, [(pair.first, pair.second) for pair in lifted.pairs]))
+        _replace_objective(lifted.shadow, sum((block.weight * pair.first * pair.second for pair in lifted.pairs), start=0.0))
         return block.weight
-
-    @abstractmethod
-    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
-        """The penalty of the pairs with these sides, times `block.weight`."""
 
     def number(self, eps: float) -> float:
         """The weight is 1 / eps."""
         return 1.0 / eps
-
-
-class Elastic(_Penalty):
-    """f + (1 / eps) t with v w <= t, t >= 0 (elastic mode): feasible wherever the constraints without products are."""
-
-    name = "elastic"
-
-    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
-        block.elastic = pyo.Var(bounds=(0.0, None), initialize=1.0)
-        block.elastic_product = pyo.Constraint(range(len(sides)), rule=lambda block, k: sides[k][0] * sides[k][1] <= block.elastic)
-        return block.weight * block.elastic
-
-
-class L1Penalty(_Penalty):
-    """f + (1 / eps) sum v w: the products in the objective. Exact: a finite weight is enough where the solution is strongly stationary."""
-
-    name = "l1_penalty"
-
-    def _penalty(self, block: Any, sides: list[tuple[Any, Any]]) -> Any:
-        return sum((block.weight * first * second for first, second in sides), start=0.0)
 
 
 class Direct(Scholtes):
@@ -170,11 +121,12 @@ class Direct(Scholtes):
     first = last = 1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
 
 
-STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), L1Penalty(), Elastic(), Direct())}
+STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), L1Penalty(), Direct())}
 STRATEGY_NAMES = tuple(STRATEGIES)
 # The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
-# 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
-# 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.
+# 500 steps (cost, iterations; scholtes from eps 1): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478;
+# l1_penalty 86, 77, 5424. Two more never were the best of any: the elastic mode (85, 78, 10350), and the path of smoothing by the equation of Chen, Harker,
+# Kanzow and Smale (85, 78, 6432).
 FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 # With more pairs than LARGE smoothing is only tried (`Path.points`), and l1_penalty is next. Smoothing's first step takes 16 to 40 iterations on a membrane
 # of 1024 pairs and on three_cart, which nothing else solves as fast; on MacMPEC's packings of 961 pairs it finds nothing in 240 to 500, four times over

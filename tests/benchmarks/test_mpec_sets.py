@@ -84,7 +84,9 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     (folder / "broken.py").write_text("model = 1 / 0\n")
     optima = tmp_path / "optima.csv"
     optima.write_text("name,published_optimum\nright,1.00001\nmisprint,0.5\nbetter,1.5\nunknown,tba\ninfeasible,3\nbroken,1\n")
-    result = CliRunner().invoke(command, ["--from", str(folder), "--optima", str(optima), "-j", "2", "-o", str(tmp_path / "out")])
+    page = tmp_path / "page.md"
+    asked = ["--from", str(folder), "--optima", str(optima), "-j", "2", "--peer", "0", "-o", str(tmp_path / "out"), "--markdown", str(page)]
+    result = CliRunner().invoke(command, asked)
     assert result.exit_code == 0, result.output
     with (tmp_path / "out" / "mpec-sets-set.csv").open(newline="") as lines:
         rows = {row["problem"]: row for row in csv.DictReader(lines)}
@@ -94,6 +96,11 @@ def test_the_table_says_how_each_answer_stands(tmp_path):
     }  # fmt: skip
     assert "ZeroDivisionError" in rows["broken"]["remark"]
     assert float(rows["right"]["objective"]) == pytest.approx(1, abs=1e-8)
+    assert rows["right"]["bound"] == "", "what is reached is not proved"
+    assert rows["right"]["peer's CPU s"] == "", "a pair is more than none"
+    lines = {line.split(" | ")[0]: line.split(" | ") for line in page.read_text().splitlines()}
+    assert lines["| right"][1:7] == ["1", "solved", "1", "1.00001", "reached", "S"]
+    assert len(lines["| misprint"]) == len(lines["| problem"])
     assert "beaten: 2 of 5 (1 beaten)" in result.output
     assert "by proof: 2" in result.output
 

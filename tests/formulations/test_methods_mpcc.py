@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from example_scenes import example_scene
 
+from benchmarks.suite.plans import pushed_row
 from formulations.contact_modes.search import mode_sequence
 from formulations.method import OptionError
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
@@ -101,6 +102,30 @@ def test_one_push_becomes_two_though_that_is_dearer_at_first() -> None:
     assert solution.cost <= 584.19
     assert solution.trajectory is not None
     assert [len(row) for row in mode_sequence(solution.trajectory.lam > 0)] == [2, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "first", "cost", "source"),
+    [(0, 273.65, 273.16, "loosened"), (3, 36.30, 35.34, "walked down from a cold start"), (2, 101.22, 101.21, None)],
+)
+def test_a_row_of_carts_is_searched_around_other_modes(seed: int, first: float, cost: float, source: str | None) -> None:
+    """Four carts in 80 steps, pushed at random: a second source leads below the first, or else a third, or neither does, and the plan stays."""
+    scene = pushed_row(seed, 4, 80)
+    solution, alone = solved(scene), solved(scene, search=False)
+    check(solution, scene)
+    assert solution.iterations > alone.iterations, "the other sources take iterations, the search none"
+    assert solution.cost is not None
+    assert solution.cost <= cost
+    assert ("Around modes of relaxed contact" in solution.message) == (source is not None)
+    if source is not None:
+        assert f"relaxed contact, {source}; around" in solution.message
+        told = float(solution.message.split("softplus contact the cheapest plan costs ")[1].split()[0].rstrip("."))
+        assert cost < told <= first
+
+
+def test_two_contacts_are_searched_around_one_source() -> None:
+    assert solved(SMALL).iterations == solved(SMALL, search=False).iterations
 
 
 @pytest.mark.slow
