@@ -29,8 +29,8 @@ from torch import Tensor
 
 from formulations.grids import input_bounds
 from formulations.shooting.diagnosis import dead_contact_message, divergence_message, sensitivity
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 
