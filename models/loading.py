@@ -10,7 +10,6 @@ Modules from beside it are read as they are, never from kept bytecode, and forgo
 from __future__ import annotations
 
 import ast
-import hashlib
 import importlib.machinery
 import sys
 import sysconfig
@@ -93,6 +92,8 @@ def loaded_sources() -> str:
         path = Path(origin).resolve()
         if path.is_file() and not any(path.is_relative_to(folder) for folder in _installed()):
             sources[name] = path.read_bytes()
+    import hashlib  # 3 ms of OpenSSL, which who only asks what is declared does without
+
     digests = (f"{name} {hashlib.sha256(content).hexdigest()}" for name, content in sorted(sources.items()))
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 

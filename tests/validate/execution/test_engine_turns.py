@@ -18,7 +18,7 @@ from models.errors import MachineError
 from validate.execution import campaign as module
 from validate.execution.campaign import CampaignSettings, run_tasks, select
 from validate.execution.dask import DaskEngine, local_cluster
-from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.execution.engine import ExecutionContext, LocalEngine, open_local
 from validate.execution.process import usable_cores
 from validate.execution.worker import record_for_crash
 from validate.plan.runs import PlannedRun
@@ -157,8 +157,7 @@ def test_what_must_wait_is_left_for_later(campaign: Campaign):
 
 @pytest.mark.parametrize(("jobs", "expected"), [(None, usable_cores()), (1, 1), (3, 3)])
 def test_without_a_number_of_jobs_a_campaign_takes_every_core(campaign: Campaign, jobs: int | None, expected: int):
-    settings = CampaignSettings(out=campaign.context.store.runs, jobs=jobs)
-    with module._open_engine(settings, campaign.context, 1) as engine:
+    with open_local(jobs, campaign.context, 1) as engine:
         assert engine.jobs == expected
 
 

@@ -349,7 +349,7 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
     scores: list[Any] = []
     monkeypatch.setattr(module, "replay_foreign", lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}")
     monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered(motion, verdict))
-    foreign: Any = SimpleNamespace(model="model")
+    foreign: Any = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
     found = judge_fmu(Path("a.fmu"), {"t": plan.t}, feedback=True, limits="limits")  # type: ignore[arg-type]
@@ -369,7 +369,7 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
 def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     asked: list[Any] = []
     monkeypatch.setattr(module, "read_package", lambda path: f"package of {path}")
-    foreign = SimpleNamespace(model="model")
+    foreign = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
     monkeypatch.setattr(module, "_judged", lambda *given: given)
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: asked.append(given) or (foreign, "trajectory"))
     (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
@@ -382,8 +382,8 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
             (foreign, "package of a.fmu"),
             {"limits": module.Limits(), "own_step": False},
         )
-        package, table, map_file, hold, where = asked[-1]
-        assert (package, table.names[0], map_file, hold, where) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu")
+        package, table, map_file, hold, where, factors = asked[-1]
+        assert (package, table.names[0], map_file, hold, where, factors) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu", None)
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
     run = judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))[2]  # type: ignore[index]
     assert run.keywords == {"limits": module.Limits(seconds=2.0), "own_step": False}
