@@ -115,5 +115,5 @@ def lacking(scene: SceneRecord, rows: list[Row]) -> list[PaperRow]:
     """Rows of the paper's table of which we have no stage."""
     if scene.name != PAPER_SCENE:
         return []
-    ours = {(row.methods, row.stage.eps or None) for row in rows if row.stage.paper}
+    ours = {(row.methods, row.stage.eps) for row in rows if row.stage.paper}
     return [row for row in TABLE_1 if (row.methods, row.eps) not in ours]

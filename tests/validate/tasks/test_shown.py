@@ -209,7 +209,7 @@ def test_a_page_is_drawn_from_the_plan_its_replay_and_that_with_feedback(drawn: 
     assert verdict.page("the command", ("odd", "strange")) == "<p>a & b 'c'</p>"
     ((run, files),) = drawn
     assert (run.pipeline, run.pipeline_title, run.provenance.command, run.verdict) == ("mine", "", "the command", "violates")
-    assert (run.scene.name, run.must_hold, run.stages[0].kind) == ("three_cart", True, "given")
+    assert (run.scene.name, run.must_hold, run.stages[0].kind, run.stages[0].index) == ("three_cart", True, "given", 0)
     assert run.message == run.stages[0].message
     assert "odd strange" in run.stages[0].message
     # 1 + 10 of the inputs alone, and 100 + 1000 with feedback.
