@@ -91,7 +91,8 @@ class BestExactSession(Session):
 
     def _found(self, start: Trajectory | None, ends: float) -> Iterator[tuple[str, Solution]]:
         """What each way found, in words and as a solution of all its stages."""
-        scene, solved = self._scene, list[Solution]()
+        scene = self._scene
+        solved: list[Solution] = []
         if load_method("mpcc").accepts(scene) is None:
             found = self._stage("mpcc", None, start, ends)
             yield "mpcc", found
@@ -104,7 +105,7 @@ class BestExactSession(Session):
                 continue
             words = f"{method} from eps = {options.get('first_eps', schedule[0]):g}, then strict_lcp"
             walked = self._walked(method, schedule, start, ends, options)
-            if walked.trajectory is None or (len(schedule) == 1 and solved and walked.outcome is not Outcome.SOLVED):
+            if walked.trajectory is None or ("first_eps" in options and solved and walked.outcome is not Outcome.SOLVED):
                 without.add(method)
                 yield words, replace(walked, trajectory=None, cost=None)
                 continue
@@ -120,16 +121,13 @@ class BestExactSession(Session):
         self, method: str, schedule: tuple[float, ...], start: Trajectory | None, ends: float, options: Mapping[str, object]
     ) -> Solution:
         """The last stage before one that stalls, with the iterations and seconds of those up to it."""
-        walked: Solution | None = None
         with load_method(method).open(self._scene, options) as session:
-            for eps in schedule:
-                found = session.solve(eps=eps, warm_start=start, time_limit=max(1e-3, ends - monotonic()))
-                if walked is not None and found.outcome not in (Outcome.SOLVED, Outcome.ITERATION_LIMIT):
-                    return walked
-                walked = found if walked is None else _after(walked, found)
-                start = found.trajectory or start
-        if walked is None:
-            raise ValueError(f"the way by {method} has no eps.")
+            walked = session.solve(eps=schedule[0], warm_start=start, time_limit=max(1e-3, ends - monotonic()))
+            for eps in schedule[1:]:
+                found = session.solve(eps=eps, warm_start=walked.trajectory, time_limit=max(1e-3, ends - monotonic()))
+                if found.trajectory is None or found.outcome not in (Outcome.SOLVED, Outcome.ITERATION_LIMIT):
+                    break
+                walked = _after(walked, found)
         return walked
 
     def _stage(self, name: str, eps: float | None, start: Trajectory | None, ends: float, **options: object) -> Solution:
