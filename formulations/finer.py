@@ -29,6 +29,13 @@ def finer_scene(scene: Scene, parts: int) -> Scene:
     return scene.with_task(steps=task.steps * parts, step=task.step / parts, running_cost=task.running_cost / parts)
 
 
+def scene_of(scene: Scene, plan: Trajectory) -> Scene:
+    """Give the task on the plan's own steps where those are finer, so many of them one of the task's; else the scene itself. Raises nothing."""
+    task, parts = scene.task, plan.steps // scene.task.steps
+    fits = plan.steps == parts * task.steps and plan.has_uniform_grid and np.isclose(plan.duration, task.horizon, rtol=1e-9, atol=0.0)
+    return finer_scene(scene, parts) if parts > 1 and fits else scene
+
+
 def motion_on_finer_steps(scene: Scene, plan: Trajectory, parts: int) -> Trajectory | None:
     """Give the motion that follows a plan with feedback, as a plan of `finer_scene`; None where it leaves every bound. Raises KernelError for a plan of another scene."""
     u, _ = _followed(scene, plan, parts)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.finer import departure, finer_scene, motion_on_finer_steps
+from formulations.finer import departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
@@ -79,3 +79,12 @@ def test_the_same_inputs_cost_the_same_on_finer_steps():
     q_finer = np.ones((3 * scene.task.steps + 1, scene.nq))
     ours = load_kernel(finer).cost(q_finer, q_finer, np.repeat(u, 3, axis=0))
     assert ours == pytest.approx(load_kernel(scene).cost(q, v, u), rel=1e-12)
+
+
+def test_the_task_on_a_plans_own_steps():
+    """Three times as many steps: that task. One that is longer, or has no such number of steps, has none: it is refused where the task's grid is needed."""
+    plan = _finer(1.5)
+    scene = _ending_at(plan).with_task(steps=20, step=0.1)
+    assert scene_of(scene, plan).task == finer_scene(scene, 2).task
+    for other in (scene.with_task(steps=40, step=0.05), scene.with_task(step=0.11), scene.with_task(steps=30, step=2.0 / 30.0)):
+        assert scene_of(other, plan) is other

@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 
 from formulations.methods import best_exact
+from formulations.mpec import certify_plan
 from formulations.pipelines import find_pipeline, load_method, pipelines_for
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
@@ -108,3 +109,6 @@ def test_what_relaxed_contact_passes_by_multiple_shooting_finds_and_finer_steps_
     plan = found.trajectory
     assert (plan.steps, plan.t[-1]) == (800, pytest.approx(scene.task.horizon))
     assert found.cost == pytest.approx(load_kernel(scene).cost(plan.q, plan.v, plan.u) / 4.0, rel=1e-9)
+    certificate = certify_plan(scene, plan)
+    assert certificate.holds
+    assert certificate.stationarity.letter == "S"
