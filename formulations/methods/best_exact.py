@@ -14,7 +14,7 @@ its plan is nearly that of its inputs, and strict_lcp ends near it.
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is followed on finer steps by linear feedback around it
 (`formulations.finer`): how far the motion leaves the plan and misses the goal, and what the feedback takes of the plan's own inputs, in parts of what the
 scene allows. Where that is more than 1 for the cheapest plan, it is solved again on steps a half, a quarter and an eighth as long, from the motion that
-followed it, until it is clearly less. A plan with more than 1 is taken only where there is no other.
+followed it, until it is clearly less. A plan with more than 1 is taken only where there is no other, and of these the one that departs least.
 """
 
 from __future__ import annotations
@@ -169,9 +169,12 @@ def _after(walked: Solution, exact: Solution) -> Solution:
 
 
 def _best(found: list[Solution]) -> Solution:
-    """The cheapest that is solved and followed; else that is solved; else any plan, or the last word."""
-    solved = [each for each in found if each.outcome is Outcome.SOLVED]
-    priced = [each for each in [*filter(_is_followed, solved)] or solved or found if each.cost is not None]
+    """The cheapest that is solved and followed; else that is solved and departs least; else any plan, or the last word."""
+    solved = [each for each in found if each.outcome is Outcome.SOLVED and each.cost is not None]
+    followed = [*filter(_is_followed, solved)]
+    if solved and not followed:
+        return min(solved, key=lambda each: each.residuals[_DEPARTURE])
+    priced = followed or [each for each in found if each.cost is not None]
     return _cheapest(priced) if priced else found[-1]
 
 
