@@ -3,18 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import sympy as sp
 
 from formulations.methods import best_exact
-from formulations.methods.best_exact import departure
+from formulations.mpec import certify_plan
 from formulations.pipelines import find_pipeline, load_method, pipelines_for
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 SMALL = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
@@ -62,48 +61,6 @@ def test_a_walk_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
     assert found.starts[1].cost is None
 
 
-def _finer(inputs: float, fine: int = 50) -> Trajectory:
-    """A plan whose states are the true motion, stepped `fine` times in each of its steps."""
-    u = np.full((40, 2), inputs) * [1.0, -1.0]
-    motion = load_kernel(SMALL).rollout(np.array(SMALL.task.start), np.repeat(u, fine, axis=0), 0.05 / fine)
-    return Trajectory(t=uniform_grid(0.05, 40), q=motion.q[::fine], v=motion.v[::fine], u=u, lam=motion.lam[::fine])
-
-
-def _ending_at(plan: Trajectory, **limits: float) -> Scene:
-    """The small scene with the plan's own end for a goal, and no limits that count but these."""
-    scene = SMALL.with_task(goal=(*plan.q[-1], *plan.v[-1]), steps=40, step=0.05)
-    values = dict.fromkeys((limit.metric for limit in scene.limits), 1e9) | limits
-    return replace(scene, limits=tuple(replace(scene.limits[0], metric=name, value=value) for name, value in values.items()))
-
-
-def test_a_plan_of_the_true_motion_does_not_depart():
-    plan = _finer(1.5)
-    assert (plan.lam > 0.0).any()
-    scene = _ending_at(plan, replay_error=1e-6, replay_terminal_position_error=1e-6, feedback_share=1e-6)
-    assert departure(scene, plan) < 1e-4
-
-
-def test_what_departs_is_counted_in_the_limits_of_the_scene():
-    """Each limit by itself, and the largest of all; twice the limit, half the number. Coarser steps depart by what they are wrong."""
-    coarse = _finer(1.5, fine=1)
-    names = ("replay_error", "replay_terminal_position_error", "replay_terminal_velocity_error", "feedback_share")
-    alone = {name: departure(_ending_at(coarse, **{"feedback_share": 1e9, name: 0.01}), coarse) for name in names}
-    assert all(value > 1e-2 for value in alone.values())
-    assert departure(_ending_at(coarse, **dict.fromkeys(names, 0.01)), coarse) == pytest.approx(max(alone.values()))
-    assert departure(_ending_at(coarse, replay_error=0.02, feedback_share=1e9), coarse) == pytest.approx(alone["replay_error"] / 2.0)
-    assert departure(_ending_at(coarse), coarse) == pytest.approx(alone["feedback_share"] * 0.01 / 0.5), (
-        "half of the inputs, where no limit is set"
-    )
-    finer = _finer(1.5, fine=10)
-    assert departure(_ending_at(finer, feedback_share=0.01), finer) < 0.25 * alone["feedback_share"]
-
-
-def test_a_motion_that_leaves_every_bound_is_lost():
-    """Springs that are far too stiff for a fiftieth of the step."""
-    plan = _finer(1.5)
-    assert departure(_ending_at(plan).with_parameters(k=3e13), plan) == 1e6
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("followed", ["all", "dearer", "none"])
 def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyPatch, followed: str):
@@ -115,7 +72,7 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
         return 2.0 if followed == "none" or (followed == "dearer" and kernel.cost(plan.q, plan.v, plan.u) < 853.0) else 0.5
 
     monkeypatch.setattr(best_exact, "departure", departs)
-    found = solved(scene)
+    found = solved(scene, halvings=0)
     costs = sorted(attempt.cost for attempt in found.starts if attempt.cost is not None)
     assert found.cost == costs[1 if followed == "dearer" else 0]
     assert ("by 2 times what the scene allows" in found.message) == (followed == "none")
@@ -123,19 +80,35 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "most"), [("transport", 0.7063), ("push_box", 4808.4)])
-def test_scenes_with_friction_end_where_the_best_known_way_does(name: str, most: float):
+@pytest.mark.parametrize(("name", "most", "steps"), [("transport", 0.7063, 200), ("push_box", 4808.4, 400)])
+def test_scenes_with_friction_end_where_the_best_known_way_does(name: str, most: float, steps: int):
+    """The grid of push_box is too coarse: its plan of 4808.3 is followed by 1.64 times what is allowed, on a quarter of the step by 0.31."""
     found = solved(load_scene(name))
     assert found.outcome is Outcome.SOLVED
     assert found.cost is not None
     assert found.cost <= most
+    assert found.residuals["departure"] <= 1.0
+    assert found.trajectory.steps == steps
 
 
 @pytest.mark.slow
-def test_what_relaxed_contact_passes_by_multiple_shooting_finds():
-    """A finger that pushes a drawer shut, which glides the last part by itself: relaxed contact ends at 25.9 and 26.5, softplus walked down nowhere."""
-    found = solved(load_scene(str(ROOT / "tests" / "scenes" / "drawer.py")))
-    by = {attempt.start.split()[0]: attempt.cost for attempt in found.starts}
+def test_what_relaxed_contact_passes_by_multiple_shooting_finds_and_finer_steps_let_hold():
+    """A finger that pushes a drawer shut, which glides the last part by itself: relaxed contact ends at 25.9 and 26.5, softplus walked down nowhere.
+
+    On 200 steps the cheapest departs by 3.5 times what is allowed, on 400 by 1.6, on 800 by 0.46. It costs what its inputs cost on the task's steps.
+    """
+    scene = load_scene(str(ROOT / "tests" / "scenes" / "drawer.py"))
+    found = solved(scene)
+    by = {attempt.start.split(",")[-1].split()[-2]: attempt.cost for attempt in found.starts[-2:]}
+    coarse = [attempt for attempt in found.starts if attempt.start.startswith("softplus_multiple_shooting")]
     assert found.outcome is Outcome.SOLVED
-    assert found.cost == by["softplus_multiple_shooting"] <= 9.6
-    assert min(attempt.cost for attempt in found.starts if attempt.start.startswith("relaxed_lcp") and attempt.cost) > 20.0
+    assert coarse[0].cost <= 9.6
+    assert list(by) == ["400", "800"]
+    assert found.cost == by["800"] == pytest.approx(coarse[0].cost, rel=0.02)
+    assert found.residuals["departure"] <= 0.75
+    plan = found.trajectory
+    assert (plan.steps, plan.t[-1]) == (800, pytest.approx(scene.task.horizon))
+    assert found.cost == pytest.approx(load_kernel(scene).cost(plan.q, plan.v, plan.u) / 4.0, rel=1e-9)
+    certificate = certify_plan(scene, plan)
+    assert certificate.holds
+    assert certificate.stationarity.letter == "S"

@@ -12,9 +12,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, cast
 
+from formulations.finer import scene_of
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
 from formulations.transcription.build import build_model, load_plan, move_ball, open_goal
+from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -23,19 +25,19 @@ PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 
 
 class PlanJudge:
-    """Judges plans of one scene; its strict model is built once for a goal that is a point, and once for one that is a ball."""
+    """Judges plans of one scene; its strict model is built once for a goal that is a point, once for one that is a ball, and for each grid."""
 
     def __init__(self, scene: Scene | str) -> None:
-        self._scene = scene
-        self._models: dict[bool, Any] = {}
+        self._scene = load_scene(scene) if isinstance(scene, str) else scene
+        self._models: dict[tuple[bool, int], Any] = {}
 
     def certify(self, plan: Trajectory, *, goal_tolerance: float) -> Certificate:
         """Judge one plan, as `certify_plan`."""
-        is_ball = goal_tolerance > 0.0
-        if is_ball not in self._models:
-            self._models[is_ball] = build_model(self._scene)
-            open_goal(self._models[is_ball], goal_tolerance)
-        model = self._models[is_ball]
+        kind, scene = (goal_tolerance > 0.0, plan.steps), scene_of(self._scene, plan)
+        if kind not in self._models:
+            self._models[kind] = build_model(scene)
+            open_goal(self._models[kind], goal_tolerance)
+        model = self._models[kind]
         move_ball(model, goal_tolerance)
         load_plan(model, plan)
         return certify(model, tolerances=PLAN_TOLERANCES)
@@ -47,7 +49,7 @@ def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float 
     Parameters
     ----------
     scene : a scene, or its name
-    plan : on the scene's grid
+    plan : on the scene's grid, or on one so many times as fine: its problem is the same task on that grid
     goal_tolerance : norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal
 
     Raises

@@ -141,18 +141,22 @@ def _undecided(scored: ScoredPlan) -> str:
     unsure = _judged(scored, None)
     if not unsure:
         alone = _judged(scored, False)
-        return f"{_quote(alone[0])}; whether feedback would help could not be decided." if alone else "no question could be decided."
-    first = unsure[0]
-    if first.value is None:
-        text = f"{first.name} could not be measured: {first.reason.rstrip('.')}"
-    elif math.isinf(first.error):
-        text = f"{_quote(first)}, but the replay has no error estimate"
-    else:
-        text = f"{_quote(first)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
+        open_with = [metric for metric in scored.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is None]
+        why = f": {_what_is_unknown(open_with[0])}" if open_with else ""
+        return f"{_quote(alone[0])}; whether feedback would help could not be decided{why}." if alone else "no question could be decided."
+    first, text = unsure[0], _what_is_unknown(unsure[0])
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
     needed = "" if scored.replay is None or first.value is None else scored.replay.error.would_decide
     return f"{text} What would decide it: {needed}." if needed else text
+
+
+def _what_is_unknown(metric: Metric) -> str:
+    if metric.value is None:
+        return f"{metric.name} could not be measured: {metric.reason.rstrip('.')}"
+    if math.isinf(metric.error):
+        return f"{_quote(metric)}, but the replay has no error estimate"
+    return f"{_quote(metric)}, but the replay's own error of {number(metric.error, metric.unit)} is not {MARGIN:g} times below the distance between them"
 
 
 def _holds(scored: ScoredPlan) -> str:

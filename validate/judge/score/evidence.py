@@ -79,7 +79,7 @@ class Evidence:
     def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
         """The task's cost of a motion: its running cost at the starts of the task's own steps, whatever grid the plan has, and the final cost.
 
-        Between the rows positions are cubics.
+        Where inputs change within a step of the task, each counts for its part of the step. Between the rows positions are cubics.
 
         Parameters
         ----------
@@ -95,12 +95,24 @@ class Evidence:
         if len(t) == len(u) + 1 and (self.h == step).all():
             return self.kernel.cost(q, v, u)
         count = max(1, round(self.trajectory.duration / step))
-        times = t[0] + step * np.arange(count)
-        held, nodes = self.held_inputs, self.trajectory.t
-        steps = np.clip(np.searchsorted(nodes, times + 1e-9 * step, side="right") - 1, 0, len(u) - 1)
+        held, nodes, starts = self.held_inputs, self.trajectory.t, t[0] + step * np.arange(count)
+        within = nodes[1:-1][np.abs((nodes[1:-1] - t[0]) / step - np.round((nodes[1:-1] - t[0]) / step)) > 1e-9]
+        times = np.sort(np.concatenate([starts, within[within < starts[-1] + step]]))
+        rows, steps = (np.searchsorted(of, times + 1e-9 * step, side="right") - 1 for of in (starts, nodes))
+        steps = np.clip(steps, 0, len(u) - 1)
         inputs = u[steps] + held.slopes[steps] * np.maximum(times - nodes[steps], 0.0)[:, None]
-        moved_q, moved_v = _at_times(times, *_without_repeats(t, q, v))
-        return self.kernel.cost(np.vstack([moved_q, q[-1:]]), np.vstack([moved_v, v[-1:]]), inputs)
+        moved_q, moved_v = _at_times(starts, *_without_repeats(t, q, v))
+
+        def cost(state: int, inputs: np.ndarray) -> float:
+            return self.kernel.cost(
+                np.vstack([moved_q[state : state + len(inputs)], q[-1:]]), np.vstack([moved_v[state : state + len(inputs)], v[-1:]]), inputs
+            )
+
+        parts = np.diff(np.append(times, starts[-1] + step)) / step
+        if len(times) == count:
+            return cost(0, inputs)
+        final = cost(0, inputs[:0])
+        return final + sum(part * (cost(row, one[None]) - final) for row, one, part in zip(rows, inputs, parts, strict=True))
 
     @cached_property
     def phi(self) -> np.ndarray:

@@ -154,7 +154,7 @@ TABLE = (
     ),
     MetricEntry(
         name="cost", question=Question.GOAL, unit=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
-        meaning="the task's cost of the plan: sum of the running cost over the task's steps, and the final cost",
+        meaning="the task's cost of the plan: sum of the running cost over the task's steps, parts of a step for their part, and the final cost",
         quoted="the plan itself costs {}",
     ),
     MetricEntry(

@@ -43,44 +43,57 @@ def carts(t: Any, u: Any = None, **more: Any) -> Evidence:
 def priced(
     t: list[float], u: list[list[float]], step: float, rows: tuple[Any, Any, Any], hold: Hold = Hold.LINEAR, end: Any = (5.0,)
 ) -> Any:
-    """q, v, u of which the cost is asked."""
+    """q, v, u of which the cost is asked, each time; and the cost, of inputs alone, and 7 at the end."""
     empty = np.zeros((len(t), 1))
     plan = Trajectory(
         t=np.array(t), q=empty, v=empty, u=np.array(u), lam=empty[1:], hold=hold, u_end=None if end is None else np.array(end)
     )
     asked: list[Any] = []
+
+    def cost(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        asked.append((q.ravel().tolist(), v.ravel().tolist(), u.ravel().tolist()))
+        return float((u**2).sum()) + 7.0
+
     case: Any = SimpleNamespace(
         scene=SimpleNamespace(task=SimpleNamespace(step=step)), h=np.diff(plan.t), trajectory=plan, held_inputs=HeldInputs(plan),
-        kernel=SimpleNamespace(cost=lambda q, v, u: asked.append((q.ravel().tolist(), v.ravel().tolist(), u.ravel().tolist()))),
+        kernel=SimpleNamespace(cost=cost),
     )  # fmt: skip
-    Evidence.cost_of(case, *(np.array(part) for part in rows), plan.u)
-    return asked[0]
+    return asked, Evidence.cost_of(case, *(np.array(part) for part in rows), plan.u)
 
 
 def test_a_cost_is_asked_at_the_starts_of_the_tasks_own_steps():
-    """q = t^3 from four rows, one of which is told twice: the first counts. Inputs are lines of 10 and of 20/3 a second."""
-    t = np.array([0.0, 0.2, 0.2, 0.5])
+    """q = t^3 from four rows, one of which is told twice: the first counts. Inputs are lines of 8 and of 20/3 a second."""
+    t = np.array([0.0, 0.25, 0.25, 0.5])
     q, v = t[:, None] ** 3, 3.0 * t[:, None] ** 2
     q[2], v[2] = 9.0, 9.0
     own = np.array([0.0, 0.125, 0.25, 0.375, 0.5])
-    found = priced([0.0, 0.2, 0.5], [[1.0], [3.0]], 0.125, (t, q, v))
+    ((found, *others), _) = priced([0.0, 0.25, 0.5], [[1.0], [3.0]], 0.125, (t, q, v))
+    assert not others
     assert found[0] == pytest.approx((own**3).tolist(), abs=1e-15)
     assert found[1] == pytest.approx((3.0 * own**2).tolist(), abs=1e-15)
-    assert found[2] == pytest.approx([1.0, 2.25, 3.0 + 0.05 * 20 / 3, 3.0 + 0.175 * 20 / 3])
+    assert found[2] == pytest.approx([1.0, 2.0, 3.0, 4.0])
+
+
+def test_inputs_that_change_within_a_step_of_the_task_count_for_their_part():
+    """Inputs 0, 4, 0, 8, at 0, 0.1, 0.5, 0.9 of steps of 0.5: at the starts of the steps they are nothing. States are those of the starts."""
+    t = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
+    asked, found = priced([0.0, 0.1, 0.5, 0.9, 1.0], [[0.0], [4.0], [0.0], [8.0]], 0.5, (t, t[:, None], -t[:, None]), Hold.ZERO_ORDER, None)
+    assert found == pytest.approx(0.8 * 16.0 + 0.2 * 64.0 + 7.0)
+    assert asked[1:] == [([x, 1.0], [-x, -1.0], [u]) for x, u in ((0.0, 0.0), (0.0, 4.0), (0.5, 0.0), (0.5, 8.0))]
 
 
 def test_on_the_tasks_own_grid_a_cost_is_that_of_the_rows():
     t, q, v = np.array([0.0, 0.25, 0.5]), np.array([[1.0], [2.0], [3.0]]), np.array([[4.0], [5.0], [6.0]])
-    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (t, q, v)) == ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0])
+    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (t, q, v))[0] == [([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0])]
     more = np.array([0.0, 0.1, 0.25, 0.4, 0.5])  # rows between the nodes: those at the nodes are taken as they are
     values = np.arange(5.0)[:, None]
-    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (more, values, -values)) == ([0.0, 2.0, 4.0], [0.0, -2.0, -4.0], [7.0, 8.0])
+    assert priced([0.0, 0.25, 0.5], [[7.0], [8.0]], 0.25, (more, values, -values))[0] == [([0.0, 2.0, 4.0], [0.0, -2.0, -4.0], [7.0, 8.0])]
 
 
 def test_a_plan_shorter_than_half_a_step_costs_one():
     t, rows = np.array([0.0, 0.04]), np.array([[1.0], [2.0]])
     found = priced([0.0, 0.04], [[7.0]], 0.1, (t, rows, 10 * rows), Hold.ZERO_ORDER, None)
-    assert found == ([1.0, 2.0], [10.0, 20.0], [7.0])
+    assert found[0] == [([1.0, 2.0], [10.0, 20.0], [7.0])]
 
 
 def test_rows_are_found_but_for_the_rounding_of_their_times():

@@ -131,6 +131,8 @@ def test_a_grid_that_nobody_knows_leaves_instability_or_nothing():
 def test_undecided_for_the_last_reasons():
     alone = told(MISS, verdict=Verdict.UNDECIDED)
     assert not unsaid(alone, "ends 0.27 m from the goal, limit 0.06 m; whether feedback … not be decided.")
+    blurred = told(MISS, metric("tracked_missed_impulse", None, value=0.04, limit=0.05, unit="N s", error=0.012), verdict=Verdict.UNDECIDED)
+    assert not unsaid(blurred, "could not be decided: with feedback … 0.04 N s … limit 0.05 N s, but … own error of 0.012 N s")
     assert told(verdict=Verdict.UNDECIDED) == "no question could be decided."
     unsure = metric("energy_residual_relative", None, value=1.5, limit=1.0, unit="1", error=0.25)
     assert told(unsure, verdict=Verdict.UNDECIDED).endswith("limit 1, known to 0.25.")
