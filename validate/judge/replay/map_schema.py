@@ -110,6 +110,13 @@ class MapLimit(_Strict):
         return self
 
 
+class UncertaintyEntry(_Strict):
+    """value: how far a parameter may be from what it is, both ways, in the FMU's unit; and why."""
+
+    value: float = Field(ge=0.0)
+    reason: str = "stated in the map"
+
+
 class PlanEntry(_Strict):
     """time: name of the time column; hold: of the inputs within a step, None: as the plan declares, else zero."""
 
@@ -136,6 +143,7 @@ def _short_limit(value: Any) -> Any:
 
 
 OfLimit = Annotated[MapLimit, BeforeValidator(_short_limit)]
+OfUncertainty = Annotated[UncertaintyEntry, BeforeValidator(_short_limit)]
 
 
 class MapFile(_Strict):
@@ -149,6 +157,7 @@ class MapFile(_Strict):
     contacts: dict[str, ContactEntry] = {}
     start: dict[str, float | str] = {}
     parameters: dict[str, float] = {}
+    uncertainty: dict[str, OfUncertainty] = {}
     goal: dict[str, float] = {}
     limits: dict[str, OfLimit] = {}
     accuracy: AccuracyEntry = AccuracyEntry()
@@ -220,7 +229,7 @@ def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
         return MapFile
     inside: dict[str, type[BaseModel]] = {
         "plan": PlanEntry, "task": TaskEntry, "accuracy": AccuracyEntry, "inputs": InputSignal,
-        "velocities": VelocitySignal, "limits": MapLimit, "contacts": ContactEntry,
+        "velocities": VelocitySignal, "limits": MapLimit, "contacts": ContactEntry, "uncertainty": UncertaintyEntry,
     }  # fmt: skip
     return Signal if len(place) == 4 else inside.get(str(place[0]), Signal)
 

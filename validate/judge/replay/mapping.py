@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,14 @@ from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
 from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.subject import (
+    ForeignContact,
+    ForeignCoordinate,
+    ForeignInput,
+    ForeignModel,
+    ForeignParameter,
+    ForeignTask,
+)
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
@@ -272,12 +280,11 @@ class _Wiring:
             for group, signals in {**read, "u": driven}.items()
         }
         outputs = [signal for signals in read.values() for _, signal in signals]
-        settings = self._settings()
-        internal = given.internal_step
-        if internal is None and INTERNAL_STEP in self._by_name:
-            internal = INTERNAL_STEP
+        settings, parameters, internal = self._settings(), self._uncertain(), self._internal_step()
+        fields = self._begin(dict(settings), [signal for group in ("q", "v") for _, signal in read[group]])
         return Foreign(
-            model=self._model(),
+            model=replace(self._model(), parameters=tuple(parameters), **fields),
+            parameters=tuple(self._reference(f"uncertainty.{item.name}", item.name) for item in parameters),
             variables=Variables(
                 q=references["q"],
                 v=references["v"],
@@ -297,6 +304,52 @@ class _Wiring:
             input_offset=np.array([signal.offset for _, signal in driven]),
             start=np.array([value for _, value in settings]),
         )
+
+    def _internal_step(self) -> str | None:
+        return self.map.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
+
+    def _uncertain(self) -> list[ForeignParameter]:
+        """The parameters that may be otherwise: those with a value other than 0, and those of [uncertainty], beside which all others are certain."""
+        given, found = self.map, []
+        for name in given.uncertainty:
+            self._parameter(f"uncertainty.{name}", name)
+        for name, item in self._by_name.items():
+            number = (
+                item.causality == "parameter"
+                and item.type in REAL
+                and not getattr(item, "dimensions", None)
+                and name not in self._named.twice
+            )
+            value = given.parameters.get(name, item.start) if number and name != self._internal_step() else None
+            if value is not None and (float(value) != 0.0 or name in given.uncertainty):
+                lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
+                size, reason = (0.0, "") if given.uncertainty else (None, "")
+                if name in given.uncertainty:
+                    size, reason = given.uncertainty[name].value, given.uncertainty[name].reason
+                    for end in (float(value) - size, float(value) + size):
+                        self._parameter(f"uncertainty.{name}", name, end)
+                found.append(
+                    ForeignParameter(
+                        name=name,
+                        value=float(value),
+                        unit=item.unit or "1",
+                        lower=lower,
+                        upper=upper,
+                        uncertainty=size,
+                        uncertainty_reason=reason,
+                    )
+                )
+        return found
+
+    def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[str, Any]:
+        """Where a simulation starts, in the plan's units, and the places in that which can be set."""
+        begin, startable = [0.0] * (2 * len(self.map.positions)), []
+        for place, signal in enumerate(signals):
+            variable = self._by_name[signal.variable]
+            if variable.initial in ("exact", "approx") and variable.start is not None:
+                startable.append(place)
+                begin[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
+        return {"begin": tuple(begin), "startable": tuple(startable)}
 
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""

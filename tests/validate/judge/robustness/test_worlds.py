@@ -12,7 +12,8 @@ from models.errors import SceneError
 from models.scene import Parameter
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.wiring import Feedback
-from validate.judge.robustness.worlds import PerturbationKind, World, WorldInputs, draw, moved, nominal_world, perturbations
+from validate.judge.replay.world import World, WorldInputs
+from validate.judge.robustness.worlds import PerturbationKind, draw, moved, nominal_world, perturbations
 
 SCENE = load_scene("three_cart")
 
