@@ -309,36 +309,30 @@ class _Wiring:
         return self.map.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
 
     def _uncertain(self) -> list[ForeignParameter]:
-        """The parameters that may be otherwise: those with a value other than 0, and those of [uncertainty], beside which all others are certain."""
-        given, found = self.map, []
-        for name in given.uncertainty:
+        """The parameters that may be otherwise: all with a value but the one of the FMU's own step. Raises MapError."""
+        given, stated, found = self.map, self.map.uncertainty, []
+        for name in stated:
             self._parameter(f"uncertainty.{name}", name)
         for name, item in self._by_name.items():
-            number = (
-                item.causality == "parameter"
-                and item.type in REAL
-                and not getattr(item, "dimensions", None)
-                and name not in self._named.twice
-            )
-            value = given.parameters.get(name, item.start) if number and name != self._internal_step() else None
-            if value is not None and (float(value) != 0.0 or name in given.uncertainty):
-                lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
-                size, reason = (0.0, "") if given.uncertainty else (None, "")
-                if name in given.uncertainty:
-                    size, reason = given.uncertainty[name].value, given.uncertainty[name].reason
-                    for end in (float(value) - size, float(value) + size):
-                        self._parameter(f"uncertainty.{name}", name, end)
-                found.append(
-                    ForeignParameter(
-                        name=name,
-                        value=float(value),
-                        unit=item.unit or "1",
-                        lower=lower,
-                        upper=upper,
-                        uncertainty=size,
-                        uncertainty_reason=reason,
-                    )
+            is_one = item.causality == "parameter" and item.type in REAL and not getattr(item, "dimensions", None)
+            value = given.parameters.get(name, item.start) if is_one and name != self._internal_step() else None
+            if value is None or name in self._named.twice:
+                continue
+            lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
+            size, reason = (stated[name].value, stated[name].reason) if name in stated else (None, "")
+            for sign in (-1.0, 1.0) if size else ():
+                self._parameter(f"uncertainty.{name}", name, float(value) + sign * size)
+            found.append(
+                ForeignParameter(
+                    name=name,
+                    value=float(value),
+                    unit=item.unit or "1",
+                    lower=lower,
+                    upper=upper,
+                    uncertainty=size,
+                    uncertainty_reason=reason,
                 )
+            )
         return found
 
     def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[str, Any]:

@@ -70,7 +70,7 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignParameter:
-    """A parameter of the FMU that may be otherwise [unit of the FMU]; uncertainty: None: a share of its value, 0 without a reason: nothing is said of it."""
+    """A parameter of the FMU that may be otherwise [unit of the FMU]; uncertainty: None: a share of its value."""
 
     name: str
     value: float

@@ -50,13 +50,10 @@ class FmuArena(Arena):
         job = foreign_job(foreign, package, plan, limits=wired.limits, own_step=wired.own_step)
         self._job = replace(job, child=self._child, rolls_back=False)
         factor = max(self._job.fineness) // max(JUDGED)
-        if exchange and not uneven:
-            self.levels = (_LOOSELY,)
-        elif wired.own_step:
-            self.levels = OWN_STEP[1:]
-        else:
-            self.levels = tuple(factor * fineness for fineness in (JUDGED if foreign.variables.internal_step is None else FINENESS))
-        finest = OWN_STEP[0] if wired.own_step else 2 * self.levels[-1]
+        steady = JUDGED if foreign.variables.internal_step is None else FINENESS
+        self.levels = OWN_STEP[1:] if wired.own_step else tuple(factor * fineness for fineness in steady) if whole or uneven else ()
+        finest = OWN_STEP[0] if wired.own_step else 2 * max(self.levels, default=0)
+        self.levels += (_LOOSELY,) if exchange else ()
         self._exact = {"tolerances": (RTOL,) if exchange else (), "fineness": () if exchange else (finest,)}
         if not exchange:
             self.by, self.near = f"with {'a quarter of the' if wired.own_step else 'half the smallest'} step", _NEAR

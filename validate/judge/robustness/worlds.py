@@ -75,11 +75,9 @@ def perturbations(
             )
 
     for index, item in enumerate(subject.parameters):
-        # What an FMU's map passes over is certain, unless somebody asks for it by its name.
-        silent = item.uncertainty is None or (not item.uncertainty_reason and item.name in names)
-        size, reason = (
-            (PARAMETER * abs(item.value), f"{PARAMETER:.0%} of its value") if silent else (item.uncertainty or 0.0, item.uncertainty_reason)
-        )
+        size, reason = item.uncertainty, item.uncertainty_reason
+        if size is None:
+            size, reason = PARAMETER * abs(item.value), f"{PARAMETER:.0%} of its value"
         add(kinds.PARAMETERS, index, item.name, item.value, size, item.unit, reason, item.lower, item.upper)
     state = [(item.name, item.unit) for item in subject.coordinates]
     state += [(item.velocity_name, item.velocity_unit) for item in subject.coordinates]
@@ -105,9 +103,9 @@ def _check_all_found(subject: Subject, names: Sequence[str], found: Sequence[Per
     known = [*kinds, *(item.name for item in subject.parameters)]
     for name in names:
         if name not in kinds and name not in [item.name for item in found]:
-            none = "it is certain, or 0, of which there is no share; state how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)"
-            near = did_you_mean(name, known, f"what can be perturbed is {', '.join(known[:12])}{' ..' * (len(known) > 12)}")
-            raise TrajectoryError(f"{subject.name}: {name!r} cannot be perturbed: {none if name in known else near}.")
+            none = "it is certain, or 0, of which there is no share; state how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)."
+            near = did_you_mean(name, known, f"what can be perturbed is {', '.join(known[:12])}{' ..' if len(known) > 12 else '.'}")
+            raise TrajectoryError(f"{subject.name}: {name!r} cannot be perturbed: {none if name in known else near}")
     if not found:
         raise TrajectoryError(f"{subject.name}: nothing of it can be perturbed by {', '.join(names)}.")
 
