@@ -19,10 +19,8 @@ from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
 from validate.execution.isolated import Limits
 from validate.judge.judgement import as_trajectory, wire_fmu
-from validate.judge.robustness import Robustness, robustness
+from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.stored import CampaignError
-
-_KINDS = ("parameters", "start", "gain", "noise", "delay")
 
 
 @click.command(
@@ -84,29 +82,26 @@ def command(
     if fmu is not None:
         check_fmu_options(scene, fmu, map_path, own_step)
         limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-        wired = wire_fmu(fmu, plan, map_path=map_path, hold=hold, limits=limits, own_step=own_step)
-        subject, drawn, trajectory, name = wired, wired.foreign.model, wired.plan, Path(plan).name
+        subject, trajectory, name = (
+            wire_fmu(fmu, plan, map_path=map_path, hold=hold, limits=limits, own_step=own_step),
+            None,
+            Path(plan).name,
+        )
+    elif map_path is not None or own_step or hold is not None:
+        raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
-        if map_path is not None or own_step or hold is not None:
-            raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
         subject, trajectory, name = _plan_of(plan, scene, folder)
-        drawn = subject
     found = robustness(
-        subject,
-        trajectory,
-        samples=samples,
-        seed=seed,
-        kinds=kinds or _KINDS,
-        anyway=anyway,
+        subject, trajectory, samples=samples, seed=seed, kinds=kinds or tuple(PerturbationKind), anyway=anyway,
         tell=lambda text: click.echo(f"{text} ..", err=True),
-    )
+    )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
     if csv_file is not None:
         write(csv_file, _worlds(found))
     if html_file is not None:
         from validate.tasks.shown import robustness_page
 
-        write(html_file, robustness_page(found, record, drawn, trajectory, name))
+        write(html_file, robustness_page(found, record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:

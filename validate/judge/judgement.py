@@ -147,24 +147,14 @@ class WiredFmu:
         return _judged(self.foreign.model, self.plan, run, feedback)
 
 
-def judge_fmu(
-    fmu: Path,
-    plan: Mapping[str, Any] | str | Path | Any,
-    *,
-    map_path: Path | None = None,
-    hold: str | None = None,
-    feedback: bool = False,
-    limits: Limits | None = None,
-    own_step: bool = False,
-    factors: Mapping[str, float] | None = None,
-) -> Judgement:
-    """Replay a plan on somebody's FMU, in a child process, and judge it. feedback: replay with feedback too; all else as `wire_fmu`.
+def judge_fmu(fmu: Path, plan: Any, *, feedback: bool = False, **how: Any) -> Judgement:
+    """Replay a plan on somebody's FMU, in a child process, and judge it. feedback: replay with feedback too; all else as `wire_fmu` takes it.
 
     Raises
     ------
     FmuError, MapError, TrajectoryError, MachineError : in one sentence.
     """
-    return wire_fmu(fmu, plan, map_path=map_path, hold=hold, limits=limits, own_step=own_step, factors=factors).judge(feedback)
+    return wire_fmu(fmu, plan, **how).judge(feedback)
 
 
 def wire_fmu(

@@ -213,10 +213,12 @@ def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> Run
     )
 
 
-def robustness_page(found: Robustness, record: RobustnessRecord, subject: Subject, plan: Trajectory, name: str) -> str:
+def robustness_page(found: Robustness, record: RobustnessRecord, name: str) -> str:
     """The text of the page. name: what the plan is called. Raises MachineError."""
     stage = given_stage(name, None, found.judgement.score, found.seconds)
-    scene, model = _drawn(subject, plan)
+    plan = found.judgement.plan
+    assert plan is not None, "what was tried is a plan"
+    scene, model = _drawn(found.judgement.scene, plan)
     run = _run(model, stage, name, "")
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
         folder = Path(place)

@@ -322,17 +322,8 @@ class _Wiring:
             size, reason = (stated[name].value, stated[name].reason) if name in stated else (None, "")
             for sign in (-1.0, 1.0) if size else ():
                 self._parameter(f"uncertainty.{name}", name, float(value) + sign * size)
-            found.append(
-                ForeignParameter(
-                    name=name,
-                    value=float(value),
-                    unit=item.unit or "1",
-                    lower=lower,
-                    upper=upper,
-                    uncertainty=size,
-                    uncertainty_reason=reason,
-                )
-            )
+            told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
+            found.append(ForeignParameter(name=name, value=float(value), **told))
         return found
 
     def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[str, Any]:

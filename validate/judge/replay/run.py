@@ -67,15 +67,10 @@ class Foreign:
     parameters: tuple[int, ...] = ()
 
     @property
-    def state_units(self) -> tuple[np.ndarray, np.ndarray]:
-        """Scale and offset of positions and velocities."""
-        nx = len(self.variables.q) + len(self.variables.v)
-        return self.scale[:nx], self.offset[:nx]
-
-    @property
     def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Scale and offset of the state, and of the inputs."""
-        return self.state_units, (self.input_scale, self.input_offset)
+        """Scale and offset of positions and velocities, and of the inputs."""
+        nx = len(self.variables.q) + len(self.variables.v)
+        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
 
 def replay(
@@ -163,9 +158,7 @@ def replay_foreign(
     trajectory: Trajectory,
     *,
     limits: Limits,
-    tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
-    event_budget: int = EVENT_BUDGET,
     track: Track = False,
     own_step: bool = False,
 ) -> Replay:
@@ -175,9 +168,7 @@ def replay_foreign(
     A plan whose inputs are lines is replayed as without.
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
-    job = foreign_job(
-        foreign, package, trajectory, limits=limits, tolerances=tolerances, fineness=fineness, event_budget=event_budget, own_step=own_step
-    )
+    job = foreign_job(foreign, package, trajectory, limits, own_step, fineness)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
         """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
@@ -192,21 +183,13 @@ def replay_foreign(
 
 
 def foreign_job(
-    foreign: Foreign,
-    package: Package,
-    trajectory: Trajectory,
-    *,
-    limits: Limits,
-    tolerances: tuple[float, ...] = (LOOSE, TIGHT),
-    fineness: tuple[int, ...] = FINENESS,
-    event_budget: int = EVENT_BUDGET,
-    own_step: bool = False,
+    foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool, fineness: tuple[int, ...] = FINENESS
 ) -> Job:
     """The simulations of `replay_foreign`. Raises TrajectoryError for a plan of another shape, FmuError for own_step without Co-Simulation."""
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     job = Job(
         package=package, variables=foreign.variables, plan=trajectory.with_inputs_in(*foreign.units[1]), start=foreign.start, limits=limits,
-        tolerances=tolerances, fineness=fineness, event_budget=event_budget,
+        tolerances=(LOOSE, TIGHT), fineness=fineness, event_budget=EVENT_BUDGET,
     )  # fmt: skip
     if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
         if package.cosimulation is None:

@@ -47,8 +47,7 @@ class FmuArena(Arena):
         whole = not uneven and not exchange
         super().__init__(foreign.model, plan, asked, followed, None if whole else _feedback(wired))
         self.nominal = replace(self.nominal, whole=whole)
-        job = foreign_job(foreign, package, plan, limits=wired.limits, own_step=wired.own_step)
-        self._job = replace(job, child=self._child, rolls_back=False)
+        self._job = replace(foreign_job(foreign, package, plan, wired.limits, wired.own_step), child=self._child, rolls_back=False)
         factor = max(self._job.fineness) // max(JUDGED)
         steady = JUDGED if foreign.variables.internal_step is None else FINENESS
         self.levels = OWN_STEP[1:] if wired.own_step else tuple(factor * fineness for fineness in steady) if whole or uneven else ()
