@@ -320,8 +320,8 @@ class _Wiring:
                 continue
             lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
             size, reason = (stated[name].value, stated[name].reason) if name in stated else (None, "")
-            for sign in (-1.0, 1.0) if size else ():
-                self._parameter(f"uncertainty.{name}", name, float(value) + sign * size)
+            for end in (float(value) - size, float(value) + size) if size else ():
+                self._parameter(f"uncertainty.{name}", name, end)
             told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
             found.append(ForeignParameter(name=name, value=float(value), **told))
         return found
