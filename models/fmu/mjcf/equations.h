@@ -272,7 +272,6 @@ static inline void apply_settings(const Model *m)
     if (!engine->applied || memcmp(engine->t, t, sizeof m->t) != 0) {
         int heavier = 0;
         mj_copyModel(model, engine->given);
-        model->opt.disableflags |= mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
         model->opt.integrator = (int)t[INTEGRATOR] - 1;
         memcpy(model->opt.gravity, t + GRAVITY, sizeof model->opt.gravity);
         scale_contacts(t, (int)model->ngeom, 3, model->geom_friction, model->geom_solref, model->geom_solimp);
@@ -289,6 +288,7 @@ static inline void apply_settings(const Model *m)
         engine->applied = 1;
     }
     model->opt.timestep = m->internal_step; /* which steps may have cut */
+    model->opt.disableflags = engine->given->opt.disableflags | mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
 }
 
 /* A MuJoCo data brought to the Model's state and inputs. */
@@ -322,16 +322,36 @@ static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *
         *gap = fmin(*gap, mj_geomDistance(model, data, pair->first[0] + i / pair->count[1], pair->first[1] + i % pair->count[1], FARTHEST, NULL));
 }
 
+/* Whether steps of the model's length cut one of these time constants to twice that (refsafe). */
+static inline int is_cut(const mjModel *model, const mjtNum *solref, mjtSize n)
+{
+    for (mjtSize i = 0; i < n; i++)
+        if (solref[mjNREF * i] > 0.0 && solref[mjNREF * i] < 2.0 * model->opt.timestep) return 1;
+    return 0;
+}
+
+static inline int cuts(const mjModel *model)
+{
+    return is_cut(model, model->geom_solref, model->ngeom) || is_cut(model, model->pair_solref, model->npair) || is_cut(model, model->eq_solref, model->neq)
+        || is_cut(model, model->jnt_solref, model->njnt) || is_cut(model, model->dof_solref, model->nv) || is_cut(model, model->opt.o_solref, 1)
+        || is_cut(model, model->tendon_solref_lim, model->ntendon) || is_cut(model, model->tendon_solref_fri, model->ntendon);
+}
+
+static inline void forward(Model *m, int flags)
+{
+    load(m, m->engine->view);
+    m->engine->model->opt.disableflags |= flags;
+    memcpy(m->engine->view->ctrl, m->u, NU * sizeof *m->u);
+    mj_forward(m->engine->model, m->engine->view);
+}
+
+/* Rates are those of ever smaller steps, which cut no time constant; what is felt, once steps are made, is what these feel. */
 static const char *evaluate(Model *m)
 {
     static const Pair pairs[] = PAIRS;
     const mjModel *model = m->engine->model;
     mjData *view = m->engine->view;
-    load(m, view);
-    memcpy(view->ctrl, m->u, NU * sizeof *m->u);
-    mj_forward(model, view);
-    memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
-    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
+    forward(m, mjDSBL_REFSAFE);
     memcpy(m->rates + NQ, view->qacc, NV * sizeof *m->rates);
     memcpy(m->rates + NQ + NV, view->act_dot, NA * sizeof *m->rates);
     for (int joint = 0; joint < (int)model->njnt; joint++) {
@@ -343,6 +363,9 @@ static const char *evaluate(Model *m)
         const double half[3] = {0.5 * v[lines], 0.5 * v[lines + 1], 0.5 * v[lines + 2]};
         mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in the axes of the body */
     }
+    if (m->begun && cuts(model)) forward(m, 0);
+    memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
+    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
     return went_wrong(view);
 }
 

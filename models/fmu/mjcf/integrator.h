@@ -16,7 +16,8 @@ static inline const char *step_trouble(const Model *m, StepResult result)
 static const char *make_steps(Model *m)
 {
     Engine *engine = m->engine;
-    if (!engine->loaded) load(m, engine->data);
+    if (engine->loaded) apply_settings(m);
+    else load(m, engine->data);
     engine->loaded = 0; /* until the step is whole */
     engine->model->opt.timestep = engine->h;
     for (long n = 0; n < engine->count; n++) {

@@ -166,6 +166,22 @@ def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
 
 
 @pytest.mark.slow
+def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(robot):
+    """A time constant of 2 ms is cut at twice a step of 5 ms: by such steps a block comes to rest deeper than its own spring would let it lie."""
+    made = robot(BLOCK.replace('timestep="0.001"', 'timestep="0.005"').replace("<geom", '<geom solref=".002 1"'), "block:floor")
+    with instance(made) as fmu:
+        fmu.begin()
+        fmu.step(0.005, 2000)
+        force, rate, depth = fmu.get("lam_block_floor", "der(v_z)", "q_z")
+        assert force == pytest.approx(3.0 * 9.81, rel=1e-6)
+        before = fmu.get("v_z")[0]
+        fmu.step(1e-7)
+        assert (fmu.get("v_z")[0] - before) / 1e-7 == pytest.approx(rate, rel=1e-3)
+        assert rate > 10.0
+        assert depth < 0.0
+
+
+@pytest.mark.slow
 def test_without_gravity_nothing_presses(robot):
     with instance(robot(BLOCK, "block:floor")) as fmu:
         fmu.begin(gravity_z=0.0, q_z=0.25)
