@@ -34,6 +34,7 @@ typedef struct {
 #include "variable.h"
 #include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS; NQ, NV, NA, NU, NT, the places of MuJoCo's numbers */
 
+#define EXACT 1e-14
 #define NL 0 /* no event indicators: MuJoCo's forces follow from the state */
 #define STATE_COUNT (NQ + NV + NA)
 #define VALUES (NSENSORDATA + 2 * NPAIRS)
@@ -288,6 +289,7 @@ static inline void apply_settings(const Model *m)
         engine->applied = 1;
     }
     model->opt.timestep = m->internal_step; /* which steps may have cut */
+    model->opt.tolerance = engine->given->opt.tolerance;
     model->opt.disableflags = engine->given->opt.disableflags | mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
 }
 
@@ -322,27 +324,27 @@ static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *
         *gap = fmin(*gap, mj_geomDistance(model, data, pair->first[0] + i / pair->count[1], pair->first[1] + i % pair->count[1], FARTHEST, NULL));
 }
 
-/* Whether steps of the model's length cut one of these time constants to twice that (refsafe). */
-static inline int is_cut(const mjModel *model, const mjtNum *solref, mjtSize n)
+/* Whether steps of the model's length cut a time constant to twice that (refsafe). */
+static inline int cuts(const mjModel *a)
 {
-    for (mjtSize i = 0; i < n; i++)
-        if (solref[mjNREF * i] > 0.0 && solref[mjNREF * i] < 2.0 * model->opt.timestep) return 1;
+    const mjtNum *solref[] = {a->geom_solref, a->pair_solref, a->eq_solref, a->jnt_solref, a->dof_solref, a->tendon_solref_lim, a->tendon_solref_fri, a->opt.o_solref};
+    const mjtSize count[] = {a->ngeom, a->npair, a->neq, a->njnt, a->nv, a->ntendon, a->ntendon, 1};
+    for (int of = 0; of < 8; of++)
+        for (const mjtNum *at = solref[of], *end = at + mjNREF * count[of]; at < end; at += mjNREF)
+            if (*at > 0.0 && *at < 2.0 * a->opt.timestep) return 1;
     return 0;
 }
 
-static inline int cuts(const mjModel *model)
-{
-    return is_cut(model, model->geom_solref, model->ngeom) || is_cut(model, model->pair_solref, model->npair) || is_cut(model, model->eq_solref, model->neq)
-        || is_cut(model, model->jnt_solref, model->njnt) || is_cut(model, model->dof_solref, model->nv) || is_cut(model, model->opt.o_solref, 1)
-        || is_cut(model, model->tendon_solref_lim, model->ntendon) || is_cut(model, model->tendon_solref_fri, model->ntendon);
-}
-
+/* What follows from the state. MuJoCo's solver stops where its cost no longer falls by a share of opt.tolerance, and leaves the 1e-5 by which derivatives
+ * are taken unanswered; so it goes on here. */
 static inline void forward(Model *m, int flags)
 {
+    mjModel *model = m->engine->model;
     load(m, m->engine->view);
-    m->engine->model->opt.disableflags |= flags;
+    model->opt.disableflags |= flags;
+    model->opt.tolerance = fmin(model->opt.tolerance, EXACT);
     memcpy(m->engine->view->ctrl, m->u, NU * sizeof *m->u);
-    mj_forward(m->engine->model, m->engine->view);
+    mj_forward(model, m->engine->view);
 }
 
 /* Rates are those of ever smaller steps, which cut no time constant; what is felt, once steps are made, is what these feel. */
@@ -426,9 +428,6 @@ static inline int model_adjoint(const Model *m, Tangent *bar)
     return (void)bar, 1;
 }
 
-static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar)
-{
-    (void)m, (void)weight, (void)variable, (void)bar;
-}
+static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar) { (void)m, (void)weight, (void)variable, (void)bar; }
 
 #endif

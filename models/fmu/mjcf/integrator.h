@@ -5,10 +5,7 @@
 #include "equations.h"
 
 /* What failed, in the middle of a sentence. */
-static inline const char *step_trouble(const Model *m, StepResult result)
-{
-    return (void)result, m->engine->trouble;
-}
+static inline const char *step_trouble(const Model *m, StepResult result) { return (void)result, m->engine->trouble; }
 
 /* A step within this share of the model's own is the model's own, to the bit. */
 #define SAME_STEP 1e-9
