@@ -22,14 +22,7 @@ from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
 from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import (
-    ForeignContact,
-    ForeignCoordinate,
-    ForeignInput,
-    ForeignModel,
-    ForeignParameter,
-    ForeignTask,
-)
+from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
@@ -279,11 +272,11 @@ class _Wiring:
             group: tuple(self._reference(path, signal.variable) for path, signal in signals)
             for group, signals in {**read, "u": driven}.items()
         }
-        outputs = [signal for signals in read.values() for _, signal in signals]
-        settings, parameters, internal = self._settings(), self._uncertain(), self._internal_step()
-        fields = self._begin(dict(settings), [signal for group in ("q", "v") for _, signal in read[group]])
+        settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
+        parameters = map_schema.uncertain(given, self._named, internal, self._parameter)
+        begin = map_schema.begin_of(given, self._named, dict(settings), [signal for _, signal in [*read["q"], *read["v"]]])
         return Foreign(
-            model=replace(self._model(), parameters=tuple(parameters), **fields),
+            model=replace(self._model(), parameters=tuple(parameters), **begin),
             parameters=tuple(self._reference(f"uncertainty.{item.name}", item.name) for item in parameters),
             variables=Variables(
                 q=references["q"],
@@ -298,43 +291,12 @@ class _Wiring:
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
-            scale=np.array([signal.scale for signal in outputs]),
-            offset=np.array([signal.offset for signal in outputs]),
+            scale=np.array([signal.scale for signals in read.values() for _, signal in signals]),
+            offset=np.array([signal.offset for signals in read.values() for _, signal in signals]),
             input_scale=np.array([signal.scale for _, signal in driven]),
             input_offset=np.array([signal.offset for _, signal in driven]),
             start=np.array([value for _, value in settings]),
         )
-
-    def _internal_step(self) -> str | None:
-        return self.map.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
-
-    def _uncertain(self) -> list[ForeignParameter]:
-        """The parameters that may be otherwise: all with a value but the one of the FMU's own step. Raises MapError."""
-        given, stated, found = self.map, self.map.uncertainty, []
-        for name in stated:
-            self._parameter(f"uncertainty.{name}", name)
-        for name, item in self._by_name.items():
-            is_one = item.causality == "parameter" and item.type in REAL and not getattr(item, "dimensions", None)
-            value = given.parameters.get(name, item.start) if is_one and name != self._internal_step() else None
-            if value is None or name in self._named.twice:
-                continue
-            lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
-            size, reason = (stated[name].value, stated[name].reason) if name in stated else (None, "")
-            for end in (float(value) - size, float(value) + size) if size else ():
-                self._parameter(f"uncertainty.{name}", name, end)
-            told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
-            found.append(ForeignParameter(name=name, value=float(value), **told))
-        return found
-
-    def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[str, Any]:
-        """Where a simulation starts, in the plan's units, and the places in that which can be set."""
-        begin, startable = [0.0] * (2 * len(self.map.positions)), []
-        for place, signal in enumerate(signals):
-            variable = self._by_name[signal.variable]
-            if variable.initial in ("exact", "approx") and variable.start is not None:
-                startable.append(place)
-                begin[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
-        return {"begin": tuple(begin), "startable": tuple(startable)}
 
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
