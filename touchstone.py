@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from validate.execution.campaign import CampaignResult
     from validate.fmu_check import CheckReport
+    from validate.judge.judgement import WiredFmu
     from validate.judge.robustness import Robustness
     from validate.judge.score import Verdict
     from validate.tasks.shown import JudgedPlan as Judgement
@@ -221,17 +222,24 @@ def judge(
     SceneError, TrajectoryError, MapError, FmuError, MachineError : in one sentence.
     """
     from validate.judge.judgement import judge as judge_scene
-    from validate.judge.judgement import judge_fmu
     from validate.tasks.shown import JudgedPlan
 
+    if (wired := _wired(scene, plan, map, hold)) is not None:
+        return JudgedPlan.of(wired.judge(feedback), plan)
+    return JudgedPlan.of(judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan)
+
+
+def _wired(scene: Any, plan: Any, map: str | Path | None, hold: str | None) -> WiredFmu | None:
+    """The FMU that is named and the plan, brought together; None for a scene, which has no map."""
     if isinstance(scene, (str, Path)) and Path(scene).suffix.lower() == ".fmu":
-        map_path = None if map is None else Path(map)
-        return JudgedPlan.of(judge_fmu(Path(scene), plan, map_path=map_path, hold=hold, feedback=feedback), plan)
+        from validate.judge.judgement import wire_fmu
+
+        return wire_fmu(Path(scene), plan, map_path=None if map is None else Path(map), hold=hold)
     if map is not None:
         from models.errors import SceneError
 
         raise SceneError("map: a map belongs to an FMU; a scene knows its own names.")
-    return JudgedPlan.of(judge_scene(scene, plan, hold=hold, scheme=scheme, feedback=feedback), plan)
+    return None
 
 
 def robustness(
@@ -242,15 +250,17 @@ def robustness(
     seed: int = 0,
     kinds: Sequence[str] = ("parameters", "start", "gain", "noise", "delay"),
     anyway: bool = False,
+    map: str | Path | None = None,
+    hold: str | None = None,
 ) -> Robustness:
     """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of (docs/robustness.md).
 
     Parameters
     ----------
-    scene, plan : as `judge` takes them; no FMU.
+    scene, plan, map, hold : as `judge` takes them.
     samples : worlds, from 10 to 10^6; a quarter of them with feedback too.
     seed : of the worlds; the same numbers, to the bit, for the same seed.
-    kinds : what is perturbed.
+    kinds : what is perturbed, or single ones by their names.
     anyway : measure a plan too that does not hold to begin with.
 
     Returns
@@ -263,7 +273,8 @@ def robustness(
     """
     from validate.judge.robustness import robustness as measured
 
-    return measured(scene, plan, samples=samples, seed=seed, kinds=kinds, anyway=anyway)
+    wired = _wired(scene, plan, map, hold)
+    return measured(scene if wired is None else wired, plan, samples=samples, seed=seed, kinds=kinds, anyway=anyway)
 
 
 def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:

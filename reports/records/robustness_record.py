@@ -48,12 +48,14 @@ class CurveRecord(_Model):
 class CheckedRecord(_Model):
     """How many worlds the reference was asked about too.
 
-    differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end.
+    differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end;
+    by: what the second word is of, such as "by the reference".
     """
 
     count: int
     differ: tuple[tuple[int, _OrEnded, _OrEnded], ...]
     largest_difference: Finite
+    by: str = "by the reference"
 
 
 class WayRecord(_Model):

@@ -57,6 +57,21 @@ def _our_plugin() -> str:
     return DEFAULT_PLUGIN
 
 
+_A_FILE = click.Path(path_type=Path)
+_FMU = (
+    click.option("--fmu", type=_A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
+    click.option("--map", "map_path", type=_A_FILE, metavar="MAP.toml",
+        help="Which column of the plan is which variable of the FMU. Without it: those of equal names."),
+    click.option("--hold", type=click.Choice(["zero", "linear"]),
+        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear."),
+    click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS",
+        help="The FMU is ended after them."),
+    click.option("--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB",
+        help="Address space of the FMU's process."),
+    click.option("--own-step", is_flag=True,
+        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change."),
+)  # fmt: skip
+
 # What a campaign file decides.
 _CHOOSING = (
     click.option(
@@ -129,6 +144,21 @@ _OUT = click.option(
 _OUT_OF_FILE = click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]"
 )
+
+
+def fmu_options(command: _Command) -> _Command:
+    """What names somebody's FMU, and how it is run."""
+    return _decorated(command, _FMU)
+
+
+def check_fmu_options(scene: str | None, fmu: Path | None, map_path: Path | None, own_step: bool) -> None:
+    """Raise click.UsageError for what belongs to the other of scene and FMU."""
+    if (scene is None) == (fmu is None):
+        raise click.UsageError("give either --scene or --fmu.")
+    if map_path is not None and fmu is None:
+        raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
+    if own_step and fmu is None:
+        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
 
 
 def result_options(command: _Command) -> _Command:

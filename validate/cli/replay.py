@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
-from validate.cli.options import FiniteRange, scenes, write, written_to
+from validate.cli.options import check_fmu_options, fmu_options, scenes, write, written_to
 from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
@@ -45,25 +45,7 @@ or FMU; 3 a system requirement is missing.
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
 @click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
-@click.option("--fmu", type=click.Path(path_type=Path), metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.")
-@click.option(
-    "--map",
-    "map_path",
-    type=click.Path(path_type=Path),
-    metavar="MAP.toml",
-    help="Which column of the plan is which variable of the FMU. Without it: those of equal names.",
-)
-@click.option(
-    "--hold",
-    type=click.Choice(["zero", "linear"]),
-    help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear.",
-)
-@click.option(
-    "--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS", help="The FMU is ended after them."
-)
-@click.option(
-    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB", help="Address space of the FMU's process."
-)
+@fmu_options
 @click.option(
     "--track",
     is_flag=True,
@@ -75,11 +57,6 @@ or FMU; 3 a system requirement is missing.
     default="feedback",
     show_default=True,
     help="What exit code 0 needs: that the plan holds by its inputs alone, or that it holds with feedback.",
-)
-@click.option(
-    "--own-step",
-    is_flag=True,
-    help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change.",
 )
 @click.option(
     "--vary",
@@ -123,12 +100,7 @@ def command(
     does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
     map, docs/verdict.md what is asked.
     """
-    if (scene is None) == (fmu is None):
-        raise click.UsageError("give either --scene or --fmu.")
-    if map_path is not None and fmu is None:
-        raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
-    if own_step and fmu is None:
-        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+    check_fmu_options(scene, fmu, map_path, own_step)
     if varied and fmu is None:
         raise click.UsageError("--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says.")
     factors = _factors(varied)

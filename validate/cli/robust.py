@@ -14,14 +14,13 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
-from validate.cli.options import scenes, write, written_to
+from validate.cli.options import check_fmu_options, fmu_options, scenes, write, written_to
 from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
-from validate.judge.judgement import as_trajectory
-from validate.judge.robustness import Robustness, robustness
+from validate.execution.isolated import Limits
+from validate.judge.judgement import as_trajectory, wire_fmu
+from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.stored import CampaignError
-
-_KINDS = ("parameters", "start", "gain", "noise", "delay")
 
 
 @click.command(
@@ -31,6 +30,7 @@ Examples:
   python -m validate robust plan.csv --scene three_cart --samples 10000 --html page.html
   python -m validate robust "three_cart x mpcc" --in runs/all
   python -m validate robust plan.csv --scene three_cart --perturb parameters
+  python -m validate robust plan.csv --fmu robot.fmu --map robot.toml --perturb mass_trunk
 
 Exit codes: 0 it was measured; 2 a mistake, or a plan that does not hold to begin
 with; 3 a system requirement is missing; 130 interrupted: what was tried is told.
@@ -43,8 +43,13 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 )
 @click.option("--samples", type=int, default=1000, show_default=True, help="How many worlds; a quarter of them with feedback too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds.")
+@fmu_options
 @click.option(
-    "--perturb", "kinds", multiple=True, type=click.Choice(_KINDS), help="What is perturbed; may be repeated. Everything without it."
+    "--perturb",
+    "kinds",
+    multiple=True,
+    metavar="KIND|NAME",
+    help="What is perturbed: parameters, start, gain, noise, delay, or one by its name; may be repeated. Everything without it.",
 )
 @click.option("--anyway", is_flag=True, help="Measure a plan too that does not hold to begin with.")
 @click.option("--json", "as_json", is_flag=True, help="What was measured as JSON on stdout.")
@@ -57,6 +62,12 @@ def command(
     folder: Path,
     samples: int,
     seed: int,
+    fmu: Path | None,
+    map_path: Path | None,
+    hold: str | None,
+    time_limit: float,
+    memory_limit: float,
+    own_step: bool,
     kinds: tuple[str, ...],
     anyway: bool,
     as_json: bool,
@@ -68,23 +79,29 @@ def command(
     Parameters, start, gain of the inputs, noise and delay are otherwise by up to the sizes of docs/robustness.md, all at once; then each by itself until
     the plan fails. Inputs alone and with feedback apart.
     """
-    subject, trajectory, name = _plan_of(plan, scene, folder)
+    if fmu is not None:
+        check_fmu_options(scene, fmu, map_path, own_step)
+        limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
+        subject, trajectory, name = (
+            wire_fmu(fmu, plan, map_path=map_path, hold=hold, limits=limits, own_step=own_step),
+            None,
+            Path(plan).name,
+        )
+    elif map_path is not None or own_step or hold is not None:
+        raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
+    else:
+        subject, trajectory, name = _plan_of(plan, scene, folder)
     found = robustness(
-        subject,
-        trajectory,
-        samples=samples,
-        seed=seed,
-        kinds=kinds or _KINDS,
-        anyway=anyway,
+        subject, trajectory, samples=samples, seed=seed, kinds=kinds or tuple(PerturbationKind), anyway=anyway,
         tell=lambda text: click.echo(f"{text} ..", err=True),
-    )
+    )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
     if csv_file is not None:
         write(csv_file, _worlds(found))
     if html_file is not None:
         from validate.tasks.shown import robustness_page
 
-        write(html_file, robustness_page(found, record, subject, trajectory, name))
+        write(html_file, robustness_page(found, record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:
@@ -96,7 +113,7 @@ def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]
     """The scene, the plan as a Trajectory, and what it is called: of a file, or of a run."""
     if Path(plan).is_file() or Path(plan).suffix in (".csv", ".nc"):
         if scene is None:
-            raise click.UsageError("a plan from a file needs --scene NAME.")
+            raise click.UsageError("a plan from a file needs --scene NAME, or --fmu FILE.fmu.")
         subject = load_scene(scene)
         return subject, as_trajectory(plan, subject), Path(plan).name
     found, record = find_run(plan, folder)
@@ -142,7 +159,7 @@ def _print(record: RobustnessRecord) -> None:
             )
         if checked is not None:
             say(
-                f"{way.name}: {checked.count} worlds tried by the reference too, {len(checked.differ)} end otherwise; largest difference {checked.largest_difference:.1e} of a limit."
+                f"{way.name}: {checked.count} worlds tried {checked.by} too, {len(checked.differ)} end otherwise; largest difference {checked.largest_difference:.1e} of a limit."
             )
     if record.weakest is not None:
         say(f"it takes least of: {record.weakest.words}.")

@@ -13,6 +13,7 @@ import gc
 import importlib
 import json
 import os
+import select
 import shutil
 import signal
 import sys
@@ -61,6 +62,8 @@ class ModelFault(Exception):  # noqa: N818 - a finding about the model, not an e
 REQUEST, ANSWER, OUTPUT = "request.json", "answer.json", "output.txt"
 GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
 FOLDER_PREFIX = ".partial-isolated-"
+# How a child that is called again is asked, and answers; how often it is looked whether it lives [s]; calls after which it is a new one.
+_ASKED, _ANSWERED, _LOOK, _MOST_CALLS = "ask", "answers", 0.05, 500
 # Written to see whether there is room [bytes].
 _ROOM, _ROOM_BYTES = "room", 2**16
 # From which share of its memory limit on a crash is put down to it.
@@ -160,12 +163,77 @@ def run_isolated(
         shutil.rmtree(folder, ignore_errors=True)
 
 
+class IsolatedCalls:
+    """`run_isolated` for many calls, in one child as long as each comes back: `calls(function, request, arrays)`; to be closed.
+
+    A call that ends the process of earlier ones is made once more, in a new one: none pays for what another left behind. limits.seconds is a call's.
+    """
+
+    def __init__(self, limits: Limits, what: str) -> None:
+        self._limits, self._what, self._made = limits, what, 0
+        self._child: Child | None = None
+
+    def __call__(self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None) -> Isolated:
+        """As `run_isolated`. Raises MachineError."""
+        done = self._call(function, request, arrays)
+        if self._child is None and self._made > 1 and done.ending is not Ending.TIME_LIMIT:
+            done = self._call(function, request, arrays)
+        if self._made >= _MOST_CALLS:
+            self.close()
+        return done
+
+    def _call(self, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None) -> Isolated:
+        if self._child is None:
+            self._begin()
+        folder, child, began = self._folder, self._child, time.monotonic()
+        assert child is not None
+        for name in (ANSWER, TAKEN, GIVEN):
+            (folder / name).unlink(missing_ok=True)
+        _write_request(folder, function, request, arrays, self._limits)
+        self._made += 1
+        os.write(self._ask, b"?")
+        heard, over_time = False, False
+        while not (heard or over_time or child.wait(0.0)):
+            heard = bool(select.select([self._answers], [], [], _LOOK)[0])
+            over_time = not heard and time.monotonic() - began > self._limits.seconds
+        if heard:
+            os.read(self._answers, 1)
+        ended = Ended(code=0) if heard else child.end()
+        done = _told(folder, ended, over_time, time.monotonic() - began, self._limits, self._what)
+        if not done.ok:
+            self.close()
+        return done
+
+    def _begin(self) -> None:
+        try:
+            self._folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
+            (self._folder / TEMPORARY).mkdir()
+            self._ask, self._answers = (self._pipe(name) for name in (_ASKED, _ANSWERED))
+        except OSError as error:
+            raise no_temporary_folder(error) from error
+        _write_request(self._folder, "", None, None, self._limits)
+        self._child, self._made = Child("validate.execution.isolated:main_again", self._folder, output=self._folder / OUTPUT), 0
+
+    def _pipe(self, name: str) -> int:
+        """Open for both ways: neither side waits for the other to open it."""
+        os.mkfifo(self._folder / name)
+        return os.open(self._folder / name, os.O_RDWR)
+
+    def close(self) -> None:
+        """End the child, if there is one."""
+        if self._child is not None:
+            child, self._child = self._child, None
+            child.close()
+            for pipe in (self._ask, self._answers):
+                os.close(pipe)
+
+
 def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
     text = json.dumps(
         {"function": function, "request": request, "memory": limits.memory, "seconds": limits.seconds, "file": limits.file}, allow_nan=False
     )
     try:
-        (folder / TEMPORARY).mkdir()
+        (folder / TEMPORARY).mkdir(exist_ok=True)
         (folder / OUTPUT).touch()
         (folder / REQUEST).write_text(text, encoding="utf-8")
         if arrays:
@@ -345,11 +413,30 @@ def _write_answer(folder: Path, ending: Ending, *, value: Any = None, sentence: 
 
 def main(folder: Path) -> None:
     """Call the function and write the answer."""
+    request, _kept = _limited(folder, again=False)
+    _answered(folder, request, os.getpid())
+
+
+def main_again(folder: Path) -> None:
+    """The same for every call of `IsolatedCalls`, until the end of its process ends this one."""
+    _, _kept = _limited(folder, again=True)
     first = os.getpid()
+    with open(folder / _ASKED, "rb", buffering=0) as asked, open(folder / _ANSWERED, "wb", buffering=0) as answers:
+        while asked.read(1):
+            _answered(folder, json.loads((folder / REQUEST).read_text(encoding="utf-8")), first)
+            answers.write(b".")
+
+
+def _limited(folder: Path, again: bool) -> tuple[dict[str, Any], Any]:
+    """What is asked, once this process has its limits; and what must live as long as it."""
     gc.set_threshold(_OBJECTS)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
-    limit_resources(file_bytes=request["file"], memory_bytes=request["memory"], cpu_seconds=2 * request["seconds"])
-    _kept = mark_refused_memory(folder / REFUSED)
+    seconds = None if again else 2 * request["seconds"]
+    limit_resources(file_bytes=request["file"], memory_bytes=request["memory"], cpu_seconds=seconds)
+    return request, mark_refused_memory(folder / REFUSED)
+
+
+def _answered(folder: Path, request: dict[str, Any], first: int) -> None:
     try:
         value, arrays = _call(folder, request)
         _end_copies(first)

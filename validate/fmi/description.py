@@ -20,7 +20,7 @@ from validate.store.disk import temporary_folder
 # The types of a number in FMI 2.0 and 3.0.
 REAL = ("Real", "Float64")
 # What is of no use to an FMU that runs: it is told where its resources lie, and nothing else.
-_NOT_RUN = ("documentation/", "sources/", "terminalsAndIcons/")
+NOT_RUN = ("documentation/", "sources/", "terminalsAndIcons/")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,5 +95,5 @@ def unpacked(package: Package) -> Iterator[Package]:
         yield package
         return
     with temporary_folder("touchstone-replay-") as folder:
-        unpack(package.archive, folder, leave_out=_NOT_RUN)
+        unpack(package.archive, folder, leave_out=NOT_RUN)
         yield replace(package, folder=folder)

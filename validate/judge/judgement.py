@@ -27,9 +27,9 @@ from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, read_csv, trajectory_from
 from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
-from validate.fmi.description import read_package
+from validate.fmi.description import Package, read_package
 from validate.judge.replay import Replay
-from validate.judge.replay.run import Track, replay, replay_foreign
+from validate.judge.replay.run import Foreign, Track, replay, replay_foreign
 from validate.judge.replay.subject import Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
@@ -131,18 +131,43 @@ def _judged(
     return Judgement(scene=subject, plan=plan, replay=replayed, score=result)
 
 
-def judge_fmu(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WiredFmu:
+    """Somebody's FMU and a plan, brought together by a map; limits: of the child it runs in; own_step: judge one doStep a step of the plan."""
+
+    package: Package
+    foreign: Foreign
+    plan: Trajectory
+    limits: Limits
+    own_step: bool
+
+    def judge(self, feedback: bool = False) -> Judgement:
+        """Replay the plan, in a child process, and judge it; feedback: replay with feedback too. Raises FmuError, MachineError, TrackingError."""
+        run = partial(replay_foreign, self.foreign, self.package, limits=self.limits, own_step=self.own_step)
+        return _judged(self.foreign.model, self.plan, run, feedback)
+
+
+def judge_fmu(fmu: Path, plan: Any, *, feedback: bool = False, **how: Any) -> Judgement:
+    """Replay a plan on somebody's FMU, in a child process, and judge it. feedback: replay with feedback too; all else as `wire_fmu` takes it.
+
+    Raises
+    ------
+    FmuError, MapError, TrajectoryError, MachineError : in one sentence.
+    """
+    return wire_fmu(fmu, plan, **how).judge(feedback)
+
+
+def wire_fmu(
     fmu: Path,
     plan: Mapping[str, Any] | str | Path | Any,
     *,
     map_path: Path | None = None,
     hold: str | None = None,
-    feedback: bool = False,
     limits: Limits | None = None,
     own_step: bool = False,
     factors: Mapping[str, float] | None = None,
-) -> Judgement:
-    """Replay a plan on somebody's FMU, in a child process, and judge it.
+) -> WiredFmu:
+    """Bring somebody's FMU and a plan together.
 
     Parameters
     ----------
@@ -150,7 +175,6 @@ def judge_fmu(
     plan : path of a CSV | mapping or DataFrame of columns
     map_path : the file that says which column is which variable (docs/replay.md); equal names without it.
     hold : "zero" or "linear", the inputs within a step; None: as the plan or the map says.
-    feedback : replay with feedback too.
     limits : of the child; None for the usual ones.
     own_step : judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it.
     factors : of parameters of the FMU, by name: each is so many times what the map or the FMU says.
@@ -186,9 +210,7 @@ def judge_fmu(
         raise TrajectoryError(
             f"{table.where}: its inputs are lines between its rows, but --own-step is for inputs that are held; leave it out."
         )
-    return _judged(
-        foreign.model, trajectory, partial(replay_foreign, foreign, package, limits=limits or Limits(), own_step=own_step), feedback
-    )
+    return WiredFmu(package=package, foreign=foreign, plan=trajectory, limits=limits or Limits(), own_step=own_step)
 
 
 def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:

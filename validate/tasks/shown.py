@@ -174,8 +174,8 @@ def _page(
     subject: Subject, plan: Trajectory | None, replay: Replay | None, stage: StageRecord, name: str, command: str, engines: Sequence[Mapping[str, Any]] = ()
 ) -> str:  # fmt: skip
     """The page of a run of one stage, drawn from files as a campaign's are."""
-    drawn = subject if isinstance(subject, Scene) else _with_common_names(subject)
-    run = _run(scene_record(drawn) if isinstance(drawn, Scene) else _foreign_record(drawn, plan), stage, name, command)
+    drawn, record = _drawn(subject, plan)
+    run = _run(record, stage, name, command)
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
         folder, files = Path(place) / "runs" / _KEY, stage_files(0, 1)
         folder.mkdir(parents=True)
@@ -185,6 +185,14 @@ def _page(
             if motion is not None and len(motion.t):
                 write_replay(folder / files[what], motion, drawn)
         return render_run(run, Path(place), engines)
+
+
+def _drawn(subject: Subject, plan: Trajectory | None) -> tuple[Subject, SceneRecord]:
+    """What is drawn, under names that files can have, and its record."""
+    if isinstance(subject, Scene):
+        return subject, scene_record(subject)
+    named = _with_common_names(subject)
+    return named, _foreign_record(named, plan)
 
 
 def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> RunRecord:
@@ -205,10 +213,13 @@ def _run(scene: SceneRecord, stage: StageRecord, name: str, command: str) -> Run
     )
 
 
-def robustness_page(found: Robustness, record: RobustnessRecord, scene: Scene, plan: Trajectory, name: str) -> str:
+def robustness_page(found: Robustness, record: RobustnessRecord, name: str) -> str:
     """The text of the page. name: what the plan is called. Raises MachineError."""
     stage = given_stage(name, None, found.judgement.score, found.seconds)
-    run = _run(scene_record(scene), stage, name, "")
+    plan = found.judgement.plan
+    assert plan is not None, "what was tried is a plan"
+    scene, model = _drawn(found.judgement.scene, plan)
+    run = _run(model, stage, name, "")
     with tempfile.TemporaryDirectory(prefix="touchstone-") as place:
         folder = Path(place)
         (folder / "worlds").mkdir()

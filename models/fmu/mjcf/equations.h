@@ -34,6 +34,7 @@ typedef struct {
 #include "variable.h"
 #include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS; NQ, NV, NA, NU, NT, the places of MuJoCo's numbers */
 
+#define EXACT 1e-14
 #define NL 0 /* no event indicators: MuJoCo's forces follow from the state */
 #define STATE_COUNT (NQ + NV + NA)
 #define VALUES (NSENSORDATA + 2 * NPAIRS)
@@ -272,7 +273,6 @@ static inline void apply_settings(const Model *m)
     if (!engine->applied || memcmp(engine->t, t, sizeof m->t) != 0) {
         int heavier = 0;
         mj_copyModel(model, engine->given);
-        model->opt.disableflags |= mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
         model->opt.integrator = (int)t[INTEGRATOR] - 1;
         memcpy(model->opt.gravity, t + GRAVITY, sizeof model->opt.gravity);
         scale_contacts(t, (int)model->ngeom, 3, model->geom_friction, model->geom_solref, model->geom_solimp);
@@ -289,6 +289,8 @@ static inline void apply_settings(const Model *m)
         engine->applied = 1;
     }
     model->opt.timestep = m->internal_step; /* which steps may have cut */
+    model->opt.tolerance = engine->given->opt.tolerance;
+    model->opt.disableflags = engine->given->opt.disableflags | mjDSBL_AUTORESET; /* what became infinite is told, and does not start anew */
 }
 
 /* A MuJoCo data brought to the Model's state and inputs. */
@@ -322,16 +324,36 @@ static inline void look_at_pair(const mjModel *model, mjData *data, const Pair *
         *gap = fmin(*gap, mj_geomDistance(model, data, pair->first[0] + i / pair->count[1], pair->first[1] + i % pair->count[1], FARTHEST, NULL));
 }
 
+/* Whether steps of the model's length cut a time constant to twice that (refsafe). */
+static inline int cuts(const mjModel *a)
+{
+    const mjtNum *solref[] = {a->geom_solref, a->pair_solref, a->eq_solref, a->jnt_solref, a->dof_solref, a->tendon_solref_lim, a->tendon_solref_fri, a->opt.o_solref};
+    const mjtSize count[] = {a->ngeom, a->npair, a->neq, a->njnt, a->nv, a->ntendon, a->ntendon, 1};
+    for (int of = 0; of < 8; of++)
+        for (const mjtNum *at = solref[of], *end = at + mjNREF * count[of]; at < end; at += mjNREF)
+            if (*at > 0.0 && *at < 2.0 * a->opt.timestep) return 1;
+    return 0;
+}
+
+/* What follows from the state. MuJoCo's solver stops where its cost no longer falls by a share of opt.tolerance, and leaves the 1e-5 by which derivatives
+ * are taken unanswered; so it goes on here. */
+static inline void forward(Model *m, int flags)
+{
+    mjModel *model = m->engine->model;
+    load(m, m->engine->view);
+    model->opt.disableflags |= flags;
+    model->opt.tolerance = fmin(model->opt.tolerance, EXACT);
+    memcpy(m->engine->view->ctrl, m->u, NU * sizeof *m->u);
+    mj_forward(model, m->engine->view);
+}
+
+/* Rates are those of ever smaller steps, which cut no time constant; what is felt, once steps are made, is what these feel. */
 static const char *evaluate(Model *m)
 {
     static const Pair pairs[] = PAIRS;
     const mjModel *model = m->engine->model;
     mjData *view = m->engine->view;
-    load(m, view);
-    memcpy(view->ctrl, m->u, NU * sizeof *m->u);
-    mj_forward(model, view);
-    memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
-    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
+    forward(m, mjDSBL_REFSAFE);
     memcpy(m->rates + NQ, view->qacc, NV * sizeof *m->rates);
     memcpy(m->rates + NQ + NV, view->act_dot, NA * sizeof *m->rates);
     for (int joint = 0; joint < (int)model->njnt; joint++) {
@@ -343,6 +365,9 @@ static const char *evaluate(Model *m)
         const double half[3] = {0.5 * v[lines], 0.5 * v[lines + 1], 0.5 * v[lines + 2]};
         mju_mulQuatAxis(rate + lines, q + lines, half); /* dq/dt = q (0, w) / 2, w in the axes of the body */
     }
+    if (m->begun && cuts(model)) forward(m, 0);
+    memcpy(m->values, view->sensordata, NSENSORDATA * sizeof *m->values);
+    for (int i = 0; i < NPAIRS; i++) look_at_pair(model, view, &pairs[i], &m->values[NSENSORDATA + i], &m->values[NSENSORDATA + NPAIRS + i]);
     return went_wrong(view);
 }
 
@@ -403,9 +428,6 @@ static inline int model_adjoint(const Model *m, Tangent *bar)
     return (void)bar, 1;
 }
 
-static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar)
-{
-    (void)m, (void)weight, (void)variable, (void)bar;
-}
+static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar) { (void)m, (void)weight, (void)variable, (void)bar; }
 
 #endif

@@ -5,10 +5,7 @@
 #include "equations.h"
 
 /* What failed, in the middle of a sentence. */
-static inline const char *step_trouble(const Model *m, StepResult result)
-{
-    return (void)result, m->engine->trouble;
-}
+static inline const char *step_trouble(const Model *m, StepResult result) { return (void)result, m->engine->trouble; }
 
 /* A step within this share of the model's own is the model's own, to the bit. */
 #define SAME_STEP 1e-9
@@ -16,7 +13,8 @@ static inline const char *step_trouble(const Model *m, StepResult result)
 static const char *make_steps(Model *m)
 {
     Engine *engine = m->engine;
-    if (!engine->loaded) load(m, engine->data);
+    if (engine->loaded) apply_settings(m);
+    else load(m, engine->data);
     engine->loaded = 0; /* until the step is whole */
     engine->model->opt.timestep = engine->h;
     for (long n = 0; n < engine->count; n++) {

@@ -174,6 +174,7 @@ class Robot:
             **{f"contacts.{pair.name}": [f'force = "lam_{pair.name}"', f'gap = "gap_{pair.name}"'] for pair in self.contacts},
             # What the plan has in columns of their own; the lines may go, or be numbers: without them these are zero.
             "start": same(self.turns),
+            "uncertainty": [f"gravity_{axis} = {{ value = 0.0, reason = 'it is known' }}" for axis in "xyz"],
         }
         title = f"# {self.path.name} as an FMU: how the columns of a plan are its variables. docs/replay.md tells all that may stand here."
         body = ["\n".join(["", f"[{name}]", *lines]) for name, lines in sections.items() if lines or name != "start"]

@@ -145,6 +145,7 @@ def test_outputs_are_those_of_the_state_that_is_reached(robot):
         fmu.begin()
         fmu.step(H, 300)
         mujoco.mj_step(leg.model, data, 300)
+        leg.model.opt.tolerance = 1e-14  # what is read is not left where a step may stop
         mujoco.mj_forward(leg.model, data)  # mj_step leaves what belongs to the step's beginning
         assert fmu.get("s_hip_angle", "s_imu_0", "s_imu_1", "s_imu_2", "s_trunk").tolist() == data.sensordata.tolist()
         assert fmu.get("der(v_hip)").tolist() == data.qacc[6:7].tolist()
@@ -163,6 +164,22 @@ def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
         assert force == pytest.approx(mass * 9.81, rel=1e-6)
         assert -1e-2 < gap == pytest.approx(height, abs=1e-12)
         assert gap < 0.0
+
+
+@pytest.mark.slow
+def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(robot):
+    """A time constant of 2 ms is cut at twice a step of 5 ms: by such steps a block comes to rest deeper than its own spring would let it lie."""
+    made = robot(BLOCK.replace('timestep="0.001"', 'timestep="0.005"').replace("<geom", '<geom solref=".002 1"'), "block:floor")
+    with instance(made) as fmu:
+        fmu.begin()
+        fmu.step(0.005, 2000)
+        force, rate, depth = fmu.get("lam_block_floor", "der(v_z)", "q_z")
+        assert force == pytest.approx(3.0 * 9.81, rel=1e-6)
+        before = fmu.get("v_z")[0]
+        fmu.step(1e-7)
+        assert (fmu.get("v_z")[0] - before) / 1e-7 == pytest.approx(rate, rel=1e-3)
+        assert rate > 5.0
+        assert depth < 0.0
 
 
 @pytest.mark.slow
@@ -265,6 +282,21 @@ def test_directional_derivatives_are_those_of_the_equations(robot, version: str)
         with pytest.raises(FMICallException):
             slopes(["der(v_swing)"], mass_top=1.0)
         assert fmu.get("der(q_swing)").tolist() == [0.0]  # nothing moved
+
+
+@pytest.mark.slow
+def test_a_slope_is_there_where_a_step_s_solver_would_stop_before_it(robot):
+    """An ellipsoid on a smooth floor, turned by t about y: where it touches moves by -(a^2 - c^2)/c t along x, at which its weight's answer turns it."""
+    puck = "<mujoco><default><geom condim='1'/></default><worldbody><geom name='floor' type='plane' size='5 5 .1'/><body pos='0 0 .0957'><freejoint name='puck'/>"
+    puck += "<geom name='puck' type='ellipsoid' size='.2 .1 .1' mass='1'/></body></worldbody></mujoco>"
+    made = robot(puck, "puck:floor")
+    with instance(made, "ME") as fmu:
+        fmu.begin()
+        fmu.fmu.settle()
+        names = ["der(v_puck_wy)", "q_puck_qy"]
+        (slope,) = fmu.fmu.fmu.directional([fmu.references[names[0]]], [fmu.references[names[1]]], [2.0**-1], 1)
+        force, inertia = fmu.get("lam_puck_floor")[0], 1.0 * (0.2**2 + 0.1**2) / 5.0
+        assert slope == pytest.approx(-force * (0.2**2 - 0.1**2) / 0.1 / inertia, rel=1e-4)
 
 
 @pytest.mark.slow

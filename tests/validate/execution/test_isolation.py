@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ import pytest
 
 from models.errors import MachineError
 from validate.execution import isolated, process
-from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
+from validate.execution.isolated import FOLDER_PREFIX, Ending, IsolatedCalls, Limits, run_isolated
 
 pytestmark = pytest.mark.process
 
@@ -260,3 +261,22 @@ def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own
         time.sleep(0.05)
     assert not child.exists()
     assert list(own_place.iterdir()) == []
+
+
+def test_one_child_answers_many_calls_until_one_ends_it(own_place: Path):
+    with closing(IsolatedCalls(Limits(seconds=1.0), "model.fmu")) as calls:
+
+        def said(request: str):
+            done = calls("isolated_functions:counts", request, {"x": np.arange(3.0)})
+            return done.value if done.ok else done.ending
+
+        assert [said(text) for text in ("a", "b", "c")] == [1, 2, 3]
+        assert calls("isolated_functions:counts", "d", {"x": np.arange(3.0)}).arrays["x"].tolist() == [0.0, 1.0, 2.0]
+        assert said("crash if not first") == 1  # once more, in a new process
+        assert said("crash") is Ending.SIGNAL
+        assert said("a") == 1
+        assert said("hang") is Ending.TIME_LIMIT
+        assert said("refuse") is Ending.ERROR
+        assert [said("a"), said("b")] == [1, 2]
+    assert list(own_place.iterdir()) == []
+    assert processes_of(own_place) in ([], [os.getpid()])

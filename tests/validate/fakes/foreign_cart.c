@@ -1,5 +1,5 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
- * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes. With -DSAVES=1 it saves its state, with 2 it does
+ * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes; with -DBEYOND=m only a cart of that mass does [kg]. With -DSAVES=1 it saves its state, with 2 it does
  * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance. */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -17,6 +17,9 @@
 
 #ifndef MISBEHAVE
 #define MISBEHAVE 0
+#endif
+#ifndef BEYOND
+#define BEYOND -1.0
 #endif
 #ifndef SAVES
 #define SAVES 0
@@ -40,7 +43,7 @@ static void *forever(void *nothing) { for (;;) pause(); return nothing; }
 
 static int misbehave(Cart *c)
 {
-    if (MISBEHAVE == 0 || c->time < 0.05 || (c->done && MISBEHAVE != 9))
+    if (MISBEHAVE == 0 || c->time < 0.05 || c->mass < BEYOND || (c->done && MISBEHAVE != 9))
         return 0;
     c->done = 1;
     switch (MISBEHAVE) {

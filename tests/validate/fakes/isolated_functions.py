@@ -149,3 +149,18 @@ def calls(request, arrays):
     library, name = request
     getattr(ctypes.CDLL(library), name)()
     return "came back"
+
+
+MADE = []
+
+
+def counts(request, arrays):
+    """How many calls its process has had; what is asked for may end it."""
+    MADE.append(request)
+    if request == "crash" or (request == "crash if not first" and len(MADE) > 1):
+        crashes(request, arrays)
+    if request == "hang":
+        time.sleep(600)
+    if request == "refuse":
+        raise UnknownNameError("no.")
+    return len(MADE), arrays

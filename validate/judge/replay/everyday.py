@@ -108,7 +108,14 @@ class Stepping:
 
 
 def simulate(
-    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
+    package: Package,
+    variables: Variables,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    fineness: int,
+    *,
+    rolls_back: bool = False,
+    fmu: Instance | None = None,
 ) -> Run:
     """Step over the plan's grid; outputs and knots are those of the plan's nodes, accumulated stays empty.
 
@@ -121,6 +128,7 @@ def simulate(
     fineness : internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that are lines
         within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
     rolls_back : every step is made at half that fineness too, and taken back; what the two differ by is `Run.local`.
+    fmu : an instance that is as new, and stays loaded; None: one is loaded for this run.
 
     Raises
     ------
@@ -128,13 +136,13 @@ def simulate(
     Fault : if it returns early.
     MachineError : without a compiler.
     """
-    run = Run()
+    run, kept = Run(), fmu
     try:
-        fmu = load_instance(package, "CS")
+        fmu = fmu or load_instance(package, "CS")
         try:
             has_own = variables.internal_step is not None
             own_step_of = References([] if variables.internal_step is None else [variables.internal_step])
-            own_step = base_step(inputs.times) / fineness
+            own_step = base_step(inputs.grid) / fineness
             given, settings = References(variables.u), [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, own_step))
@@ -151,7 +159,8 @@ def simulate(
             if record_start(stepping, run):
                 step_through(stepping, run)
         finally:
-            fmu.unload()
+            if kept is None:
+                fmu.unload()
     except FMICallException as error:
         run.end_refused(error, float(inputs.times[0]))
     return run

@@ -7,10 +7,11 @@ run_isolated("validate.judge.replay.job:simulate", request, arrays)
 from __future__ import annotations
 
 import math
+import tempfile
 import time as clock
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ import numpy as np
 
 from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
-from validate.execution.isolated import Ending, Limits, run_isolated
-from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.execution.isolated import Ending, IsolatedCalls, Limits, run_isolated
+from validate.fmi.archive import unpack
+from validate.fmi.description import NOT_RUN, FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.fmi.loops import adopt, library_path
 from validate.fmi.surroundings import changes, listed, surroundings
@@ -28,10 +30,11 @@ from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
+from validate.judge.replay.world import World, WorldInputs
 
-# Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.
+# Arrays of a run, and what the names of those of a feedback and of a world begin with on their way to a child.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
-_FEEDBACK = "feedback_"
+_FEEDBACK, _WORLD = "feedback_", "world_"
 # Endings that may be the fault of a saved state alone: the job is done once more, without.
 _RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
 # What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
@@ -79,7 +82,7 @@ def simulate(
     request : path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, where they are not to
         be looked for).
     arrays : t (nodes,) [s], u (steps, nu) [unit of each input], start (n,) [unit of each variable], u_end (nu,) where the plan has one, and with
-        feedback its fields.
+        feedback and in a perturbed world the fields of these.
     package : the FMU, where it is read already.
 
     Returns
@@ -93,8 +96,10 @@ def simulate(
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
     plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end"))
-    fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
-    inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
+    law, world = ({name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)} for of in (_FEEDBACK, _WORLD))
+    feedback, start = Feedback(**law) if law else None, arrays["start"]
+    numbers: dict[str, Any] = world
+    inputs = WorldInputs(plan, World(**numbers), feedback) if world else HeldInputs(plan, feedback)
     if request.get("loops") is not None:
         adopt(Path(request["loops"]))
     value: dict[str, Any] = {"refusal": None, "runs": [], "note": ""}
@@ -125,6 +130,20 @@ def simulate(
         if before is not None and (changed := changes(before, surroundings())):
             value["note"] = f"{value['note']} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
     return value, found
+
+
+@cache
+def _kept(path: str) -> Package:
+    """An FMU that stays unpacked as long as this process lives, in its own folder of temporary files."""
+    package = read_package(Path(path))
+    folder = Path(tempfile.mkdtemp())
+    unpack(package.archive, folder, leave_out=NOT_RUN)
+    return replace(package, folder=folder)
+
+
+def simulate_again(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """`simulate` in a child that is called many times: the FMU is read and unpacked once."""
+    return simulate(request, arrays, _kept(request["path"]))
 
 
 def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> tuple[Run, str]:
@@ -160,7 +179,7 @@ class Job:
     is one that we made.
     tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
     parts, max_step: of the reference (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves its steps, where
-    the FMU can.
+    the FMU can; world: a perturbed one, whose start and inputs are in the FMU's units; child: one for many jobs, None: every job has its own.
     """
 
     package: Package
@@ -175,6 +194,8 @@ class Job:
     parts: int = PARTS
     max_step: float = math.inf
     rolls_back: bool = True
+    world: World | None = None
+    child: IsolatedCalls | None = None
 
     def run(self, feedback: Feedback | None = None) -> Simulated:
         """Run all simulations, here or in a child; what ended the child is an outcome. feedback: in the FMU's units; None: the inputs alone.
@@ -194,8 +215,8 @@ class Job:
             "rolls_back": self.rolls_back,
         }
         given = {"t": plan.t, "u": plan.u, "start": self.start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
-        if feedback is not None:
-            given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
+        for of, item in ((_FEEDBACK, feedback), (_WORLD, self.world)):
+            given |= {} if item is None else {of + name: np.asarray(array) for name, array in vars(item).items()}
         if self.limits is None:
             value, arrays = simulate(request, given, package)
             return _simulated(value, arrays, "")
@@ -212,9 +233,11 @@ class Job:
 
     def _in_child(self, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits) -> Simulated:
         package = self.package
-        run = partial(
-            run_isolated, "validate.judge.replay.job:simulate", arrays=given, limits=limits, what=f"FMU {package.path}", ours=self.ours
-        )
+        if self.child is None or _only_once(package):
+            whole = partial(run_isolated, limits=limits, what=f"FMU {package.path}", ours=self.ours)
+            run = partial(whole, "validate.judge.replay.job:simulate", arrays=given)
+        else:
+            run = partial(self.child, "validate.judge.replay.job:simulate_again", arrays=given)
         done, retried = run(request), ""
         if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, self.variables):
             again = run({**request, "rolls_back": False})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -271,13 +272,12 @@ class _Wiring:
             group: tuple(self._reference(path, signal.variable) for path, signal in signals)
             for group, signals in {**read, "u": driven}.items()
         }
-        outputs = [signal for signals in read.values() for _, signal in signals]
-        settings = self._settings()
-        internal = given.internal_step
-        if internal is None and INTERNAL_STEP in self._by_name:
-            internal = INTERNAL_STEP
+        settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
+        parameters = map_schema.uncertain(given, self._named, internal, self._parameter)
+        begin = map_schema.begin_of(given, self._named, dict(settings), [signal for _, signal in [*read["q"], *read["v"]]])
         return Foreign(
-            model=self._model(),
+            model=replace(self._model(), parameters=tuple(parameters), **begin),
+            parameters=tuple(self._reference(f"uncertainty.{item.name}", item.name) for item in parameters),
             variables=Variables(
                 q=references["q"],
                 v=references["v"],
@@ -291,8 +291,8 @@ class _Wiring:
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
-            scale=np.array([signal.scale for signal in outputs]),
-            offset=np.array([signal.offset for signal in outputs]),
+            scale=np.array([signal.scale for signals in read.values() for _, signal in signals]),
+            offset=np.array([signal.offset for signals in read.values() for _, signal in signals]),
             input_scale=np.array([signal.scale for _, signal in driven]),
             input_offset=np.array([signal.offset for _, signal in driven]),
             start=np.array([value for _, value in settings]),

@@ -40,7 +40,7 @@ LOOSE, TIGHT = 1e-11, 1e-13
 # Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
 FINENESS = (50, 100, 200)
 # Four calls of doStep a step of the plan, and then one, which is judged: of a method of first order the difference is three quarters of its error.
-_OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
+OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
 _CLOSER_LOOKS = 6
 # Whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
@@ -54,7 +54,7 @@ class Foreign:
     """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
 
     scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
-    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's.
+    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
     """
 
     model: ForeignModel
@@ -64,6 +64,13 @@ class Foreign:
     input_scale: np.ndarray
     input_offset: np.ndarray
     start: np.ndarray
+    parameters: tuple[int, ...] = ()
+
+    @property
+    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Scale and offset of positions and velocities, and of the inputs."""
+        nx = len(self.variables.q) + len(self.variables.v)
+        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
 
 def replay(
@@ -151,9 +158,7 @@ def replay_foreign(
     trajectory: Trajectory,
     *,
     limits: Limits,
-    tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
-    event_budget: int = EVENT_BUDGET,
     track: Track = False,
     own_step: bool = False,
 ) -> Replay:
@@ -163,36 +168,39 @@ def replay_foreign(
     A plan whose inputs are lines is replayed as without.
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
+    job = foreign_job(foreign, package, trajectory, limits, own_step, fineness)
+
+    def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
+        """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
+        simulated = job.run(None if feedback is None else feedback.in_units(*foreign.units))
+        applied = (_applied(simulated, job.plan) - foreign.input_offset) / foreign.input_scale
+        return _assemble(foreign.model, job, in_plan_units(foreign, simulated)), applied
+
+    def design() -> tuple[Feedback, Growth | None]:
+        return design_foreign(foreign.model, package, foreign.variables, trajectory, foreign.units, foreign.start, limits)
+
+    return _with_tracked(run(None)[0], track, design, run, trajectory)
+
+
+def foreign_job(
+    foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool, fineness: tuple[int, ...] = FINENESS
+) -> Job:
+    """The simulations of `replay_foreign`. Raises TrajectoryError for a plan of another shape, FmuError for own_step without Co-Simulation."""
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
-    nx = len(foreign.variables.q) + len(foreign.variables.v)
-    # Scale and offset of the state, and of the inputs.
-    units = (foreign.scale[:nx], foreign.offset[:nx]), (foreign.input_scale, foreign.input_offset)
-    driven = trajectory.with_inputs_in(*units[1])
     job = Job(
-        package=package, variables=foreign.variables, plan=driven, start=foreign.start, limits=limits,
-        tolerances=tolerances, fineness=fineness, event_budget=event_budget,
+        package=package, variables=foreign.variables, plan=trajectory.with_inputs_in(*foreign.units[1]), start=foreign.start, limits=limits,
+        tolerances=(LOOSE, TIGHT), fineness=fineness, event_budget=EVENT_BUDGET,
     )  # fmt: skip
     if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
         if package.cosimulation is None:
             raise FmuError(f"FMU {package.path}: it offers no Co-Simulation, so it has no step of its own; leave out --own-step.")
         variables = replace(foreign.variables, internal_step=None)
-        job = replace(job, variables=variables, tolerances=(), fineness=_OWN_STEP, rolls_back=False)
-    else:
-        job = with_steps_of(foreign.model, job)
-
-    def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
-        """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
-        simulated = job.run(None if feedback is None else feedback.in_units(*units))
-        applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
-        return _assemble(foreign.model, job, _in_plan_units(foreign, simulated)), applied
-
-    def design() -> tuple[Feedback, Growth | None]:
-        return design_foreign(foreign.model, package, foreign.variables, trajectory, units, foreign.start, limits)
-
-    return _with_tracked(run(None)[0], track, design, run, trajectory)
+        return replace(job, variables=variables, tolerances=(), fineness=OWN_STEP, rolls_back=False)
+    return with_steps_of(foreign.model, job)
 
 
-def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
+def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
+    """The runs, in which what the FMU gave is made what the plan means. Raises ValueError for runs of another FMU."""
     first = len(foreign.variables.q) + len(foreign.variables.v)
     impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
     for run in (*simulated.reference, *simulated.everyday):

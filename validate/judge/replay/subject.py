@@ -69,6 +69,19 @@ class ForeignContact:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ForeignParameter:
+    """A parameter of the FMU that may be otherwise [unit of the FMU]; uncertainty: None: a share of its value."""
+
+    name: str
+    value: float
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    uncertainty: float | None = None
+    uncertainty_reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ForeignTask:
     """What a plan on somebody's FMU is to do.
 
@@ -100,6 +113,8 @@ class ForeignModel:
     lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap. accuracy: how wrong the author says its
     Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence for each question of the verdict that cannot
     be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be reported.
+    parameters: those that may be otherwise; begin (2*nq,): where a simulation starts, in the plan's units, 0 where nobody says; startable: the places
+    in that which can be set.
     """
 
     name: str
@@ -112,6 +127,9 @@ class ForeignModel:
     accuracy: Difference | None = None
     not_asked: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    parameters: tuple[ForeignParameter, ...] = ()
+    begin: tuple[float, ...] = ()
+    startable: tuple[int, ...] = ()
     frictions: tuple[()] = ()
     answers: tuple[()] = ()
     damped: tuple[()] = ()

@@ -168,14 +168,14 @@ def measure_effort(plan_u: np.ndarray, applied: np.ndarray, t: np.ndarray, feedb
 
 
 class HeldInputs:
-    """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it.
+    """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it; grid: the plan's own times [s].
 
     breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must start afresh there. With feedback every step begins
     with a jump, and `values` are those of the run in progress: `begin` sets them.
     """
 
     def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
-        self.times = trajectory.t
+        self.times = self.grid = trajectory.t
         self.feedback = feedback
         self.values = trajectory.u if feedback is None else trajectory.u.copy()
         self.slopes = np.zeros_like(trajectory.u)

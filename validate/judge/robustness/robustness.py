@@ -14,6 +14,7 @@ import operator
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,11 @@ import numpy as np
 from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.scene import Scene
-from validate.judge.judgement import Judgement, as_trajectory, judge
-from validate.judge.robustness.trials import Arena, Asked, WorldTrial, asked_limits
-from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, World, draw, moved, perturbations
+from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
+from validate.judge.replay.world import World
+from validate.judge.robustness.fmu import FmuArena
+from validate.judge.robustness.trials import Arena, Asked, SceneArena, WorldTrial, asked_limits
+from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, draw, moved, perturbations
 from validate.judge.score.verdict import Verdict
 
 SAMPLES, MOST = 1000, 1_000_000
@@ -102,11 +105,12 @@ class FirstFailure:
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """Worlds that were tried by the reference too: how many, and of those that differ the number of the world and both shares."""
+    """Worlds that were tried once more, by the reference or as `by` says: how many, and of those that differ the number of the world and both shares."""
 
     count: int
     differ: tuple[tuple[int, float, float], ...]
     largest_difference: float
+    by: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,8 +210,8 @@ class _Progress:
 
 
 def robustness(
-    scene: Scene | str | Path,
-    plan: Any,
+    scene: Scene | WiredFmu | str | Path,
+    plan: Any = None,
     *,
     samples: int = SAMPLES,
     seed: int = 0,
@@ -219,10 +223,10 @@ def robustness(
 
     Parameters
     ----------
-    scene, plan : as `judge` takes them
+    scene, plan : as `judge` takes them; or somebody's FMU, which has its plan
     samples : worlds, from 10 to 10^6
     seed : of the worlds; the same seed gives the same worlds and the same numbers, to the bit
-    kinds : what is perturbed: parameters, start, gain, noise, delay
+    kinds : what is perturbed: parameters, start, gain, noise, delay, or single ones by their names
     anyway : measure a plan too that does not hold to begin with
     tell : is called with a sentence at each part of the work
 
@@ -239,26 +243,28 @@ def robustness(
         raise TrajectoryError(f"samples: {samples} must be a whole number from {_LEAST} to {MOST}; {SAMPLES} tell a share to 3 %.")
     if not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed: {seed} must be a whole number of at least 0.")
-    try:
-        asked_kinds = [PerturbationKind(kind) for kind in kinds]
-    except ValueError as error:
-        raise TrajectoryError(f"kinds: {error}; what can be perturbed is {', '.join(kind.value for kind in PerturbationKind)}.") from error
-    subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
-    trajectory = as_trajectory(plan, subject)
-    if trajectory is None:
-        raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
-    trajectory = trajectory.from_zero()
-    judgement = judge(subject, trajectory)
-    if not judgement.verdict.is_good and not anyway:
+    if isinstance(scene, WiredFmu):
+        causes, judgement, arena_of = perturbations(scene.foreign.model, scene.plan, kinds), scene.judge(), partial(FmuArena.of, scene)
+    else:
+        subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
+        trajectory = as_trajectory(plan, subject)
+        if trajectory is None:
+            raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
+        trajectory = trajectory.from_zero()
+        causes, judgement, arena_of = (
+            perturbations(subject, trajectory, kinds),
+            judge(subject, trajectory),
+            partial(SceneArena.of, subject, trajectory),
+        )
+    # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
+    holds = judgement.holds or (isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT)
+    if not holds and not anyway:
         raise TrajectoryError(
             f"plan: it does not hold to begin with ({judgement.verdict.value}: {judgement.score.why.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
         )
-    causes, began = perturbations(subject, trajectory, asked_kinds), time.process_time()
-    if not causes:
-        raise TrajectoryError(f"scene {subject.name}: nothing of it can be perturbed by {', '.join(kind.value for kind in asked_kinds)}.")
-    found, complete, worlds = _Progress(), True, draw(causes, samples, seed)
+    began, found, complete, worlds = time.process_time(), _Progress(), True, draw(causes, samples, seed)
     followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK
-    with Arena.of(subject, trajectory, asked_limits(judgement.score), followed=followed) as arena:
+    with arena_of(asked_limits(judgement.score), followed=followed) as arena:
         try:
             _measure(arena, worlds, found, tell)
         except KeyboardInterrupt:
@@ -266,7 +272,7 @@ def robustness(
         return Robustness(
             judgement=judgement, causes=causes, seed=seed, fineness=arena.fineness,
             ways=tuple(found.way(feedback) for feedback in (False, True) if found.ratios[feedback] or not feedback), failures=tuple(found.failures),
-            trials=found.trials, seconds=time.process_time() - began, complete=complete, points=worlds.points, motions=tuple(found.motions),
+            trials=found.trials, seconds=time.process_time() - began + arena.seconds, complete=complete, points=worlds.points, motions=tuple(found.motions),
         )  # fmt: skip
 
 
@@ -282,7 +288,7 @@ def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str],
             if not feedback and number < _SHOWN:
                 found.motions.append((number, trial))
     for feedback in samples:
-        tell("some of these by the reference too")
+        tell(f"some of these {arena.by} too")
         found.checks[feedback] = check_by_reference(arena, worlds, found.ratios[feedback], feedback)
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
@@ -309,7 +315,7 @@ def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feed
             differ.append((number, ratios[number], ratio))
         if math.isfinite(ratio) and math.isfinite(ratios[number]):
             largest = max(largest, abs(ratio - ratios[number]))
-    return Checked(count=len(numbers), differ=tuple(differ), largest_difference=largest)
+    return Checked(count=len(numbers), differ=tuple(differ), largest_difference=largest, by=arena.by)
 
 
 def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback: bool) -> Curve:

@@ -18,7 +18,7 @@ import numpy as np
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.judge.robustness.robustness import FARTHEST, OF_FEEDBACK, Share, check_by_reference, first_failure
-from validate.judge.robustness.trials import Arena
+from validate.judge.robustness.trials import Arena, SceneArena
 from validate.judge.robustness.worlds import Perturbation, PerturbationKind, draw, moved, perturbations
 
 # Worlds of a plan: shares are told to 6 %. Where they cost more internal steps than this in all, half as many, and so on down to the fewest.
@@ -86,7 +86,7 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
     """
     plan = plan.from_zero()
     causes = perturbations(scene, plan)
-    with Arena.of(scene, plan, limits, followed=followed) as arena:
+    with SceneArena.of(scene, plan, limits, followed=followed) as arena:
         samples = SAMPLES
         while samples > FEWEST and samples * arena.fineness * plan.steps > MOST_STEPS:
             samples //= 2

@@ -1,21 +1,23 @@
 """A plan tried in one world: the everyday replay there, and whether it arrives - near enough to the goal, no contact deeper than its model reaches.
 
-    with Arena.of(scene, plan, limits) as arena:
+    with SceneArena.of(scene, plan, limits) as arena:
         arena.trial(world).ratio         # the largest of what is asked, as a share of its limit: up to 1 it arrives
         arena.checked(world).ratio       # the same by the reference
 
-The FMU is loaded once, and reset before each world. Its step is the coarsest whose motion in the scene's own world ends where the reference's does.
+The FMU's step is the coarsest whose motion in the model's own world ends where the reference's does. A scene's FMU is loaded once, and reset before each
+world; somebody's is tried in a child process (validate.judge.robustness.fmu).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from fmpy.fmi1 import FMICallException
 
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
@@ -24,25 +26,26 @@ from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 from validate.fmi.description import Package, read_package, unpacked
-from validate.fmi.instance import Instance, References, load_instance
-from validate.judge.replay.everyday import Stepping, base_step, record_start, step_through
+from validate.fmi.instance import Instance, load_instance
+from validate.judge.replay.everyday import simulate
 from validate.judge.replay.reference import ExchangeModel, integrate
-from validate.judge.replay.result import ReplayOutcome, Run
+from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.run import EVENT_BUDGET
-from validate.judge.replay.subject import find_variables
+from validate.judge.replay.subject import Subject, find_variables
 from validate.judge.replay.tracking import design_feedback
-from validate.judge.replay.wiring import Feedback, Variables
-from validate.judge.robustness.worlds import World, WorldInputs, nominal_world
+from validate.judge.replay.wiring import Feedback
+from validate.judge.replay.world import World, WorldInputs
+from validate.judge.robustness.worlds import nominal_world
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
+from validate.judge.score.measures import replay_limits
 
 # Internal steps a plan step, the coarsest first; the one whose end is as near to the reference's as this share of the limits is taken, else the last.
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
-_CLOSE = 1e-3
-# Relative tolerance of the reference: limits are told with three digits.
-_RTOL = 1e-9
+# In the place of a fineness; and the relative tolerance of the reference: limits are told with three digits.
+REFERENCE, RTOL = -1, 1e-9
 _POSITION, _VELOCITY = "replay_terminal_position_error", "replay_terminal_velocity_error"
-_COST, _SPEED, _DEPTH = "replay_cost", "replay_velocity_bound_violation", "max_penetration"
+_COST, _SPEED, _DEPTH, _MOTION = "replay_cost", "replay_velocity_bound_violation", "max_penetration", "replay_error"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +53,8 @@ class Asked:
     """What arriving means.
 
     limits: of the metrics that are asked, by name [their units]: how far from the goal (2*nq,) (NaN: free) positions and velocities may end, what the motion
-    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact may be [m].
+    may cost, how far velocities may leave lower, upper (nq,); depths (nc,): how deep each contact may be [m]; near (nq,): how far positions may be from the
+    planned (nodes, nq) [m or rad], None: that is not asked.
     """
 
     limits: Mapping[str, float]
@@ -58,21 +62,35 @@ class Asked:
     depths: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+    near: np.ndarray | None = None
+    planned: np.ndarray | None = None
 
     @classmethod
-    def of(cls, scene: Scene, limits: Mapping[str, float]) -> Asked:
-        """By the limits that the judge held this plan to, by metric. Raises TrajectoryError where none is on an end or a cost."""
+    def of(cls, scene: Subject, limits: Mapping[str, float], plan: Trajectory | None = None) -> Asked:
+        """By the limits that the judge held this plan to, by metric; of an FMU whose map gives no goal, the plan's own motion is asked.
+
+        Raises TrajectoryError where none is on an end, a cost or that motion.
+        """
         asked = {name: limits[name] for name in (_POSITION, _VELOCITY, _COST, _SPEED) if name in limits}
+        near = None
         if not asked.keys() - {_SPEED}:
-            raise TrajectoryError(
-                f"scene {scene.name}: it asks for no end that a plan must reach and limits no cost, so there is nothing to arrive at; robustness is measured on scenes that limit {_POSITION}, {_VELOCITY} or {_COST}."
-            )
+            if isinstance(scene, Scene):
+                raise TrajectoryError(
+                    f"scene {scene.name}: it asks for no end that a plan must reach and limits no cost, so there is nothing to arrive at; robustness is measured on scenes that limit {_POSITION}, {_VELOCITY} or {_COST}."
+                )
+            if _MOTION not in limits or plan is None:
+                raise TrajectoryError(
+                    f"FMU {scene.name}: there is nothing to arrive at, as its map gives no [goal], and {_MOTION} is not asked (the plan says no positions, or the map waives it); give it one of the two."
+                )
+            near = replay_limits(scene)
         own = scene.limit(_DEPTH)
         depths = np.array([math.inf if depth is None else depth for depth in scene.depths])
         if own is not None:
             depths = np.full(scene.nc, math.inf if own.value is None else own.value)
         lower, upper = (np.array([getattr(item, f"velocity_{side}") for item in scene.coordinates]) for side in ("lower", "upper"))
-        return cls(limits=asked, goal=goal_state(scene.task), depths=depths, lower=lower, upper=upper)
+        planned = None if near is None or plan is None else plan.q
+        goal = goal_state(scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
+        return cls(limits=asked, goal=goal, depths=depths, lower=lower, upper=upper, near=near, planned=planned)
 
     def shares(self, states: np.ndarray, gaps: np.ndarray, cost: float) -> dict[str, float]:
         """What is asked as shares of its limits.
@@ -97,6 +115,9 @@ class Asked:
         }
         # A limit on a cost may be negative, or 0.
         shares = {name: 1.0 + (values[name]() - limit) / (abs(limit) or 1.0) for name, limit in self.limits.items()}
+        if self.near is not None:
+            away = np.abs(states[:, :half] - self.planned).max(axis=0)
+            shares[_MOTION] = float(np.max(1.0 + (away - self.near) / np.where(self.near > 0.0, self.near, 1.0)))
         if len(self.depths):
             shares[_DEPTH] = float(np.max(-gaps.min(axis=0, initial=math.inf) / self.depths))
         return shares
@@ -147,84 +168,110 @@ class WorldTrial:
         return tuple(now for before, now in zip([None, *closed], closed, strict=False) if now != before)
 
 
-class Arena:
-    """The FMU of a scene, in which a plan is tried in one world after the other.
+class Arena(ABC):
+    """Where a plan is tried in one world after the other: what runs a world (`_run`) is a scene's or an FMU's own.
 
-    feedback: around the motion of the inputs alone in the scene's own world, or where that does not arrive around the plan; None where the plan has no
-    states; followed: whether the plan holds only with it.
+    feedback: around the motion of the inputs alone in the model's own world, or where that does not arrive around the plan; None where there can be none;
+    followed: whether the plan holds only with it; nominal: the model's own world; fineness: internal steps a plan step.
     """
+
+    # What checks it, and how near to that the motion in the model's own world must end [shares of the limits].
+    by, near = "by the reference", 1e-3
+    levels: Sequence[int] = FINENESS
+    # CPU time in other processes [s].
+    seconds = 0.0
+
+    def __init__(self, scene: Subject, plan: Trajectory, asked: Asked, followed: bool, feedback: Feedback | None) -> None:
+        """Raises FmuError."""
+        self.scene, self.plan, self.asked, self.followed, self.feedback = scene, plan, asked, followed, feedback
+        self.nominal: World = nominal_world(scene, plan)
+        self._cost = Evidence(scene, plan, None).cost_of
+
+    def settle(self) -> Self:
+        """Choose the fineness, and what the feedback follows. Raises FmuError."""
+        self.fineness = self._fine_enough()
+        # It follows the motion that arrives: what the plan's own states differ from it by is the plan's grid, which is no disturbance and may be dear to undo.
+        if self.feedback is not None and not self.followed and (own := self.trial(self.nominal)).arrives:
+            self.feedback = replace(self.feedback, reference=own.states)
+        return self
+
+    @abstractmethod
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
+        """How a run ended; states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early; commands (steps, nu)."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the FMU."""
+
+    def trial(self, world: World, *, feedback: bool = False) -> WorldTrial:
+        """The everyday replay in a world. Raises FmuError."""
+        return self._tried(world, self.fineness, feedback)
+
+    def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
+        """The same by the reference: CVODE from event to event; of an FMU without Model Exchange finer steps. Raises FmuError, MachineError."""
+        return self._tried(world, REFERENCE, feedback)
+
+    def _tried(self, world: World, fineness: int, feedback: bool) -> WorldTrial:
+        outcome, states, gaps, commands = self._run(world, fineness, self.feedback if feedback else None)
+        if outcome is not ReplayOutcome.OK:
+            return WorldTrial(states=states, gaps=gaps, cost=math.nan, shares={}, outcome=outcome)
+        q, v = np.hsplit(states, 2)
+        cost = self._cost(self.plan.t, q, v, commands) if _COST in self.asked.limits else 0.0
+        return WorldTrial(states=states, gaps=gaps, cost=cost, shares=self.asked.shares(states, gaps, cost), outcome=outcome)
+
+    def _fine_enough(self) -> int:
+        exact = self.checked(self.nominal, feedback=self.followed)
+        for fineness in self.levels[:-1]:
+            found = self._tried(self.nominal, fineness, self.followed)
+            if found.shares and all(abs(found.shares[name] - share) <= self.near for name, share in exact.shares.items()):
+                return fineness
+        return self.levels[-1]
+
+
+class SceneArena(Arena):
+    """A scene's own FMU, in this process: loaded once, and reset before each world."""
 
     def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
         """Raises FmuError, TrackingError; TrajectoryError if the plan does not fit the scene."""
-        self.scene, self.plan, self.asked, self.followed, self._package = scene, plan, asked, followed, package
-        self.nominal: World = nominal_world(scene, plan)
-        every = find_variables(package, scene.continuous())
+        super().__init__(
+            scene, plan, asked, followed, design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
+        )
+        self._package, every = package, find_variables(package, scene.continuous())
         # Only what is asked is read.
-        self._variables: Variables = replace(every, lam=(), friction=(), energies={}, powers={})
-        # An FMU of ours has every parameter of its scene, in the scene's order.
-        self._parameters = [reference for reference, _ in every.parameters]
-        self.feedback: Feedback | None = design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
-        self._cost = Evidence(scene, plan, None).cost_of
+        self._variables = replace(every, lam=(), friction=(), energies={}, powers={})
         self._instance: Instance | None = None
-        self.fineness = self._fine_enough()
-        # It follows the motion that arrives: what the plan's own states differ from it by is the plan's grid, which is no disturbance and may be dear to undo.
-        if self.feedback is not None and not followed and (own := self.trial(self.nominal)).arrives:
-            self.feedback = replace(self.feedback, reference=own.states)
 
     @classmethod
     @contextmanager
     def of(cls, scene: Scene, plan: Trajectory, limits: Mapping[str, float], *, followed: bool = False) -> Iterator[Arena]:
         """An arena that is closed at the end. limits: what the judge held the plan to, by metric. Raises FmuError, MachineError, TrajectoryError."""
-        with unpacked(read_package(build_fmu(scene, results=False))) as package:
-            arena = cls(scene, package, plan, Asked.of(scene, limits), followed)
-            try:
-                yield arena
-            finally:
-                arena._close()
+        asked = Asked.of(scene, limits)
+        with (
+            unpacked(read_package(build_fmu(scene, results=False))) as package,
+            closing(cls(scene, package, plan, asked, followed)) as arena,
+        ):
+            yield arena.settle()
 
-    def trial(self, world: World, *, feedback: bool = False) -> WorldTrial:
-        """The everyday replay in a world. Raises FmuError."""
-        return self._stepped(world, self.fineness, self.feedback if feedback else None)
-
-    def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
-        """The same by the reference: CVODE from event to event. Raises FmuError, MachineError."""
-        inputs = WorldInputs(self.plan, world, self.feedback if feedback else None)
-        model = ExchangeModel(self._package, replace(self._variables, parameters=tuple(self._settings(world))))
-        try:
-            run = integrate(model, world.start, inputs, _RTOL, EVENT_BUDGET, parts=1)
-        finally:
-            model.close()
-        return self._trial(run, inputs)
-
-    def _stepped(self, world: World, fineness: int, feedback: Feedback | None) -> WorldTrial:
-        inputs, run, variables = WorldInputs(self.plan, world, feedback), Run(), self._variables
-        given, start = References(variables.u), float(inputs.times[0])
-        own_step, own_step_of = (
-            base_step(self.plan.t) / fineness,
-            References([variables.internal_step] if variables.internal_step is not None else []),
-        )
-        settings = [
-            *self._settings(world),
-            *zip(variables.start, world.start.tolist(), strict=True),
-            *((item, own_step) for item in own_step_of.array),
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
+        inputs = WorldInputs(self.plan, world, feedback)
+        # An FMU of ours has every parameter of its scene, in the scene's order.
+        parameters = [
+            (reference, value) for (reference, _), value in zip(self._variables.parameters, world.parameters.tolist(), strict=True)
         ]
-        try:
-            fmu = self._fresh()
-            fmu.choose(variables.choices)
-            fmu.initialise(start, settings, given, inputs.begin(0, None))
-            stepping = Stepping(
-                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=1, slopes=inputs.linear,
-                states=len(variables.q) + len(variables.v), rolls_back=False, own_step_of=own_step_of, own_step=own_step,
-            )  # fmt: skip
-            if record_start(stepping, run):
-                step_through(stepping, run)
-        except FMICallException as error:
-            run.end_refused(error, start)
-            self._close()
-        return self._trial(run, inputs)
-
-    def _settings(self, world: World) -> list[tuple[int, float]]:
-        return list(zip(self._parameters, world.parameters.tolist(), strict=True))
+        variables = replace(self._variables, parameters=tuple(parameters))
+        if fineness == REFERENCE:
+            model = ExchangeModel(self._package, variables)
+            try:
+                run = integrate(model, world.start, inputs, RTOL, EVENT_BUDGET, parts=1)
+            finally:
+                model.close()
+        else:
+            run = simulate(self._package, variables, world.start, inputs, fineness, fmu=self._fresh())
+            if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
+                self.close()
+        values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[run.knots]
+        states, gaps = np.split(values[inputs.rows[inputs.rows < len(values)]], [2 * self.scene.nq], axis=1)
+        return run.outcome, states, gaps, inputs.commands
 
     def _fresh(self) -> Instance:
         """The instance as it was when it was made."""
@@ -235,25 +282,8 @@ class Arena:
             self._instance.fmu.reset()
         return self._instance
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Unload the FMU."""
         if self._instance is not None:
             self._instance.unload()
             self._instance = None
-
-    def _trial(self, run: Run, inputs: WorldInputs) -> WorldTrial:
-        values = np.array(run.outputs).reshape(len(run.t), len(self._variables.outputs))[run.knots]
-        rows = inputs.rows[inputs.rows < len(values)]
-        states, gaps = np.split(values[rows], [2 * self.scene.nq], axis=1)
-        if run.outcome is not ReplayOutcome.OK:
-            return WorldTrial(states=states, gaps=gaps, cost=math.nan, shares={}, outcome=run.outcome)
-        q, v = np.hsplit(states, 2)
-        cost = self._cost(self.plan.t, q, v, inputs.commands) if _COST in self.asked.limits else 0.0
-        return WorldTrial(states=states, gaps=gaps, cost=cost, shares=self.asked.shares(states, gaps, cost), outcome=run.outcome)
-
-    def _fine_enough(self) -> int:
-        exact, feedback = self.checked(self.nominal, feedback=self.followed), self.feedback if self.followed else None
-        for fineness in FINENESS[:-1]:
-            found = self._stepped(self.nominal, fineness, feedback)
-            if found.shares and all(abs(found.shares[name] - share) <= _CLOSE for name, share in exact.shares.items()):
-                return fineness
-        return FINENESS[-1]

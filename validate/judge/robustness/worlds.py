@@ -1,8 +1,8 @@
-"""The worlds a plan is tried in: what may be otherwise than the scene says, by how much, and samples of it.
+"""The worlds a plan is tried in: what may be otherwise than the scene, or somebody's FMU, says, by how much, and samples of it.
 
     causes = perturbations(scene, plan)                  # parameters, start, gains of the inputs, noise, delay
-    worlds = sample(causes, plan, samples=1000, seed=0)
-    WorldInputs(plan, worlds[0], feedback=None)          # what the inputs of the plan become there
+    worlds = draw(causes, samples=1000, seed=0)
+    worlds.world(0, nominal_world(scene, plan))          # one of them
 
 Sizes are those of docs/robustness.md: a parameter's own uncertainty, else a twentieth of its value; the start by a hundredth of nominal; each
 input's gain by a fiftieth; noise of a hundredth of an input's range, new in every step; a delay of up to a step. A world is told in these sizes.
@@ -17,14 +17,13 @@ from enum import Enum
 
 import numpy as np
 
+from models.errors import TrajectoryError, did_you_mean
 from models.scene import Scene
-from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START, size_of
+from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START
 from models.trajectory import Trajectory
+from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
-from validate.judge.replay.wiring import Feedback, HeldInputs
-
-# Breaks of the inputs that are nearer to one another than this share of a step are one.
-_SAME = 1e-9
+from validate.judge.replay.world import World
 
 
 class PerturbationKind(Enum):
@@ -56,75 +55,68 @@ class Perturbation:
     above: float = math.inf
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class World:
-    """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], gain (nu,) [-], noise (steps, nu) [unit of each input], delay [s]."""
+def perturbations(
+    subject: Subject, plan: Trajectory, asked: Sequence[PerturbationKind | str] = tuple(PerturbationKind)
+) -> tuple[Perturbation, ...]:
+    """What may be otherwise in the worlds of a plan; what has no size (a parameter of value 0 without a stated uncertainty) is left out.
 
-    parameters: np.ndarray
-    start: np.ndarray
-    gain: np.ndarray
-    noise: np.ndarray
-    delay: float = 0.0
+    asked: kinds, or names of single ones. Raises TrajectoryError for a name that nothing has.
+    """
+    names, kinds, found = [item.value if isinstance(item, PerturbationKind) else item for item in asked], PerturbationKind, []
 
-
-def perturbations(scene: Scene, plan: Trajectory, kinds: Sequence[PerturbationKind] = tuple(PerturbationKind)) -> tuple[Perturbation, ...]:
-    """What may be otherwise in the worlds of a plan; what has no size (a parameter of value 0 without a stated uncertainty) is left out."""
-    found = []
-    for index, item in enumerate(scene.parameters):
-        stated = item.uncertainty is not None
-        size = size_of(item)
-        if size > 0.0:
+    def add(kind: PerturbationKind, index: int, name: str, nominal: float, size: float, unit: str, reason: str, *range_of: float) -> None:
+        if size > 0.0 and (kind.value in names or name in names):
+            lower, upper = range_of or (-math.inf, math.inf)
+            below, above = (nominal - lower) / size, (upper - nominal) / size
             found.append(
                 Perturbation(
-                    kind=PerturbationKind.PARAMETERS, name=item.name, index=index, nominal=item.value, size=size, unit=item.unit,
-                    reason=item.uncertainty_reason if stated else f"{PARAMETER:.0%} of its value",
-                    below=(item.value - item.lower) / size, above=(item.upper - item.value) / size,
+                    kind=kind, name=name, index=index, nominal=nominal, size=size, unit=unit, reason=reason, below=below, above=above
                 )
-            )  # fmt: skip
-    names = [(item.name, item.unit) for item in scene.coordinates] + [(item.velocity_name, f"{item.unit}/s") for item in scene.coordinates]
-    for index, ((name, unit), size) in enumerate(zip(names, START * nominals(scene), strict=True)):
-        found.append(
-            Perturbation(
-                kind=PerturbationKind.START, name=f"start of {name}", index=index, nominal=float(plan.start[index]), size=float(size), unit=unit,
-                reason=f"{START:.0%} of nominal",
             )
-        )  # fmt: skip
-    for index, item in enumerate(scene.inputs):
-        found.append(
-            Perturbation(
-                kind=PerturbationKind.GAIN, name=f"gain of {item.name}", index=index, nominal=1.0, size=GAIN, unit="1", reason=f"{GAIN:.0%}", below=1 / GAIN
-            )
-        )  # fmt: skip
-    ranges = 2.0 * _half_ranges(scene, plan)
-    for index, item in enumerate(scene.inputs):
-        found.append(
-            Perturbation(
-                kind=PerturbationKind.NOISE, name=f"noise of {item.name}", index=index, nominal=0.0, size=NOISE * float(ranges[index]), unit=item.unit,
-                reason=f"{NOISE:.0%} of its range as standard deviation, new in every step", below=0.0,
-            )
-        )  # fmt: skip
-    step = plan.duration / plan.steps
-    if scene.nu:
-        found.append(
-            Perturbation(
-                kind=PerturbationKind.DELAY, name="delay", index=0, nominal=0.0, size=DELAY * step, unit="s", reason="a step", below=0.0
-            )
-        )
-    return tuple(item for item in found if item.kind in kinds)
+
+    for index, item in enumerate(subject.parameters):
+        size, reason = item.uncertainty, item.uncertainty_reason
+        if size is None:
+            size, reason = PARAMETER * abs(item.value), f"{PARAMETER:.0%} of its value"
+        add(kinds.PARAMETERS, index, item.name, item.value, size, item.unit, reason, item.lower, item.upper)
+    state = [(item.name, item.unit) for item in subject.coordinates]
+    state += [(item.velocity_name, item.velocity_unit) for item in subject.coordinates]
+    start, sizes = nominal_world(subject, plan).start.tolist(), (START * nominals(subject)).tolist()
+    for index in range(len(state)) if isinstance(subject, Scene) else subject.startable:
+        add(kinds.START, index, f"start of {state[index][0]}", start[index], sizes[index], state[index][1], f"{START:.0%} of nominal")
+    for index, item in enumerate(subject.inputs):
+        add(kinds.GAIN, index, f"gain of {item.name}", 1.0, GAIN, "1", f"{GAIN:.0%}", 0.0, math.inf)
+    lower, upper = np.array([item.lower for item in subject.inputs]), np.array([item.upper for item in subject.inputs])
+    ranges = 2.0 * input_scale(lower, upper, plan.u) if subject.nu else np.zeros(0)
+    for index, (item, width) in enumerate(zip(subject.inputs, ranges.tolist(), strict=True)):
+        reason = f"{NOISE:.0%} of its range as standard deviation, new in every step"
+        add(kinds.NOISE, index, f"noise of {item.name}", 0.0, NOISE * width, item.unit, reason, 0.0, math.inf)
+    if subject.nu:
+        add(kinds.DELAY, 0, "delay", 0.0, DELAY * plan.duration / plan.steps, "s", "a step", 0.0, math.inf)
+    _check_all_found(subject, names, found)
+    return tuple(found)
 
 
-def _half_ranges(scene: Scene, plan: Trajectory) -> np.ndarray:
-    lower, upper = np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
-    return input_scale(lower, upper, plan.u) if scene.nu else np.zeros(0)
+def _check_all_found(subject: Subject, names: Sequence[str], found: Sequence[Perturbation]) -> None:
+    """Raise TrajectoryError where a name is neither a kind nor one of a perturbation, or nothing is found at all."""
+    kinds = [kind.value for kind in PerturbationKind]
+    known = [*kinds, *(item.name for item in subject.parameters)]
+    for name in names:
+        if name not in kinds and name not in [item.name for item in found]:
+            none = "it is certain, or 0, of which there is no share; state how far it may be from its value ([uncertainty] in a map, Parameter(uncertainty=..) in a scene)."
+            near = did_you_mean(name, known, f"what can be perturbed is {', '.join(known[:12])}{' ..' if len(known) > 12 else '.'}")
+            raise TrajectoryError(f"{subject.name}: {name!r} cannot be perturbed: {none if name in known else near}")
+    if not found:
+        raise TrajectoryError(f"{subject.name}: nothing of it can be perturbed by {', '.join(names)}.")
 
 
-def nominal_world(scene: Scene, plan: Trajectory) -> World:
-    """The world as the scene says it is."""
+def nominal_world(subject: Subject, plan: Trajectory) -> World:
+    """The world as the scene, or somebody's FMU, says it is."""
     return World(
-        parameters=np.array([item.value for item in scene.parameters]),
-        start=np.array(plan.start, dtype=float),
-        gain=np.ones(scene.nu),
-        noise=np.zeros((plan.steps, scene.nu)),
+        parameters=np.array([item.value for item in subject.parameters]),
+        start=np.array(plan.start if isinstance(subject, Scene) else subject.begin, dtype=float),
+        gain=np.ones(subject.nu),
+        noise=np.zeros((plan.steps, subject.nu)),
     )
 
 
@@ -185,50 +177,3 @@ def draw(causes: Sequence[Perturbation], samples: int, seed: int) -> Draw:
         both = np.array([item.below > 0.0 for item in spread])
         points[:, [item.kind is not PerturbationKind.NOISE for item in causes]] = np.where(both, 2.0 * numbers - 1.0, numbers)
     return Draw(causes=tuple(causes), points=points, seed=seed)
-
-
-class WorldInputs(HeldInputs):
-    """What a plan's inputs become in a world: later, by another gain, with noise; with feedback, its commands do.
-
-    A command given at a node arrives `delay` later; until the first arrives it is that of the start. rows (nodes,): where the plan's nodes are among the times.
-    """
-
-    def __init__(self, plan: Trajectory, world: World, feedback: Feedback | None = None) -> None:
-        """Raises ValueError if the shapes of plan, world and feedback do not fit."""
-        super().__init__(plan, feedback)
-        self._commands, self._world = HeldInputs(plan, feedback), world
-        arrivals, shortest = plan.t[:-1] + world.delay, _SAME * float(np.diff(plan.t).min())
-        between = arrivals[(arrivals < plan.t[-1] - shortest) & (_to_nearest(arrivals, plan.t) > shortest)]
-        self.times = np.union1d(plan.t, between)
-        self.rows = np.searchsorted(self.times, plan.t)
-        begins = self.times[:-1]
-        # Of each step of these times: the plan's step in which it lies, that whose command is in force, and since when it is [s].
-        self._lies_in = np.searchsorted(plan.t, begins + shortest, side="right") - 1
-        self._command = np.maximum(np.searchsorted(arrivals, begins + shortest, side="right") - 1, 0)
-        self._since = np.maximum(begins - arrivals[self._command], 0.0)
-        arrived = begins + shortest >= arrivals[self._command]
-        self.slopes = np.where(arrived[:, None], self._commands.slopes[self._command], 0.0) * world.gain
-        self.linear = bool(self.slopes.any())
-        self._added = self._since[:, None] * self._commands.slopes[self._command] * world.gain + world.noise[self._lies_in]
-        self.values = self._commands.values[self._command] * world.gain + self._added
-        self.breaks, self._stops = np.full(len(begins), True), list(range(1, len(self.times)))
-
-    @property
-    def commands(self) -> np.ndarray:
-        """(steps, nu) what is commanded at the plan's nodes [unit of each input]: what an actuator makes of it, and when, is the world's. Raises nothing."""
-        return self._commands.values
-
-    def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
-        """The input at the start of a step of these times: at a node a command is given, from its arrival on it is in force (`HeldInputs.begin`): (nu,) [unit of each], state (2*nq,). Raises nothing."""
-        if self.feedback is not None:
-            node = int(self._lies_in[step])
-            if self.rows[node] == step:
-                self._commands.begin(node, self._world.start if state is None else state)
-            self.values[step] = self._commands.values[self._command[step]] * self._world.gain + self._added[step]
-        return self.values[step]
-
-
-def _to_nearest(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(n,) distance of each point from the nearest node [s]."""
-    after = np.clip(np.searchsorted(nodes, points), 1, len(nodes) - 1)
-    return np.minimum(np.abs(points - nodes[after]), np.abs(points - nodes[after - 1]))

@@ -271,8 +271,13 @@ def grid_order(case: Evidence) -> float:
 
 
 def _replay_limit(case: Evidence) -> float:
-    own = case.scene.limit("replay_error")
-    return own.value if own is not None and own.value is not None else 1e-2 * float(_nominals(case.scene).min())
+    return float(replay_limits(case.scene).min())
+
+
+def replay_limits(scene: Subject) -> np.ndarray:
+    """How far each position of a replay may be from the plan's, (nq,) [m or rad], where that is asked. Raises nothing."""
+    own, nominals = scene.limit("replay_error"), _nominals(scene)
+    return 1e-2 * nominals if own is None or own.value is None else np.full(scene.nq, own.value)
 
 
 # Question 5

@@ -40,7 +40,7 @@ def test_numbers_of_an_fmu_become_those_of_the_plan():
     """Values by scale and offset, local errors by scale, impulses by that of their forces; energies stay."""
     run = Run(outputs=[np.array([1.0, 1.0, 1.0, 1.0])], local=[np.array([1.0, 2.0, 3.0, 4.0])], accumulated=[np.array([7.0, 8.0, 9.0])])
     given = Simulated(reference=(run,), everyday=(replace(run),), refusal=None, seconds_reference=0.0, seconds_everyday=0.0)
-    found = run_module._in_plan_units(foreign(), given)
+    found = run_module.in_plan_units(foreign(), given)
     for one in (*found.reference, *found.everyday):
         assert one.outputs[0] == pytest.approx([2.1, 3.2, 4.3, 5.4])
         assert one.local[0].tolist() == [2.0, 6.0, 12.0, 20.0]

@@ -18,7 +18,7 @@ from validate.cli.robust import command
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import Robustness, robustness
 from validate.judge.robustness.robustness import Share, first_failure
-from validate.judge.robustness.trials import Arena, asked_limits
+from validate.judge.robustness.trials import SceneArena, asked_limits
 from validate.judge.robustness.worlds import moved, perturbations
 
 SCENE = load_scene("three_cart")
@@ -83,7 +83,7 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         assert shares[way.curve.scales.index(1.0)] == way.share.share
     weakest = found.weakest
     assert (weakest.cause.name, weakest.direction, weakest.by) == ("c", -1, "replay_terminal_position_error")
-    with Arena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for item in found.failures:
             if item.sizes is not None:
                 for share, arrives in ((0.98, True), (1.02, False)):
@@ -129,7 +129,7 @@ def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
         ({"samples": 10**9}, ["samples", "1000000000"]),
         ({"samples": 100.5}, ["samples", "100.5", "whole number"]),
         ({"seed": -1}, ["seed", "-1", "at least 0"]),
-        ({"kinds": ["wind"]}, ["kinds", "wind", "parameters, start, gain, noise, delay"]),
+        ({"kinds": ["wind"]}, ["three_cart", "wind", "parameters, start, gain, noise, delay"]),
         ({}, ["does not hold to begin with", "violates", "--anyway"]),
         ({"scene": "three_crat"}, ["three_cart"]),
     ],

@@ -13,7 +13,7 @@ from reports.records.record import SurveyRecord
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import robustness, survey
 from validate.judge.robustness.survey import FEWEST
-from validate.judge.robustness.trials import Arena, asked_limits
+from validate.judge.robustness.trials import SceneArena, asked_limits
 from validate.judge.robustness.worlds import draw, moved, perturbations
 
 SCENE = load_scene("three_cart")
@@ -25,7 +25,7 @@ def test_a_plan_is_tried_in_the_same_worlds_as_by_itself(judged: Judgement):
     limits = asked_limits(judged.score)
     found = survey(SCENE, judged.plan, limits, False)
     worlds = draw(perturbations(SCENE, judged.plan), 256, 0)
-    with Arena.of(SCENE, judged.plan, limits) as arena:
+    with SceneArena.of(SCENE, judged.plan, limits) as arena:
         arrived = [arena.trial(worlds.world(number, arena.nominal)).arrives for number in range(256)]
         cause = next(item for item in worlds.causes if item.name == found.weakest)
         assert found.sizes is not None

@@ -12,8 +12,9 @@ from models.scene import Limit
 from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, judge
 from validate.judge.replay.result import ReplayOutcome
-from validate.judge.robustness.trials import Arena, Asked, WorldTrial, asked_limits
-from validate.judge.robustness.worlds import World, draw, moved, perturbations
+from validate.judge.replay.world import World
+from validate.judge.robustness.trials import Asked, SceneArena, WorldTrial, asked_limits
+from validate.judge.robustness.worlds import draw, moved, perturbations
 
 SCENE = load_scene("three_cart")
 
@@ -38,7 +39,7 @@ def own_motion(plan: Trajectory, world: World) -> np.ndarray:
 
 def test_in_the_scenes_own_world_it_is_what_the_judge_found(judged: Judgement):
     assert judged.plan is not None
-    with Arena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for trial in (arena.trial(arena.nominal), arena.checked(arena.nominal), arena.trial(arena.nominal)):
             for name, share in trial.shares.items():
                 metric = judged.score.metric(name)
@@ -53,7 +54,7 @@ def test_worlds_end_where_an_integrator_of_the_tests_ends(judged: Judgement):
     assert plan is not None
     causes = [item for item in perturbations(SCENE, plan) if item.name != "delay"]
     worlds, arrived = draw(causes, 24, 7), []
-    with Arena.of(SCENE, plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(SCENE, plan, asked_limits(judged.score)) as arena:
         for number in range(24):
             world = worlds.world(number, arena.nominal)
             trial, own = arena.trial(world), own_motion(plan, world)
@@ -66,7 +67,7 @@ def test_worlds_end_where_an_integrator_of_the_tests_ends(judged: Judgement):
 def test_the_reference_says_the_same_with_delay_noise_and_feedback(judged: Judgement):
     assert judged.plan is not None
     worlds = draw(perturbations(SCENE, judged.plan), 8, 1)
-    with Arena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for feedback in (False, True):
             for number in (0, 3, 7):
                 world = worlds.world(number, arena.nominal)
@@ -107,7 +108,7 @@ def test_where_the_end_is_free_what_the_motion_costs_is_asked():
     metric = judged.score.metric("replay_cost")
     assert judged.plan is not None
     assert metric is not None
-    with Arena.of(scene, judged.plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(scene, judged.plan, asked_limits(judged.score)) as arena:
         own = arena.trial(arena.nominal)
         assert own.cost == pytest.approx(metric.value, rel=1e-5)
         assert own.shares["replay_cost"] == pytest.approx(own.cost / metric.limit)  # type: ignore[operator]
@@ -122,7 +123,7 @@ def test_where_the_end_is_free_what_the_motion_costs_is_asked():
 @pytest.mark.slow
 def test_feedback_does_nothing_in_the_scenes_own_world_as_its_plan_arrives_there(judged: Judgement):
     assert judged.plan is not None
-    with Arena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
+    with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         alone, followed = (arena.trial(arena.nominal, feedback=feedback) for feedback in (False, True))
         assert followed.states == pytest.approx(alone.states, abs=1e-12)
         assert np.abs(alone.states - np.hstack([judged.plan.q, judged.plan.v])).max() > 1e-3, "the grid of the plan is no disturbance"

@@ -12,7 +12,8 @@ from models.errors import SceneError
 from models.scene import Parameter
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.wiring import Feedback
-from validate.judge.robustness.worlds import PerturbationKind, World, WorldInputs, draw, moved, nominal_world, perturbations
+from validate.judge.replay.world import World, WorldInputs
+from validate.judge.robustness.worlds import PerturbationKind, draw, moved, nominal_world, perturbations
 
 SCENE = load_scene("three_cart")
 
@@ -147,3 +148,23 @@ def test_feedback_commands_at_the_nodes_and_is_heard_later(delay: float, applied
         "at first it sees the start"
     )
     assert (given.u[:, 0] == [1, 2, 4]).all(), "the plan stays what it is"
+
+
+@pytest.mark.parametrize(
+    ("hold", "delay", "values", "slopes"),
+    [
+        (Hold.ZERO_ORDER, 0.0, [1, 2, 4], [0, 0, 0]),
+        (Hold.ZERO_ORDER, 0.25, [1, 1.75, 3.5], [0, 0, 0]),
+        (Hold.ZERO_ORDER, 1.25, [1, 1, 1.75], [0, 0, 0]),
+        (Hold.LINEAR, 0.0, [1, 2, 4], [1, 2, 4]),
+        # The last: a quarter of a step from 3.5 to 4, then to 7: 5.0625 in the mean, at a mean slope of 3.5.
+        (Hold.LINEAR, 0.25, [0.90625, 1.65625, 3.3125], [0.75, 1.75, 3.5]),
+    ],
+)
+def test_who_takes_whole_steps_alone_gets_their_means(hold: Hold, delay: float, values: list[float], slopes: list[float]):
+    found = WorldInputs(plan([1, 2, 4], hold, 8 if hold is Hold.LINEAR else None), replace(world(delay), whole=True))
+    assert found.times.tolist() == [0, 1, 2, 3]
+    assert found.values[:, 0] == pytest.approx(values)
+    assert found.slopes[:, 0] == pytest.approx(slopes)
+    assert found.rows.tolist() == [0, 1, 2, 3]
+    assert [found.stop_after(step) for step in range(3)] == [1, 2, 3]
