@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -383,7 +383,7 @@ def test_the_line_and_the_scene_are_named(tmp_path: Path):
 
 def test_a_long_file_is_read_at_once():
     text = "\n".join(["A0 = 1.0", *(f"A{number} = A{number - 1} * 2.0" for number in range(1, 2000)), "STEP = A1999", "Task(step=STEP)"])
-    began = perf_counter()
+    began = process_time()
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1999)") is not None
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1998)") is None
-    assert perf_counter() - began < 5.0
+    assert process_time() - began < 5.0

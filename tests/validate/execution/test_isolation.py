@@ -228,7 +228,7 @@ def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, ow
     marker = tmp_path / "marker"
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
     parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=FAKES_FOLDER.parents[2])
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (marker.exists() and marker.read_text() == "inner"):
         assert time.monotonic() < deadline
         assert parent.poll() is None
@@ -247,7 +247,7 @@ def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:waits', {str(marker)!r}, ours=True)"
     environment = {**os.environ, "TMPDIR": str(own_place)}
     parent = subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=FAKES_FOLDER.parents[2])
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (marker.exists() and marker.read_text()):
         assert time.monotonic() < deadline
         assert parent.poll() is None

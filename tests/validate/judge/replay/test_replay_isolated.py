@@ -145,7 +145,7 @@ def test_nothing_is_left_when_the_command_is_killed(folder: Path, place: Path):
         sys.executable, "-m", "validate", "replay", str(folder / "plan.csv"), "--fmu", str(hanging), "--map", str(folder / "map.toml"),
     ]  # fmt: skip
     process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not any(name.isdigit() for name in left(place)):
         assert process.poll() is None
         assert time.monotonic() < deadline
