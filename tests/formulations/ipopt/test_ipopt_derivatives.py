@@ -132,13 +132,10 @@ def test_every_intrinsic_function_to_twelve_digits(name):
 @pytest.mark.parametrize(
     "write",
     [
-        lambda z: pyo.log(1 + pyo.exp(z)),
-        lambda z: pyo.log(pyo.exp(z) + 1),
-        lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
-        lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)),
-        lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
+        lambda z: pyo.log(1 + pyo.exp(z)), lambda z: pyo.log(pyo.exp(z) + 1), lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
+        lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)), lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("z", [-900.0, -40.0, -1.0, 0.0, 3.0, 40.0, 900.0])
 def test_softplus_never_overflows_and_keeps_its_digits(write, z):
     _, problem, x = one_expression(lambda m: write(m.x[0]), [z])

@@ -321,12 +321,10 @@ def test_what_the_message_says_helps(linear_solver):
 @pytest.mark.parametrize(
     ("ends", "options", "asked", "ended"),
     [
-        (["stalled", "solved"], {}, [None, "yes"], "optimal"),
-        (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
-        (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"),
-        (["solved"], {}, [None], "optimal"),
+        (["stalled", "solved"], {}, [None, "yes"], "optimal"), (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
+        (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"), (["solved"], {}, [None], "optimal"),
     ],
-)
+)  # fmt: skip
 def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked, ended):
     m, seen, left = repeated(0), [], iter(ends)
 

@@ -84,14 +84,12 @@ def cells(text: str) -> list[list[tuple[str, str, str]]]:
 
 def test_a_cell_is_a_symbol_and_the_cost_over_the_cheapest_plan_that_holds(factory, tmp_path):
     runs = [
-        ended(factory, "bank", "a", "holds", 150.0),
-        ended(factory, "bank", "b", "holds with feedback", 100.0),
+        ended(factory, "bank", "a", "holds", 150.0), ended(factory, "bank", "b", "holds with feedback", 100.0),
         ended(factory, "bank", "c", "violates", 1.0),
         ended(factory, "hill", "a", "not applicable", None, outcome="refused", message="strict_lcp: scene hill has no inputs."),
-        ended(factory, "hill", "b", "undecided"),
-        ended(factory, "hill", "c", "no plan", None, outcome="infeasible"),
+        ended(factory, "hill", "b", "undecided"), ended(factory, "hill", "c", "no plan", None, outcome="infeasible"),
         ended(factory, "moor", "a", "consistent", 0.0),
-    ]
+    ]  # fmt: skip
     bank, hill, moor = cells(render(factory.store(tmp_path / "all", runs)))
     assert [shown[:2] for shown in bank] == [("holds", "✓ 1.50"), ("feedback", "↻ 1"), ("violates", "✗")]
     assert [shown[:2] for shown in hill] == [("noplan", "⊘"), ("undecided", "?"), ("noplan", "○")]

@@ -72,21 +72,16 @@ def test_why_a_run_has_its_verdict():
     )
     assert (good.cause, good.advice) == ("", "")
     lost = decision_of(
-        ran("a", verdict="no plan", why="", outcome="crashed").model_copy(
-            update={"stages": (), "outcome": "crashed", "message": "it is gone."}
-        )
-    )
+        ran("a", verdict="no plan", why="", outcome="crashed").model_copy(update={"stages": (), "outcome": "crashed", "message": "it is gone."}),
+    )  # fmt: skip
     assert (lost.question, lost.metric, lost.cause, lost.ends) == (None, None, "No plan: crashed. It is gone.", "")
 
 
 def test_judged_metrics_of_all_stages_stand_side_by_side():
     first = ran(
-        "a",
-        judged("b", 1.0, question=5, limit=3.0),
-        judged("tracked_b", 9.0, question=5, limit=3.0),
-        judged("feedback_effort", 2.0, limit=1.0),
+        "a", judged("b", 1.0, question=5, limit=3.0), judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
         judged("shown", 4.0),
-    ).stages[0]
+    ).stages[0]  # fmt: skip
     second = ran(
         "a", judged("b", 2.0, question=5, limit=4.0), judged("c", 7.0, limit=1.0), judged("d", 8.0, question=1, limit=1.0), eps=1e-3
     ).stages[0]

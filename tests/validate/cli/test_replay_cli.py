@@ -161,12 +161,10 @@ def broken(plan: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
     [
         ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 1, np.nan), "line 5, column 'x': 'nan' is not a finite number"),
         ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 3, np.inf), "line 5, column 'F': 'inf' is not a finite number"),
-        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 0, 0.0), "time must increase"),
-        ("t,x,v_x", foreign_plan(), "the column 'F' is missing"),
-        ("x,F", foreign_plan(), "the column 't' is missing"),
-        ("t,x,x,F", foreign_plan(), "'x' stands there twice"),
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 0, 0.0), "time must increase"), ("t,x,v_x", foreign_plan(), "the column 'F' is missing"),
+        ("x,F", foreign_plan(), "the column 't' is missing"), ("t,x,x,F", foreign_plan(), "'x' stands there twice"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_in_the_plan_is_one_sentence(command: Command, folder: Path, columns: str, plan: np.ndarray, words: str):
     write_plan(folder / "wrong.csv", columns, plan)
     code, out, err = command("wrong.csv", "--fmu", "cart.fmu", "--map", "map.toml")
@@ -178,14 +176,11 @@ def test_a_mistake_in_the_plan_is_one_sentence(command: Command, folder: Path, c
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("t,x,F,y\n0,1,1,1\n1,1,1,1\n", "the column 'y' is unknown"),
-        ("t,x,F\n0,1,1,1\n1,1,1\n", "line 2 has 4 cells … 3 columns"),
-        ("t,x,F\n0,1,1\n1,,1\n", "line 3, column 'x': '' is not a number"),
-        ("t,x,F\n0,1,1\n", "a header and at least two rows"),
-        ("t [ms],x,F\n0,1,1\n1,1,1\n", "'t' is in 'ms', but 's'"),
-        ("t,x [km],F\n0,1,1\n1,1,1\n", "in 'km', but 'body.pos' is in 'mm'; give a scale"),
+        ("t,x,F,y\n0,1,1,1\n1,1,1,1\n", "the column 'y' is unknown"), ("t,x,F\n0,1,1,1\n1,1,1\n", "line 2 has 4 cells … 3 columns"),
+        ("t,x,F\n0,1,1\n1,,1\n", "line 3, column 'x': '' is not a number"), ("t,x,F\n0,1,1\n", "a header and at least two rows"),
+        ("t [ms],x,F\n0,1,1\n1,1,1\n", "'t' is in 'ms', but 's'"), ("t,x [km],F\n0,1,1\n1,1,1\n", "in 'km', but 'body.pos' is in 'mm'; give a scale"),
     ],
-)
+)  # fmt: skip
 def test_a_plan_of_the_wrong_form(command: Command, folder: Path, text: str, words: str):
     given = FULL_MAP.replace(', unit = "m" }\n[velocities]', " }\n[velocities]").replace(
         "scale = 0.001 }\n[velocities]", "scale = 1.0 }\n[velocities]"

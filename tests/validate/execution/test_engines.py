@@ -152,14 +152,11 @@ def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"),
-        ("dask:", "there is no such engine"),
-        ("local:2", "there is no such engine"),
-        pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
-        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK),
-        pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
+        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"), ("dask:", "there is no such engine"),
+        ("local:2", "there is no such engine"), pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
+        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK), pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name, words):
     monkeypatch.chdir(tmp_path)
     Path("empty.json").write_text("")

@@ -93,23 +93,16 @@ def test_values_and_arrays_go_in_and_come_out():
 MISBEHAVIOUR = pytest.mark.parametrize(
     ("name", "request_", "limits", "ending", "words"),
     [
-        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
-        ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."), ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
         ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
-        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"),
-        ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
-        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"),
-        ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-        ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
-        ("aborts", None, {}, Ending.ABORT, "SIGABRT"),
-        ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
-        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"),
-        ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
-        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"),
-        ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
+        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"), ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
+        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"), ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"), ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
+        ("aborts", None, {}, Ending.ABORT, "SIGABRT"), ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
+        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"), ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
+        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"), ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
     ],
-)
+)  # fmt: skip
 
 
 @pytest.mark.slow

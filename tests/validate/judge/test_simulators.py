@@ -67,12 +67,8 @@ def test_what_a_mechanism_is_told_comes_from_the_scene():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("push_box", "gap of contact rim"),
-        ("acrobot_limits_of_another_name", "mass matrix is no constant diagonal"),
-    ],
-)
+    ("name", "words"), [("push_box", "gap of contact rim"), ("acrobot_limits_of_another_name", "mass matrix is no constant diagonal")],
+)  # fmt: skip
 def test_what_no_mechanism_expresses_is_said_in_a_sentence(name: str, words: str):
     with pytest.raises(CannotExpressError, match=words):
         mechanism_of(replace(load_scene(name.removesuffix("_of_another_name")), name=name))
@@ -144,12 +140,8 @@ def test_a_motion_that_diverges_is_told_as_such():
 @pytest.mark.process
 @pytest.mark.parametrize(
     ("body", "words"),
-    [
-        ("import os; os.abort()", "it aborted"),
-        ("import time; time.sleep(60)", "time limit of 5 s"),
-        ("raise ValueError('no')", "ValueError: no"),
-    ],
-)
+    [("import os; os.abort()", "it aborted"), ("import time; time.sleep(60)", "time limit of 5 s"), ("raise ValueError('no')", "ValueError: no")],
+)  # fmt: skip
 def test_an_engine_that_crashes_hangs_or_raises_is_a_row(monkeypatch, tmp_path, body: str, words: str):
     (tmp_path / "broken_engine.py").write_text(
         f"from validate.judge import simulator\ndef simulate(drive):\n    {body}\nsimulator.load_engine = lambda name: simulate\nanswer = simulator.answer\n"

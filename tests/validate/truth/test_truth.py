@@ -27,12 +27,9 @@ from validate.truth.suite import EngineRow, drives, judged, observed_order
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
 # What each fault is looked for with, the first of them that the engine expresses.
 SHOWS = {
-    "stiffness / 2": "rebound: undamped",
-    "friction off": "creep under load: mu = 0.5, half of what friction holds",
-    "step x 2": "two-body collision: masses 1 and 3",
-    "sign of the normal": "rebound: undamped",
-    "damping ignored": "rebound: Kelvin-Voigt damping",
-}
+    "stiffness / 2": "rebound: undamped", "friction off": "creep under load: mu = 0.5, half of what friction holds",
+    "step x 2": "two-body collision: masses 1 and 3", "sign of the normal": "rebound: undamped", "damping ignored": "rebound: Kelvin-Voigt damping",
+}  # fmt: skip
 
 
 def of_package(package: str):
@@ -119,10 +116,8 @@ def plant(monkeypatch, engine: str, fault: str) -> None:
         return
     if fault == "step x 2" and not ours:
         monkeypatch.setattr(
-            module,
-            "stepped",
-            lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
-        )
+            module, "stepped", lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
+        )  # fmt: skip
         return
     if fault == "step x 2":
         monkeypatch.setattr(
