@@ -10,7 +10,7 @@ from wording import unsaid
 from reports.pages import overview
 from reports.pages.section import Report
 from reports.records.load import Stored, load
-from reports.render import PAGES, render, write_report, write_single
+from reports.render import PAGES, render, write_report
 
 
 @pytest.fixture
@@ -50,14 +50,6 @@ def test_links_lead_there_and_back(folder):
     assert f'href="{run.key}.html"' in scene
     assert 'href="scene-other.html"' in (folder / PAGES / f"{run.key}.html").read_text(encoding="utf-8")
     assert "ours beside Table I of the paper" in (folder / PAGES / "scene-three_cart.html").read_text(encoding="utf-8")
-
-
-def test_in_one_file_the_index_leads_to_sections(folder):
-    text = write_single(folder).read_text(encoding="utf-8")
-    links = re.findall(r'href="([^"]*)"', index_of(text))
-    assert links
-    assert all(link.startswith("#") and f'id="{link[1:]}"' in text for link in links)
-    assert 'href="#table1"' in text
 
 
 def ended(factory, scene: str, pipeline: str, verdict: str, cost: float | None = 100.0, **changes):
