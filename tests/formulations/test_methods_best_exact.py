@@ -1,7 +1,10 @@
 """`best_exact`: mpcc where contacts are open or closed, else several ways, of which the cheapest plan is kept."""
 
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,9 +107,29 @@ def test_a_motion_that_leaves_every_bound_is_lost():
     assert departure(_ending_at(plan).with_parameters(k=3e13), plan) == 1e6
 
 
+@pytest.fixture(scope="module")
+def remembering():
+    """load_method, whose sessions answer as they did to the same questions before."""
+    answers: dict[object, Solution] = {}
+
+    @contextmanager
+    def opened(name: str, scene: Scene, options: object):
+        with load_method(name).open(scene, options) as session:
+
+            def solve(*, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+                asked = (name, repr(options), eps, warm_start and (warm_start.u.tobytes(), warm_start.q.tobytes()))
+                if asked not in answers:
+                    answers[asked] = session.solve(eps=eps, warm_start=warm_start, time_limit=time_limit)
+                return answers[asked]
+
+            yield SimpleNamespace(solve=solve)
+
+    return lambda name: SimpleNamespace(open=partial(opened, name), accepts=load_method(name).accepts)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("followed", ["all", "dearer", "none"])
-def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyPatch, followed: str):
+def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyPatch, remembering, followed: str):
     """Contacts that are damped a little have no modes, and several ways: the cheapest plan is the first's, 852.4, the next 853.3, then 856.8."""
     scene = replace(SMALL, contacts=tuple(replace(contact, damping=sp.Float(0.5)) for contact in SMALL.contacts))
     kernel = load_kernel(scene)
@@ -115,6 +138,7 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
         return 2.0 if followed == "none" or (followed == "dearer" and kernel.cost(plan.q, plan.v, plan.u) < 853.0) else 0.5
 
     monkeypatch.setattr(best_exact, "departure", departs)
+    monkeypatch.setattr(best_exact, "load_method", remembering)
     found = solved(scene)
     costs = sorted(attempt.cost for attempt in found.starts if attempt.cost is not None)
     assert found.cost == costs[1 if followed == "dearer" else 0]
@@ -123,12 +147,13 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "most"), [("transport", 0.7063), ("push_box", 4808.4)])
-def test_scenes_with_friction_end_where_the_best_known_way_does(name: str, most: float):
-    found = solved(load_scene(name))
+def test_a_scene_with_friction_ends_where_the_best_known_way_does():
+    """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds."""
+    found = solved(load_scene("transport"))
+    by = {attempt.start.partition(",")[0]: attempt.cost for attempt in found.starts}
     assert found.outcome is Outcome.SOLVED
     assert found.cost is not None
-    assert found.cost <= most
+    assert found.cost <= by["relaxed_lcp from eps = 0.9"] <= 0.7063
 
 
 @pytest.mark.slow

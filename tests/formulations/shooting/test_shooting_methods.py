@@ -98,12 +98,12 @@ def test_warm_start_on_another_grid_is_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "eps"), METHODS)
 @pytest.mark.parametrize(
-    ("changes", "rate"),
+    ("name", "eps", "changes", "rate"),
     [
-        ({"steps": 400}, 500.0), ({"steps": 250, "step": 0.02}, 150.0), ({"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
-        ({"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
+        *((name, eps, {"steps": 400}, 500.0) for name, eps in METHODS),
+        ("softplus_gd", 1e-3, {"steps": 250, "step": 0.02}, 150.0), ("softplus_gd", 1e-3, {"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
+        ("softplus_gd", 1e-3, {"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
     ],
 )  # fmt: skip
 def test_other_tasks_end_at_rest_and_nearer_to_the_goal(name: str, eps: float | None, changes: dict, rate: float):
