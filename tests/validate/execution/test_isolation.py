@@ -209,7 +209,10 @@ def test_temporary_files_go_with_the_child(own_place: Path):
 @pytest.mark.slow
 def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
-    done = call("nested", str(marker), seconds=6.0)
+    for seconds in (3.0, 12.0, 120.0):  # as a loaded machine needs until the inner one runs
+        done = call("nested", str(marker), seconds=seconds)
+        if marker.exists():
+            break
     assert done.ending is Ending.TIME_LIMIT
     assert marker.read_text() == "inner"
     assert processes_of(own_place) == []
