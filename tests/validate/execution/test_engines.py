@@ -69,18 +69,6 @@ def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", [DASK], indirect=True)
-def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, tmp_path):
-    cell = ("--scene", "bouncing_mass", "-k", "free_motion")
-    for name in ("local", engine):
-        done = cli("all", *cell, "--out", str(tmp_path / name), "--engine", name)
-        assert done.returncode == 0, done.stderr
-    rows = untimed(tmp_path / "local")
-    assert rows == untimed(tmp_path / engine)
-    assert rows[0]["verdict"] == "consistent"  # with its closed forms: there is nothing to plan
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path), "-j", "1")
