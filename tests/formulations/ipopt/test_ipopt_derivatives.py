@@ -91,6 +91,7 @@ def assemble(m, recipe):
     return (1.25 + pyo.sin(left)) ** right
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, derandomize=True)
 @given(recipes(), st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
 def test_random_expressions_equal_pyomos_symbolic_derivatives(recipe, values):
@@ -275,6 +276,7 @@ def test_a_chain_of_five_thousand_operations_needs_no_recursion():
     assert hessian_of(problem, x)[by_name["x[1]"], by_name["x[1]"]] == pytest.approx(0.5 / (1 - r) ** 3, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_nested_sum_of_five_thousand_terms():
     m = model_with(5000, 0.1)
     m.partial = pyo.Expression(range(5000))

@@ -320,6 +320,7 @@ except KeyboardInterrupt:
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("eps", "cost"), [(1e-3, 197.86), (1e-5, 261.23)])
 def test_three_carts_reach_the_known_costs(eps, cost):
     problem = compile_model(three_carts(500, eps))

@@ -55,6 +55,7 @@ def test_a_first_eps_that_is_no_larger_changes_nothing(name: str, steps):
     assert [eps for eps, _ in steps] == [LAST[name]] * len(steps)
 
 
+@pytest.mark.slow
 def test_cheap_steps_grow_and_failed_ones_shrink(monkeypatch: pytest.MonkeyPatch):
     """Of relaxed_lcp, whose eps falls by the square of the factor: 4 at first."""
     asked: list[float] = []

@@ -40,6 +40,7 @@ def test_each_page_is_told_in_a_sentence_with_its_figure(folder):
     assert rows[1][-4:] == ["0", "of", "1", "–"]
 
 
+@pytest.mark.slow
 def test_links_lead_there_and_back(folder):
     report = write_report(folder)
     for name in re.findall(r'href="(pages/[^"#]*)"', index_of(report.read_text(encoding="utf-8"))):

@@ -230,6 +230,7 @@ def test_a_plan_of_another_duration_does_not_hold(command: Command, folder: Path
     assert not unsaid(warning, "0.5 s lies past the stability limit")
 
 
+@pytest.mark.slow
 def test_a_plan_as_a_campaign_stores_it_is_the_same_plan(command: Command, folder: Path):
     """Metrics that nothing is asked of have no row, and a sentence with their reason."""
     scene = load_scene("two_body_collision")
@@ -307,6 +308,7 @@ def test_a_cosimulation_that_does_not_heed_its_step_is_not_resolved(command: Com
     assert "Half the communication step changes nothing" in told["replay"]["message"]
 
 
+@pytest.mark.slow
 def test_html_is_the_page_of_a_run_for_a_plan_on_a_scene(command: Command, folder: Path):
     scene = load_scene("three_cart")
     rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 0.1, -0.1] for n in range(501)]

@@ -102,6 +102,7 @@ def test_a_stop_on_a_joint_acts_in_drake_too():
     assert np.abs(true.q - load_engine("drake_continuous")(without).q).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_friction_on_a_band_follows_what_presses_it():
     pytest.importorskip("mujoco")
     scene = ground(math.atan(1.05 * 0.8), 0.8)

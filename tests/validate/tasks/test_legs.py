@@ -206,6 +206,7 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in _records(again.out).values()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
 def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     shutil.copytree(whole.out / "legs", tmp_path / "legs")

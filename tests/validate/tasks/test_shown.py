@@ -202,6 +202,7 @@ REACHED = Metric(
 PRICED = Metric(name="cost", question=Question.GOAL, value=12345.678, unit="1", meaning="dear")
 
 
+@pytest.mark.slow
 def test_a_page_is_drawn_from_the_plan_its_replay_and_that_with_feedback(drawn: list[Any]):
     effort = Effort(rms=(1.0, 1.0), peak=(1.0, 1.0), rms_share=0.1, peak_share=0.1, plan_share=0.1, saturated=0.0)
     tracked = replace(replay_of(np.full((4, 3), 7.0), "three_cart", 100.0), effort=effort)
@@ -332,6 +333,7 @@ def test_a_plot_is_beside_the_replay_that_the_verdict_is_of(monkeypatch: pytest.
         judged_as(None, None, name="x").plot()
 
 
+@pytest.mark.slow
 def test_a_solution_is_shown_with_its_method_and_that_nobody_judged_it(drawn: list[Any]):
     solved = SolvedPlan.of(
         Solution(method="softplus_dc", outcome=ts.Outcome.SOLVED, trajectory=motion(), cost=12.345678, seconds=Seconds(wall=3.0, cpu=2.0)), SCENE,

@@ -84,6 +84,7 @@ def test_dying_bounces_rest_when_the_series_of_flights_says():
     assert 0.8 * series < rest < series + 8 * 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values()))
 def test_our_reference_is_right(name: str):
     assert error_of(PROBLEMS[name], "fmu") <= suite.NEAR
@@ -189,6 +190,7 @@ def test_a_name_that_is_no_engine_is_one_sentence(cli):
     assert named_engines("fmu, fmu") == ("fmu",)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(cli_environment, tmp_path: Path):
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mujoco'] = None\n")

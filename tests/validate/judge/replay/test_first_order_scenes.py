@@ -114,6 +114,7 @@ def by_hand() -> tuple[np.ndarray, frozenset[str]]:
     return np.array(q), frozenset(seen)
 
 
+@pytest.mark.slow
 def test_plans_are_those_of_a_mass_made_of_the_time_step() -> None:
     """Kernel, its derivatives and single steps to the last bit, at the task's step and at another; Pyomo's equations to rounding."""
     u = np.random.default_rng(0).uniform(-5.0, 20.0, size=(100, 2))
