@@ -1,7 +1,5 @@
 """SolverFactory("touchstone_ipopt") on models that have nothing to do with contact, with the manners Pyomo's users expect; equations that repeat each other: by luck of rounding Ipopt ends without an answer, and the plugin asks it once more in another way."""
 
-import math
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest
@@ -250,15 +248,6 @@ def test_a_block_can_be_solved_alone(solver):
     m.x.fix()
     solver.solve(m.part)
     assert m.part.y.value == pytest.approx(3.0)
-
-
-def test_a_feasibility_problem(solver):
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=1.0)
-    m.circle = pyo.Constraint(expr=m.x[1] ** 2 + m.x[2] ** 2 == 4)
-    results = solver.solve(m)
-    pyo.assert_optimal_termination(results)
-    assert math.hypot(m.x[1].value, m.x[2].value) == pytest.approx(2.0)
 
 
 SEEDS = 60

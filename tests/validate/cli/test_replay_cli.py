@@ -2,7 +2,6 @@
 
 import json
 import re
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -245,32 +244,6 @@ def test_a_plan_as_a_campaign_stores_it_is_the_same_plan(command: Command, folde
     assert re.search(r"\bstart_error .* beyond ", table)
     assert not unsaid(sentences, "Not asked: physics_scaled, defect, law_error: … no scheme.")
     assert not {"physics_scaled", "defect", "law_error"} & set(table.split())
-
-
-def _entries(path: Path, change: Callable[[str, bytes], bytes | None], source: Path) -> str:
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
-        for item in old.infolist():
-            data = change(item.filename, old.read(item))
-            if data is not None:
-                new.writestr(item.filename, data)
-    return str(path)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda name, data: None if name == "modelDescription.xml" else data, "no modelDescription.xml"),
-        (lambda name, data: data.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"'), "FMI version '1.0'"),
-        (lambda name, data: None if name.startswith("binaries") else data, "no binary for this machine"),
-        (lambda name, data: b"not a library" if name.startswith("binaries") else data, "cannot be loaded on this machine"),
-        (lambda name, data: data.replace(b"<ModelVariables>", b"<!DOCTYPE x><ModelVariables>"), "not well-formed"),
-    ],
-)
-def test_an_fmu_that_cannot_be_used_is_one_sentence(command: Command, folder: Path, change, words: str):
-    wrong = _entries(folder / "wrong.fmu", change, folder / "cart.fmu")
-    code, out, err = command("plan.csv", "--fmu", wrong, "--map", "map.toml")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert not unsaid(err, words)
 
 
 def test_files_that_are_not_there_or_no_zip(command: Command, folder: Path):
