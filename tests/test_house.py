@@ -56,6 +56,7 @@ def test_what_is_shipped_reads_nothing_that_is_not():
     assert not made, made
 
 
+@pytest.mark.slow
 def test_what_the_house_has_reached_stays():
     """No modules import each other in a circle, annotations counted; of the public functions with arrays nine in ten say shape, `(nodes, nq)`, unit, `[m]`, and errors."""
     found = measure()
@@ -81,6 +82,7 @@ def _lines(path: Path) -> int:
     return len(text.splitlines()) - sum((item.end_lineno or item.lineno) - item.lineno for item in told)
 
 
+@pytest.mark.slow
 def test_no_file_is_a_drawer():
     """One file is one idea that a stranger can name, in at most 500 lines beside its docstrings; `util.py` names none."""
     long = []

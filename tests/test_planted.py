@@ -77,13 +77,10 @@ def test_every_room_has_files_and_tests():
 @pytest.mark.parametrize(
     ("source", "says"),
     [
-        ("def f(:\n", None),
-        ("import no_such_module\n", None),
-        ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"),
-        ("X = 3\n", "tests/test_x.py::test_x"),
-        ("X = 1\n", ""),
+        ("def f(:\n", None), ("import no_such_module\n", None), ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"),
+        ("X = 3\n", "tests/test_x.py::test_x"), ("X = 1\n", ""),
     ],
-)
+)  # fmt: skip
 def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(source, says, tmp_path, monkeypatch):
     (tmp_path / "tests").mkdir()
     (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")

@@ -93,7 +93,9 @@ def test_a_file_with_a_method_is_a_plugin(folder: Path):
     assert plugin.load_method("steady").kind is Kind.DIRECT
     assert plugin.load_method("mpcc") is DEFAULT.load_method("mpcc")
     smooth = load_plugin("smooth_gd").pipelines_for(load_scene("three_cart"))[0]
-    assert smooth == Pipeline(name="smooth_gd", title="Smooth inputs", legs=(Leg(method="smooth_gd", schedule=(1e-2,)),))
+    assert smooth == Pipeline(
+        name="smooth_gd", title="Smooth inputs", legs=(Leg(method="smooth_gd", schedule=(1e-2,), options={"iterations": 500}),)
+    )
 
 
 @pytest.mark.parametrize(

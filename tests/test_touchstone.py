@@ -30,6 +30,7 @@ def test_importing_it_imports_neither_solvers_nor_simulators(tmp_path: Path):
     assert found.stdout == "[]\n", found.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize("package", ["touchstone", "formulations"])
 @pytest.mark.parametrize("first", ["import {}; import pyomo.environ as pyo", "import pyomo.environ as pyo; import {}"])
@@ -135,6 +136,7 @@ def test_a_table_has_the_columns_of_a_csv():
     assert repr(trajectory) == "Trajectory(2 steps, 1 s, 3 positions, 2 inputs, 2 contact forces, zero_order, no scheme declared)"
 
 
+@pytest.mark.slow
 def test_an_exported_fmu_is_the_scenes(tmp_path: Path):
     written = ts.export_fmu("two_body_collision", tmp_path / "collision.fmu")
     assert written == tmp_path / "collision.fmu"

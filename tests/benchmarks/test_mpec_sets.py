@@ -75,6 +75,7 @@ def model():
 """
 
 
+@pytest.mark.slow
 def test_the_table_says_how_each_answer_stands(tmp_path):
     folder = tmp_path / "set"
     folder.mkdir()
@@ -116,6 +117,7 @@ model.pair = Complementarity(rule=lambda m: complements(m.x >= 0, m.y >= 0))
 """
 
 
+@pytest.mark.slow
 def test_a_list_says_which_abstract_model_is_solved_with_which_data(tmp_path):
     """The nearer axis of (far, 2): cost far^2 while that is below 4."""
     (tmp_path / "set").mkdir()

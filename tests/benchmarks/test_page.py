@@ -172,11 +172,8 @@ def test_the_cheapest_grid_for_an_error_is_said_beside_that_of_euler(page, bench
 
 def test_tables_are_told_as_they_are_and_found_again(page, tmp_path, factory):
     told = Table(
-        caption="Two rows.",
-        columns=("row", "cost", "remark"),
-        rows=(("first", 1.25, None), ("second", None, factory.HOSTILE)),
-        notes=("So it is.",),
-    )
+        caption="Two rows.", columns=("row", "cost", "remark"), rows=(("first", 1.25, None), ("second", None, factory.HOSTILE)), notes=("So it is.",),
+    )  # fmt: skip
     store_tables(tmp_path / "all", "proof", "What can be proved", "About it.", [told], [{"T": 20}], quiet=True)
     text = page()
     assert re.findall('<section id="(.*?)"', text) == ["overview", "table-proof"]

@@ -55,10 +55,8 @@ def test_a_missed_figure_is_told_with_its_profile(page, factory):
 
 def test_met_and_not_judged_are_words(page, factory):
     text = page(
-        suite_record(
-            factory, [row("replay", 1.0)], [figure(True, measured=0.5), figure(None, steps=50, why="the target is set for T >= 500")]
-        )
-    )
+        suite_record(factory, [row("replay", 1.0)], [figure(True, measured=0.5), figure(None, steps=50, why="the target is set for T >= 500")]),
+    )  # fmt: skip
     assert "1 of 1 figure that could be judged is met." in text
     assert "Missed:" not in text
     assert "✓</span> met" in text

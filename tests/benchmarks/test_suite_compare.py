@@ -112,13 +112,10 @@ def test_the_command_measures_compares_and_fails_on_a_regression(cli, tmp_path, 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--size", "3"), "is no size"),
-        (("--size", "2x50"), "3 to 20 carts"),
-        (("-k", "nosuchstage"), "nothing is selected"),
-        (("-k", "("), "error"),
-        (("--compare", "nosuchfile.json"), "cannot be read"),
+        (("--size", "3"), "is no size"), (("--size", "2x50"), "3 to 20 carts"), (("-k", "nosuchstage"), "nothing is selected"),
+        (("-k", "("), "error"), (("--compare", "nosuchfile.json"), "cannot be read"),
     ],
-)
+)  # fmt: skip
 def test_bad_words_are_one_sentence(cli, tmp_path, words, sentence):
     done = cli("suite", "--quick", "--out", str(tmp_path), *words)
     assert done.returncode == 2

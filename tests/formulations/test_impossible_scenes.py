@@ -25,13 +25,10 @@ def judged(scene: Scene) -> Any:
     return judge(
         scene,
         Trajectory(
-            t=scene.task.step * np.arange(steps + 1),
-            q=still[:, : scene.nq],
-            v=still[:, scene.nq :],
-            u=np.zeros((steps, scene.nu)),
+            t=scene.task.step * np.arange(steps + 1), q=still[:, : scene.nq], v=still[:, scene.nq :], u=np.zeros((steps, scene.nu)),
             lam=np.zeros((steps, scene.nl)),
         ),
-    )
+    )  # fmt: skip
 
 
 def planned(name: str) -> Callable[[Scene], Any]:
@@ -46,12 +43,9 @@ def planned(name: str) -> Callable[[Scene], Any]:
 
 
 USES = {
-    "kernel": load_kernel,
-    "FMU": build_fmu,
-    "judge": judged,
-    "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
+    "kernel": load_kernel, "FMU": build_fmu, "judge": judged, "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
     **{name: planned(name) for name in method_names()},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("use", USES.values(), ids=USES.keys())

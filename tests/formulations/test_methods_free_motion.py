@@ -17,7 +17,7 @@ METHOD = load_method("free_motion")
 def test_it_is_the_scenes_own_time_step_with_true_contact(name: str):
     scene = load_scene(name)
     with METHOD.open(scene) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=10.0)
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
     assert solution.outcome is Outcome.SOLVED
     assert METHOD.kind is Kind.DIRECT
     plan = solution.trajectory
@@ -39,7 +39,7 @@ def test_a_step_beyond_the_stability_limit_diverges_and_says_so():
     oscillator = example_scene("oscillator")
     scene = oscillator.with_task(step=3.0, steps=2000)  # h w = 3, beyond 2
     with METHOD.open(scene) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=10.0)
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
     assert solution.outcome is Outcome.DIVERGED
     assert solution.trajectory is None
     assert "use a smaller one" in solution.message

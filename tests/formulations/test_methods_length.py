@@ -34,37 +34,24 @@ m, b, c, k, d = sp.symbols("m b c k d", positive=True)
 def damped(law: DampingLaw) -> Scene:
     """A driven cart pushes a free one through a damped contact, and is pulled away from it."""
     return Scene(
-        name=f"pad_{law.name.lower()}",
-        title="A cart pushes another",
-        source="own",
+        name=f"pad_{law.name.lower()}", title="A cart pushes another", source="own",
         coordinates=(Coordinate(symbol=x, velocity=vx, unit="m"), Coordinate(symbol=y, velocity=vy, unit="m")),
         inputs=(Input(symbol=push, unit="N", lower=-60.0, upper=60.0),),
         parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg"),
-            Parameter(symbol=k, value=120.0, unit="N/m"),
-            Parameter(symbol=c, value=4.0 if law is DampingLaw.KELVIN_VOIGT else 0.5, unit=law.unit),
-            Parameter(symbol=d, value=0.1, unit="m"),
+            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=120.0, unit="N/m"),
+            Parameter(symbol=c, value=4.0 if law is DampingLaw.KELVIN_VOIGT else 0.5, unit=law.unit), Parameter(symbol=d, value=0.1, unit="m"),
             Parameter(symbol=b, value=1.0, unit="N s/m"),
         ),
-        kinetic_energy=m * (vx**2 + 2 * vy**2) / 2,
-        potential_energy=sp.S.Zero,
-        forces=(push - b * vx, sp.S.Zero),
+        kinetic_energy=m * (vx**2 + 2 * vy**2) / 2, potential_energy=sp.S.Zero, forces=(push - b * vx, sp.S.Zero),
         contacts=(
             Contact(
-                name="pad",
-                bodies=("pusher", "cart"),
-                depth=d,
-                depth_reason="the length of a cart",
-                penetration=d + x - y,
-                stiffness=k,
-                damping=c,
-                damping_law=law,
-                nominal=0.05,
+                name="pad", bodies=("pusher", "cart"), depth=d, depth_reason="the length of a cart", penetration=d + x - y, stiffness=k, damping=c,
+                damping_law=law, nominal=0.05,
             ),
         ),
         task=Task(start=(-0.2, 0.1, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=60),
         limits=goal_limits(position=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def carts() -> Scene:

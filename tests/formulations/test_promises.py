@@ -13,10 +13,8 @@ COMMON = ("dynamics_defect", "start_error", "terminal_error", "input_bound_exces
 PROMISED = {
     "softplus_dc": (*COMMON, "contact_law", "regularised_friction"),
     "relaxed_lcp": (*COMMON, "complementarity", "force_sign", "friction_cone", "friction_law"),
-    "strict_lcp": (*COMMON, "force_sign", "friction_cone", "friction_law", "physics"),
-    "mpcc": (*COMMON, "force_sign"),
-    "collocation": COMMON,
-}
+    "strict_lcp": (*COMMON, "force_sign", "friction_cone", "friction_law", "physics"), "mpcc": (*COMMON, "force_sign"), "collocation": COMMON,
+}  # fmt: skip
 # Options that say how large a residual may be, where it is not the method's plan_tolerance; and what the relaxation adds.
 LIMITED_BY = {
     ("strict_lcp", "physics"): ("physics_tolerance",),

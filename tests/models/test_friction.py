@@ -25,29 +25,20 @@ def block_on_a_cart(**friction: object) -> Scene:
     """A block rides on a driven cart; nothing but friction moves it."""
     fields: dict = {"name": "belt", "slip": w2 - w1, "coefficient": mu, "normal_force": m * g} | friction
     return Scene(
-        name="block_on_a_cart",
-        title="A block rides on a cart",
-        source="own",
+        name="block_on_a_cart", title="A block rides on a cart", source="own",
         coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q, v in ((x1, w1), (x2, w2), (z, wz))),
         inputs=(Input(symbol=push, unit="N"),),
         parameters=(
-            Parameter(symbol=m, value=2.0, unit="kg"),
-            Parameter(symbol=mu, value=0.3, unit="1"),
-            Parameter(symbol=g, value=10.0, unit="m/s^2"),
+            Parameter(symbol=m, value=2.0, unit="kg"), Parameter(symbol=mu, value=0.3, unit="1"), Parameter(symbol=g, value=10.0, unit="m/s^2"),
             Parameter(symbol=k, value=200.0, unit="N/m"),
         ),
-        kinetic_energy=m * (w1**2 + w2**2 + wz**2) / 2,
-        potential_energy=m * g * z,
-        forces=(push, sp.Integer(0), sp.Integer(0)),
+        kinetic_energy=m * (w1**2 + w2**2 + wz**2) / 2, potential_energy=m * g * z, forces=(push, sp.Integer(0), sp.Integer(0)),
         contacts=(
-            Contact(
-                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
-            ),
+            Contact(name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k),
         ),
-        frictions=(Friction(**fields),),
-        task=Task(start=(0.0,) * 6, goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
+        frictions=(Friction(**fields),), task=Task(start=(0.0,) * 6, goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def two_coupled_frictions() -> Scene:
@@ -55,18 +46,15 @@ def two_coupled_frictions() -> Scene:
     rest = block_on_a_cart()
     fields = {name: getattr(rest, name) for name in ("title", "source", "coordinates", "inputs", "parameters", "potential_energy")}
     return Scene(
-        name="two_coupled_frictions",
-        **fields,
-        kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
-        forces=(push, sp.Integer(0), sp.Integer(0)),
-        contacts=rest.contacts,
+        name="two_coupled_frictions", **fields, kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
+        forces=(push, sp.Integer(0), sp.Integer(0)), contacts=rest.contacts,
         frictions=(
             Friction(name="belt", slip=w2 - w1, coefficient=mu, normal_force=m * g * (1 + x1**2 / 10)),
             Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
         ),
         task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def roll(kernel: Kernel, scene: Scene, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> Rollout:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -88,13 +88,11 @@ def test_a_depth_follows_the_parameters():
 @pytest.mark.parametrize(
     ("goal", "limits", "missing"),
     [
-        ((0.5, None), (), "terminal_position_error"),
-        ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
+        ((0.5, None), (), "terminal_position_error"), ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
         ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"), "terminal_velocity_error"),
-        ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"),
-        ((None, None), (), None),
+        ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"), ((None, None), (), None),
     ],
-)
+)  # fmt: skip
 def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...], missing: str | None):
     task = Task(start=(0.0, 0.0), goal=goal, running_cost=u**2, step=0.01, steps=10)
     given = tuple(Limit(metric=metric, value=0.01, reason="this test") for metric in limits)
@@ -113,11 +111,9 @@ def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...
 def test_limits_of_a_goal_are_of_the_plan_and_its_replay():
     found = {limit.metric: limit.value for limit in goal_limits(position=0.02, velocity=0.1, reason="this test")}
     assert found == {
-        "terminal_position_error": 0.02,
-        "replay_terminal_position_error": 0.02,
-        "terminal_velocity_error": 0.1,
+        "terminal_position_error": 0.02, "replay_terminal_position_error": 0.02, "terminal_velocity_error": 0.1,
         "replay_terminal_velocity_error": 0.1,
-    }
+    }  # fmt: skip
     assert goal_limits(reason="nothing is asked") == ()
 
 
@@ -254,12 +250,8 @@ def test_expressions_stay_exact():
 
 @pytest.mark.parametrize(
     ("force", "words"),
-    [
-        (sp.gamma(x + 2), "gamma, whose derivative contains polygamma"),
-        (sp.sin(sp.LambertW(x + 2)), "LambertW"),
-        (sp.Function("f")(vx), "f"),
-    ],
-)
+    [(sp.gamma(x + 2), "gamma, whose derivative contains polygamma"), (sp.sin(sp.LambertW(x + 2)), "LambertW"), (sp.Function("f")(vx), "f")],
+)  # fmt: skip
 def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
     with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}.*no form in C"):
         check_expressions(small_scene(forces=(force,)))
@@ -383,7 +375,7 @@ def test_the_line_and_the_scene_are_named(tmp_path: Path):
 
 def test_a_long_file_is_read_at_once():
     text = "\n".join(["A0 = 1.0", *(f"A{number} = A{number - 1} * 2.0" for number in range(1, 2000)), "STEP = A1999", "Task(step=STEP)"])
-    began = perf_counter()
+    began = process_time()
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1999)") is not None
     assert step_problem(f"{text}\nParameter(symbol=m, value=A1998)") is None
-    assert perf_counter() - began < 5.0
+    assert process_time() - began < 5.0

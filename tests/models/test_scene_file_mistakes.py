@@ -48,31 +48,21 @@ MISTAKES = {
         ["2 contacts are named 'wall'", "a name of its own"],
     ),
     "two frictions of one name": (
-        "frictions=(",
-        'frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"), ',
+        "frictions=(", 'frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"), ',
         ["2 frictions are named 'wall'", "a name of its own"],
     ),
     "an asymmetric mass matrix": (
-        ENERGY,
-        "kinetic_energy=sp.Matrix([[vx, vy]]) * sp.Matrix([[m, 1], [0, m]]) * sp.Matrix([vx, vy])",
+        ENERGY, "kinetic_energy=sp.Matrix([[vx, vy]]) * sp.Matrix([[m, 1], [0, m]]) * sp.Matrix([vx, vy])",
         ["kinetic_energy", "not MutableDenseMatrix"],
     ),
     "a mass matrix that is not definite": (ENERGY, f"{ENERGY} + 3 * vx * vy", ["mass matrix", "not positive definite", "at y"]),
     "an energy linear in a velocity": (ENERGY, f"{ENERGY} + vx", ["kinetic_energy contains vx", "not quadratic"]),
     "a symbol that Python does not know": ("forces=(u,", "forces=(u - c * vx,", ["line 19", "'c' is not defined"]),
-    "a symbol that the scene does not know": (
-        "forces=(u,",
-        "forces=(u - sp.Symbol('c') * vx,",
-        ["forces[x] uses c", "neither a parameter"],
-    ),
+    "a symbol that the scene does not know": ("forces=(u,", "forces=(u - sp.Symbol('c') * vx,", ["forces[x] uses c", "neither a parameter"]),
     "a stiffness of an unknown symbol": ("stiffness=k", "stiffness=sp.Symbol('kk')", ["contact wall: stiffness uses kk"]),
     "a gap without a slope at the start": ("x - 1,", "1 - sp.sqrt(x**2 + y**2),", ["contact wall", "not differentiable at the start"]),
     "a gap of a velocity": ("x - 1,", "x + vx - 1,", ["contact wall: penetration uses vx"]),
-    "friction of a contact that is not there": (
-        CONTACT,
-        "contacts=()",
-        ["friction wall", "no contact 'wall'", "it has no contacts"],
-    ),
+    "friction of a contact that is not there": (CONTACT, "contacts=()", ["friction wall", "no contact 'wall'", "it has no contacts"]),
     "friction that nothing presses": ('coefficient=mu, contact="wall"', "coefficient=mu", ["friction wall", "there is neither"]),
     "a slip of positions": ("slip=vy", "slip=y", ["friction wall", "not linear in the velocities"]),
     "a slip squared": ("slip=vy", "slip=vy**2", ["friction wall", "not linear in the velocities"]),
@@ -109,37 +99,22 @@ MISTAKES = {
     "a limit without a reason": ('reason="tolerance"', "reason=None", ["limit on defect: reason", "None"]),
     "a limit on a number": ('metric="defect"', "metric=3", ["limit: metric", "3"]),
     "a limit waived without a reason": ('value=1e-6, reason="tolerance"', 'value=None, reason=""', ["limit on defect: reason", "words"]),
-    "a limit of old": (
-        'metric="defect"',
-        'figure="defect"',
-        ["figure= is now called metric=; write Limit(metric='defect', value=.., reason=..)."],
-    ),
+    "a limit of old": ('metric="defect"', 'figure="defect"', ["figure= is now called metric=; write Limit(metric='defect', value=.., reason=..)."]),
     "a goal without limits": (
-        '*goal_limits(position=0.01, velocity=0.02, reason="near")',
-        "",
+        '*goal_limits(position=0.01, velocity=0.02, reason="near")', "",
         ["task.goal asks for a position", "add Limit(metric='terminal_position_error', value=.., reason=..)."],
     ),
     "a goal without a limit on its velocity": (", velocity=0.02", "", ["asks for a velocity", "Limit(metric='terminal_velocity_error'"]),
     "a contact of old": (
-        'bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"',
-        "penetration=x - 1, stiffness=k",
-        [
-            "contact wall: bodies, depth, depth_reason must be given",
-            'bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".',
-        ],
+        'bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"', "penetration=x - 1, stiffness=k",
+        ["contact wall: bodies, depth, depth_reason must be given", 'bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'],
     ),
     "a contact without a depth": ("depth=0.2, ", "", ["contact wall: depth must be given"]),
     "a depth without a reason": (', depth_reason="a spring"', "", ["contact wall: depth_reason must be given"]),
     "a contact of no bodies": ('bodies=("mass", "wall"), ', "", ["contact wall: bodies must be given"]),
-    "a contact of an unknown body": (
-        '("mass", "wall")',
-        '("mess", "wall")',
-        ["contact wall: bodies names 'mess'", "no shape of the scene (mass)"],
-    ),
+    "a contact of an unknown body": ('("mass", "wall")', '("mess", "wall")', ["contact wall: bodies names 'mess'", "no shape of the scene (mass)"]),
     "a contact of one body": (
-        'bodies=("mass", "wall")',
-        'bodies=("mass", "mass")',
-        ["contact wall: bodies must be the names of two different bodies"],
+        'bodies=("mass", "wall")', 'bodies=("mass", "mass")', ["contact wall: bodies must be the names of two different bodies"],
     ),
     "a depth below zero": ("depth=0.2", "depth=-k", ["contact wall: depth is -10 m, but must be positive"]),
     "a depth of an unknown symbol": ("depth=0.2", "depth=sp.Symbol('s')", ["contact wall: depth uses s", "neither a parameter"]),
@@ -164,7 +139,7 @@ MISTAKES = {
     "a slip without a form in C": ("slip=vy", "slip=vy * sp.LambertW(x + 2)", ["friction wall: slip contains LambertW"]),
     "steps beyond any memory": ("steps=10", "steps=10**12", ["task.steps is 1000000000000", "8 bytes", "steps at most"]),
     "an error of two lines": ("SCENE = Scene(", "raise ValueError('one\\ntwo')\nSCENE = Scene(", ["ValueError", "line 8"]),
-}
+}  # fmt: skip
 
 
 def test_without_a_mistake_it_is_a_scene(tmp_path: Path):

@@ -28,12 +28,9 @@ def plan() -> Trajectory:
     rng = np.random.default_rng(0)
     steps = 7
     return Trajectory(
-        t=uniform_grid(0.1, steps),
-        q=rng.standard_normal((steps + 1, 3)),
-        v=rng.standard_normal((steps + 1, 3)),
-        u=rng.standard_normal((steps, 2)),
+        t=uniform_grid(0.1, steps), q=rng.standard_normal((steps + 1, 3)), v=rng.standard_normal((steps + 1, 3)), u=rng.standard_normal((steps, 2)),
         lam=rng.uniform(0, 1, (steps, 2)),
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -320,10 +317,8 @@ def test_a_scheme_that_the_scene_does_not_have_is_refused_where_the_two_meet(tmp
     path.write_text(f"# scheme: {scheme.value}\n" + "\n".join(rows) + "\n")
     bare = replace(trajectory_from(ArrayTable(columns), rubbing), scheme=scheme)
     readers = (
-        lambda: bare.check_fits(rubbing),
-        lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing),
-        lambda: read_csv(path, rubbing),
-    )
+        lambda: bare.check_fits(rubbing), lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing), lambda: read_csv(path, rubbing),
+    )  # fmt: skip
     for read in readers:
         if scheme is Scheme.SEMI_IMPLICIT_EULER:
             read()

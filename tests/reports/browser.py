@@ -102,12 +102,9 @@ class Browser:
             f"--user-data-dir={profile}",
         ]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _LAUNCHER, str(command_reads), str(answer_writes), *arguments],
-            pass_fds=(command_reads, answer_writes),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+            [sys.executable, "-c", _LAUNCHER, str(command_reads), str(answer_writes), *arguments], pass_fds=(command_reads, answer_writes),
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
         os.close(command_reads)
         os.close(answer_writes)
         self._to, self._from = command_writes, answer_reads

@@ -33,21 +33,13 @@ def hostile(factory) -> RunRecord:
     bad = factory.stage(0, "strict_lcp", None, None, 0.0)
     bad = bad.model_copy(
         update={
-            "method": factory.HOSTILE,
-            "method_title": factory.HOSTILE,
-            "outcome": factory.HOSTILE,
-            "advice": factory.HOSTILE,
-            "message": factory.HOSTILE,
-            "why": factory.HOSTILE,
-            "options": {factory.HOSTILE: factory.HOSTILE},
-            "residuals": {factory.HOSTILE: 1.0},
+            "method": factory.HOSTILE, "method_title": factory.HOSTILE, "outcome": factory.HOSTILE, "advice": factory.HOSTILE,
+            "message": factory.HOSTILE, "why": factory.HOSTILE, "options": {factory.HOSTILE: factory.HOSTILE}, "residuals": {factory.HOSTILE: 1.0},
             "history": {factory.HOSTILE: (3.0, 2.0, 1.0)},
-            "metrics": (
-                MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
-            ),
+            "metrics": (MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),),
             "paper": {},
-        }
-    )
+        },
+    )  # fmt: skip
     where = factory.scene(factory.HOSTILE, factory.HOSTILE).model_copy(
         update={
             "source": factory.HOSTILE,
@@ -62,12 +54,8 @@ def hostile(factory) -> RunRecord:
         }
     )
     origin = factory.provenance(
-        commit=factory.HOSTILE,
-        cpu=factory.HOSTILE,
-        platform=factory.HOSTILE,
-        command=factory.HOSTILE,
-        packages={factory.HOSTILE: factory.HOSTILE},
-    )
+        commit=factory.HOSTILE, cpu=factory.HOSTILE, platform=factory.HOSTILE, command=factory.HOSTILE, packages={factory.HOSTILE: factory.HOSTILE},
+    )  # fmt: skip
     return factory.run(
         "strict", None, "strict_lcp", key="hostile-0", pipeline_title=factory.HOSTILE, scene=where, stages=(bad,), outcome=factory.HOSTILE,
         message=factory.HOSTILE, provenance=origin, log_tail=factory.HOSTILE,

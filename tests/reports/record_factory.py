@@ -192,15 +192,8 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
     violates = kind == "indirect"
     iterations = 20 + 3 * index
     values = {
-        "index": index,
-        "method": method,
-        "method_title": method.replace("_", " ").capitalize(),
-        "kind": kind,
-        "eps": eps,
-        "outcome": "solved",
-        "advice": "Solved: the method's own stopping rule was met.",
-        "cost": cost,
-        "iterations": iterations,
+        "index": index, "method": method, "method_title": method.replace("_", " ").capitalize(), "kind": kind, "eps": eps, "outcome": "solved",
+        "advice": "Solved: the method's own stopping rule was met.", "cost": cost, "iterations": iterations,
         "residuals": {"defect": 2e-13, "complementarity": 4e-9, "terminal": planned},
         "options": {"tolerance": 1e-8, "max_iterations": 3000, "hessian": "exact", "bounds": [0.1, 0.1]},
         "history": {
@@ -208,45 +201,24 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
             "inf_pr": tuple(10.0 * 0.4**place for place in range(iterations)),
         },
         "seconds": SecondsRecord(
-            build=0.08,
-            translate=0.05,
-            evaluate=0.2,
-            linear_algebra=0.4,
-            solve=0.6,
-            stage=0.73,
-            stage_cpu=0.71,
-            total=total + 0.73,
-            replay=0.5,
+            build=0.08, translate=0.05, evaluate=0.2, linear_algebra=0.4, solve=0.6, stage=0.73, stage_cpu=0.71, total=total + 0.73, replay=0.5,
         ),
         "metrics": (
-            _metric("physics", physics, "N^2"),
-            _metric("physics_scaled", physics * STEP / 225.0, "s", 1e-6, 3),
-            _metric("defect", 1e-13, "1", 1e-6, 6),
-            _metric("terminal_error", planned, "m"),
-            _metric("discrete_terminal_error", grid, "m"),
-            _metric("replay_terminal_error", replayed, "m, m/s"),
-            _metric("replay_terminal_position_error", 0.8 * replayed, "m", 0.06, 4, 3e-9),
-            _metric("replay_terminal_velocity_error", 0.6 * replayed, "m/s", 0.06, 4, 3e-9),
-            _metric("replay_error", 0.009, "m", 0.02, 4, 3e-9),
+            _metric("physics", physics, "N^2"), _metric("physics_scaled", physics * STEP / 225.0, "s", 1e-6, 3),
+            _metric("defect", 1e-13, "1", 1e-6, 6), _metric("terminal_error", planned, "m"), _metric("discrete_terminal_error", grid, "m"),
+            _metric("replay_terminal_error", replayed, "m, m/s"), _metric("replay_terminal_position_error", 0.8 * replayed, "m", 0.06, 4, 3e-9),
+            _metric("replay_terminal_velocity_error", 0.6 * replayed, "m/s", 0.06, 4, 3e-9), _metric("replay_error", 0.009, "m", 0.02, 4, 3e-9),
             _metric("ghost_impulse", 0.02 if violates else 1e-4, "N s", 0.01, 5),
         ),
-        "questions": questions(**({"q3": "no"} if violates else {})),
-        "verdict": "violates" if violates else "holds",
+        "questions": questions(**({"q3": "no"} if violates else {})), "verdict": "violates" if violates else "holds",
         "why": f"physics scaled is {physics * STEP / 225.0:.2g} s, but at most 1e-06 s holds." if violates else "",
         "cause": "physics_scaled" if violates else "",
         "replay": ReplayRecord(
-            error_estimate=3e-9,
-            tolerance_difference=2e-9,
-            step_difference=4e-5,
-            everyday_difference=4e-5,
-            events=6,
-            seconds_reference=0.31,
-            seconds_everyday=0.09,
-            fmu="0f3c" * 16,
+            error_estimate=3e-9, tolerance_difference=2e-9, step_difference=4e-5, everyday_difference=4e-5, events=6, seconds_reference=0.31,
+            seconds_everyday=0.09, fmu="0f3c" * 16,
         ),
-        "has_plan": True,
-        "paper": theirs,
-    }
+        "has_plan": True, "paper": theirs,
+    }  # fmt: skip
     return StageRecord.model_validate(values | changes)
 
 
@@ -283,12 +255,9 @@ def ran(name: str, *metrics: MetricRecord, cpu: float = 1.0, of: SceneRecord | N
     """A run of one stage by a method of the pipeline's name, with these metrics alone and no row of the paper beside it."""
     first = stage(0, "strict_lcp", None, None, 0.0)
     said = {
-        "method": name,
-        "method_title": name.capitalize(),
-        "paper": {},
-        "metrics": metrics,
+        "method": name, "method_title": name.capitalize(), "paper": {}, "metrics": metrics,
         "seconds": first.seconds.model_copy(update={"stage_cpu": cpu}),
-    }
+    }  # fmt: skip
     one = first.model_copy(update=said | changes)
     return run(name, None, "strict_lcp", stages=(one,), key=f"{name}-key", verdict=one.verdict, scene=of or scene())
 

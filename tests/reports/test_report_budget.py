@@ -27,11 +27,8 @@ def folder(factory, tmp_path_factory):
             stages = [stage.model_copy(update={"has_plan": drawn, "options": options}) for stage in run.stages]
             stages[-1] = stages[-1].model_copy(update={"verdict": verdict, "why": why})
             changed = {
-                "key": sha256(f"{scene} {place}".encode()).hexdigest(),
-                "pipeline": f"{run.pipeline}_{place}",
-                "scene": where,
-                "verdict": verdict,
-            }
+                "key": sha256(f"{scene} {place}".encode()).hexdigest(), "pipeline": f"{run.pipeline}_{place}", "scene": where, "verdict": verdict,
+            }  # fmt: skip
             if verdict == "not applicable":
                 stages = []
             message = "strict_lcp: scene has no inputs, so there is nothing to plan."

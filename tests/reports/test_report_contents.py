@@ -86,6 +86,11 @@ def test_a_report_is_current_where_it_is_younger_than_all_it_is_made_of(folder: 
         assert not is_current(folder), path
         os.utime(path, ns=(before, before))
         assert is_current(folder), path
-    (folder / "pages").rename(folder / "away")
-    assert not is_current(folder)
-    (folder / "away").rename(folder / "pages")
+    for name in ("pages", "pages/x-key.html", "report.html", "runs/x-key/record.json"):
+        path = folder / name
+        before = path.parent.stat().st_mtime_ns
+        path.rename(folder.parent / "away")
+        assert not is_current(folder), name
+        (folder.parent / "away").rename(path)
+        os.utime(path.parent, ns=(before, before))
+        assert is_current(folder), name

@@ -25,16 +25,14 @@ def followed(factory):
         return MetricRecord(name=name, value=value, unit="m", meaning="m", **changes)
 
     both = (
-        metric("cost", 7.0, question=2, reason="no way is known to be cheap"),
-        metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
+        metric("cost", 7.0, question=2, reason="no way is known to be cheap"), metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
         metric("replay_terminal_position_error", 0.5, question=4, limit=0.06, ok=False),
         metric("unexplained_force", 1.0, question=4).model_copy(update={"value": None, "reason": "the plan declares a scheme"}),
         metric("tracked_replay_error", 0.004, question=4, limit=0.01, ok=True),
         metric("tracked_replay_terminal_position_error", 0.002, question=4, limit=0.06, ok=True),
-        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True),
-        metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
+        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True), metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
         metric("physics", 0.0),
-    )
+    )  # fmt: skip
     replay = stage.replay.model_copy(update={"judged": "feedback"})
     return stage.model_copy(update={"metrics": both, "verdict": "holds with feedback", "replay": replay, "questions": factory.questions()})
 

@@ -5,7 +5,6 @@ import shlex
 import pytest
 
 from reports.causes import again
-from reports.pages import tightening
 from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.records.load import load
@@ -31,18 +30,6 @@ def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
     assert lacking(report.scenes[0], report.rows) == []
     warm = report.rows[10]
     assert warm.paper_total == pytest.approx(11.64 + 9.78 + 12.40 + 100.07)
-
-
-@pytest.mark.slow
-def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(factory, tmp_path, converged):
-    report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
-    assert len(report.rows) == len(TABLE_1) + 4
-    assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
-    section = tightening.build(report, report.scenes[0])
-    sweeps = section.values["sweeps"]
-    assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
-    assert sweeps[3].title.endswith("(gd_converged)")
-    assert all(len(sweep.keys) == 3 for sweep in sweeps)
 
 
 @pytest.mark.slow

@@ -1,19 +1,14 @@
 """Axes, the thinning of lines, phases of contact, and what is let through as MathML."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from wording import unsaid
 
 from reports.pages.scene import safe_mathml
-from reports.pages.stage_plots import stage_plots
 from reports.plots import Axis, Plot
-from reports.records.record import QuantityRecord, TrackedRecord
-from reports.traces import Motion, contact_phases
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=20), st.booleans())
@@ -95,23 +90,6 @@ def test_what_lies_outside_is_at_its_own_side(log: bool):
     assert axis.pixels(values, 20.0, 120.0) == pytest.approx([20.0 + 100.0 * axis.fraction(value) for value in values])
 
 
-def test_contact_phases_come_from_the_gap(factory):
-    trace = factory.trace(range(5), gap_left=(0.1, -0.1, -0.2, 0.1, 0.0), lam_left=(9, 9, 9, 9, 9))
-    assert contact_phases(trace, "left") == [(1, 3), (4, 4)]
-    assert contact_phases(factory.trace(range(3), lam_left=(0.0, 2.0)), "left") == [(1, 1)]
-    assert contact_phases(trace, "nothing") == []
-
-
-def test_friction_is_told_by_its_size_in_both_directions(factory):
-    run = factory.runs()[0]
-    times, rubbing = tuple(range(5)), (0.0, -2.0, -1.0, 0.5, 0.0)
-    assert contact_phases(factory.trace(times, f=rubbing), "f") == [(1, 4)]
-    scene = run.scene.model_copy(update={"frictions": (QuantityRecord(name="f", unit="N"),)})
-    plots = stage_plots(scene, run.stages[0], Motion(replay=factory.trace(times, f=rubbing))).motion
-    words = next(plot.words for plot in plots if plot.title.startswith("Friction"))
-    assert not unsaid(words, "in the replay: 2 N. Friction … replay: 1 to 4 s.")
-
-
 def test_mathml_is_let_through():
     markup = safe_mathml('<math xmlns="http://www.w3.org/1998/Math/MathML" display="block"><mi>k</mi><mo>&lt;</mo><mn>1</mn></math>')
     assert markup == '<math display="block"><mi>k</mi><mo>&lt;</mo><mn>1</mn></math>'
@@ -147,24 +125,3 @@ def test_signs_and_texts_of_mathml(inside: str, shown: str | None):
 def test_attributes_of_mathml_that_could_act_are_dropped():
     markup = safe_mathml('<math onclick="alert(1)" href="javascript:1" style="x" display="block"><mi class="c">k</mi></math>')
     assert markup == '<math display="block"><mi>k</mi></math>'
-
-
-def test_a_tracked_replay_is_shown_where_it_is_judged(factory, tmp_path):
-    """Both errors on one axis, the feedback's inputs beside the plan's, and the tracked motion as the replay."""
-    run = factory.run("strict", None, "strict_lcp")
-    (stage,) = run.stages
-    found = factory.motion(factory.store(tmp_path / "all", [run]), run, stage)
-    opened = found.replay
-    size = len(opened.t)
-    calm = {"position_error": np.linspace(3e-3, 1e-3, size), "q1": np.full(size, 0.5), "u1": np.full(size, 0.25)}
-    feedback = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,), rms_share=0.02, peak_share=0.06)
-    replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": feedback, "growth_rate": 3.7})
-    both = replace(found, tracked=replace(opened, columns={**opened.columns, **calm}))
-    plots = {plot.title: plot for plot in stage_plots(factory.scene(), stage.model_copy(update={"replay": replay}), both).motion}
-    title = "Position error: inputs alone and with feedback"
-    assert "Inputs alone: at most" in plots[title].words
-    assert not unsaid(plots[title].words, "With feedback: … 0.0030 m, at the end 0.0010 m.")
-    assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
-    assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
-    only = stage_plots(factory.scene(), stage, found)
-    assert {plot.title for plot in only.motion} >= {"Position error: replay against plan", "Inputs of the plan"}

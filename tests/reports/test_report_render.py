@@ -235,15 +235,11 @@ def test_the_report_needs_no_solver(full_folder):
 
 
 @pytest.mark.slow
-def test_the_command_rebuilds_the_page_or_says_why_not(full_folder, tmp_path):
+def test_the_command_rebuilds_the_page(full_folder):
     (full_folder / "report.html").unlink(missing_ok=True)
     done = subprocess.run([sys.executable, "-m", "reports", str(full_folder)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, str(full_folder / "report.html"))
     assert (full_folder / "report.html").is_file()
-    lost = subprocess.run([sys.executable, "-m", "reports", str(tmp_path / "nowhere")], capture_output=True, text=True, check=False)
-    assert lost.returncode == 2
-    assert "there is no such folder" in lost.stderr
-    assert "Traceback" not in lost.stderr
 
 
 def test_a_folder_in_the_place_of_the_report_is_one_sentence(factory, tmp_path):

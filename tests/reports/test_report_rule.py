@@ -24,21 +24,10 @@ def ended(factory, outcome: str, verdict: str, *, scene: str = "bank", direct: b
     return run.model_copy(update={"scene": place, "stages": (*run.stages[:-1], last)})
 
 
-def test_a_sound_campaign_does_not_fail(factory):
-    assert failures([ended(factory, "solved", "holds"), ended(factory, "solved", "violates", direct=False)]) == ()
-    assert failures([]) == ()
-
-
 @pytest.mark.parametrize("outcome", ["iteration_limit", "time_limit", "stalled", "diverged", "infeasible", "refused"])
 @pytest.mark.parametrize("verdict", ["violates", "undecided", "no plan"])
 def test_an_honest_ending_is_a_result(factory, outcome: str, verdict: str):
     assert failures([ended(factory, "solved", "holds"), ended(factory, outcome, verdict)]) == ()
-
-
-def test_a_row_of_the_paper_must_hold_however_it_ended(factory):
-    good = ended(factory, "solved", "holds")
-    assert failures([good, ended(factory, "iteration_limit", "violates", paper=True)]) == ("bank x strict: violates - a limit",)
-    assert failures([good, ended(factory, "stalled", "no plan", paper=True)]) == ("bank x strict: no plan (stalled) - a reason.",)
 
 
 def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):

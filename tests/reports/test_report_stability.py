@@ -58,10 +58,6 @@ def rows(text: str) -> list[str]:
     return re.findall(r"<tr><td class=\"n\">.*?</tr>", body[: body.index("</table>")], flags=re.DOTALL)
 
 
-def test_without_stress_cases_there_is_no_such_page(page):
-    assert 'id="stress-cases"' not in page()
-
-
 def test_cases_stand_in_rows_and_what_fails_fails_the_campaign(page, factory):
     """Every table says what it is: the script that offers it as CSV names it by its caption, and ends without one, and the players after it."""
     wrong = case(factory, 3, "wrong", passed=False, figures=(figure("fine", 0.99, 1.0), figure("order", 1.0, 1.8, at_least=True)))

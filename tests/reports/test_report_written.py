@@ -11,7 +11,7 @@ import pytest
 
 from reports import render as module
 from reports.records.load import ReportError
-from reports.render import PAGES, is_current, write_report, write_single
+from reports.render import PAGES, write_report, write_single
 
 
 @pytest.fixture
@@ -67,29 +67,6 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     write_report(folder)
     last = _written(folder)
     assert {name for name in again if again[name] != last[name]} == set(again)
-
-
-def _touch(folder: Path, name: str) -> None:
-    os.utime(folder / name)
-
-
-def _remove(folder: Path, name: str) -> None:
-    (folder / name).unlink()
-
-
-@pytest.mark.slow
-def test_a_report_is_current_until_something_that_it_is_made_of_changes(folder: Path):
-    assert not is_current(folder)
-    record = "runs/part-2/record.json"
-    for change, name in (
-        (_touch, "campaign.json"), (_touch, record), (_remove, "pages/part-1.html"), (_remove, "report.html"), (_remove, record),
-    ):  # fmt: skip
-        write_report(folder)
-        assert is_current(folder), name
-        change(folder, name)
-        assert not is_current(folder), (change, name)
-    write_report(folder)
-    assert is_current(folder)
 
 
 @pytest.mark.slow

@@ -224,11 +224,8 @@ def test_known_costs_and_named_rows():
 
 def test_where_motions_end_in_words():
     (stage,) = ran(
-        "a",
-        metric("terminal_error", 0.5, "m, m/s"),
-        metric("replay_terminal_velocity_error", 0.25, "m/s"),
-        metric("replay_terminal_error", 9.0),
-    ).stages
+        "a", metric("terminal_error", 0.5, "m, m/s"), metric("replay_terminal_velocity_error", 0.25, "m/s"), metric("replay_terminal_error", 9.0),
+    ).stages  # fmt: skip
     assert [judged.distance_of(stage, prefix) for prefix in ("", "replay_", "discrete_")] == [
         "error 0.50 (m, m/s)",
         "velocity 0.25 m/s",
@@ -242,12 +239,9 @@ def test_where_motions_end_in_words():
 
 def test_metrics_that_belong_to_no_question_are_shown_last():
     metrics = (
-        metric("a", 1.0, question=3, limit=2.0, ok=True),
-        metric("b", 1.0),
-        metric("c", 1.0, limit=2.0, ok=True),
-        metric("d", None, question=3, reason="not asked."),
-        metric("e", 1.0, question=2),
-    )
+        metric("a", 1.0, question=3, limit=2.0, ok=True), metric("b", 1.0), metric("c", 1.0, limit=2.0, ok=True),
+        metric("d", None, question=3, reason="not asked."), metric("e", 1.0, question=2),
+    )  # fmt: skip
     (stage,) = ran("a", *metrics, questions=factory.questions()).stages
     found = judged.questions_of(stage)
     assert [(view.number, [item.name for item in view.metrics]) for view in found] == [
@@ -318,12 +312,10 @@ def test_a_run_is_judged_by_its_last_stage():
     assert path("two", stage_of("a", cost=1.0), stage_of("b", None, 1, cost=2.0)).cost == 2.0
     worse = cause_of(
         path(
-            "two",
-            stage_of("a", verdict="violates", advice="No."),
-            stage_of("b", None, 1, verdict="violates", why="Last. Of all.", advice="Yes."),
+            "two", stage_of("a", verdict="violates", advice="No."), stage_of("b", None, 1, verdict="violates", why="Last. Of all.", advice="Yes."),
             verdict="violates",
-        )
-    )
+        ),
+    )  # fmt: skip
     assert (worse.sentence, worse.advice) == ("Violates: Last", "Yes.")
 
 

@@ -12,9 +12,7 @@ u = sp.Symbol("u", real=True)
 m, mf, mu, g, k = sp.symbols("m mf mu g k", positive=True)
 
 SCENE = Scene(
-    name="drawer",
-    title="A finger pushes a drawer shut over a rough rail",
-    source="Newton's equations of two masses on a line",
+    name="drawer", title="A finger pushes a drawer shut over a rough rail", source="Newton's equations of two masses on a line",
     coordinates=(
         Coordinate(symbol=x, velocity=vx, unit="m", description="position of the drawer"),
         Coordinate(symbol=f, velocity=vf, unit="m", description="position of the finger"),
@@ -27,17 +25,10 @@ SCENE = Scene(
         Parameter(symbol=g, value=9.81, unit="m/s^2", lower=0.0, description="gravity"),
         Parameter(symbol=k, value=2000.0, unit="N/m", lower=1e-6, description="stiffness of the finger tip"),
     ),
-    kinetic_energy=(m * vx**2 + mf * vf**2) / 2,
-    potential_energy=sp.Integer(0),
-    forces=(sp.Integer(0), u),
+    kinetic_energy=(m * vx**2 + mf * vf**2) / 2, potential_energy=sp.Integer(0), forces=(sp.Integer(0), u),
     contacts=(
         Contact(
-            name="tip",
-            bodies=("finger", "drawer"),
-            penetration=f - x,
-            stiffness=k,
-            depth=sp.Rational(2, 100),
-            depth_reason="the tip is 2 cm long",
+            name="tip", bodies=("finger", "drawer"), penetration=f - x, stiffness=k, depth=sp.Rational(2, 100), depth_reason="the tip is 2 cm long",
             description="finger against the drawer",
         ),
     ),
@@ -48,4 +39,4 @@ SCENE = Scene(
         Shape(name="drawer", kind="box", x=x + sp.Rational(1, 10), y=0, size=(sp.Rational(1, 5), sp.Rational(1, 5))),
         Shape(name="finger", kind="box", x=f - sp.Rational(1, 20), y=0, size=(sp.Rational(1, 10), sp.Rational(1, 20))),
     ),
-)
+)  # fmt: skip

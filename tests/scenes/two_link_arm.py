@@ -29,8 +29,7 @@ FIRST = _rod_energy(m1, l1, X1 / 2, Y1 / 2, v1)
 SECOND = _rod_energy(m2, l2, (X1 + X2) / 2, (Y1 + Y2) / 2, v1 + v2)
 
 SCENE = Scene(
-    name="two_link_arm",
-    title="A two-link arm presses its tip against a wall",
+    name="two_link_arm", title="A two-link arm presses its tip against a wall",
     source="Lagrange's equations of two uniform rods, derived by computer algebra from the energies in this file",
     coordinates=(
         Coordinate(symbol=q1, velocity=v1, unit="rad", description="angle of the first rod above the horizontal"),
@@ -50,32 +49,18 @@ SCENE = Scene(
         Parameter(symbol=k, value=400.0, unit="N/m", lower=1e-6, description="contact stiffness"),
         Parameter(symbol=w, value=1.2, unit="m", lower=0.0, description="distance of the wall from the base"),
     ),
-    kinetic_energy=sp.simplify(sp.expand(FIRST + SECOND)),
-    potential_energy=g * (m1 * Y1 / 2 + m2 * (Y1 + Y2) / 2),
-    forces=(u1 - c * v1, u2 - c * v2),
+    kinetic_energy=sp.simplify(sp.expand(FIRST + SECOND)), potential_energy=g * (m1 * Y1 / 2 + m2 * (Y1 + Y2) / 2), forces=(u1 - c * v1, u2 - c * v2),
     contacts=(
         Contact(
-            name="wall",
-            bodies=("second rod", "wall"),
-            penetration=X2 - w,
-            stiffness=k,
-            depth=l1 + l2 - w,
-            depth_reason="the tip of a stretched arm: no arm reaches deeper",
-            nominal=0.05,
-            description="tip against wall",
+            name="wall", bodies=("second rod", "wall"), penetration=X2 - w, stiffness=k, depth=l1 + l2 - w,
+            depth_reason="the tip of a stretched arm: no arm reaches deeper", nominal=0.05, description="tip against wall",
         ),
     ),
-    task=Task(
-        start=(1.4, -0.3, 0.0, 0.0),
-        goal=(1.1, -0.5, 0.0, 0.0),
-        running_cost=u1**2 + u2**2,
-        step=0.01,
-        steps=100,
-    ),
+    task=Task(start=(1.4, -0.3, 0.0, 0.0), goal=(1.1, -0.5, 0.0, 0.0), running_cost=u1**2 + u2**2, step=0.01, steps=100),
     limits=goal_limits(position=0.01, velocity=0.01, reason="half a degree, and half a degree a second"),
     shapes=(
         Shape(name="first rod", kind="line", x=X1 / 2, y=Y1 / 2, size=(l1,), angle=q1),
         Shape(name="second rod", kind="line", x=(X1 + X2) / 2, y=(Y1 + Y2) / 2, size=(l2,), angle=q1 + q2),
         Shape(name="wall", kind="wall", x=w, y=sp.Integer(0), size=(4.0,), angle=sp.pi / 2),
     ),
-)
+)  # fmt: skip

@@ -205,6 +205,7 @@ def test_it_says_its_options_and_its_version(capsys):
     assert capsys.readouterr().out.startswith("touchstone-mpec ")
 
 
+@pytest.mark.slow
 def test_pyomo_calls_it_as_an_ampl_solver(tmp_path, monkeypatch):
     command = tmp_path / "touchstone-mpec"
     root = Path(__file__).resolve().parents[3]

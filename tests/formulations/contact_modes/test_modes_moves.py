@@ -155,11 +155,9 @@ def test_the_search_repeats_an_interval() -> None:
         def plan(self, closed: np.ndarray) -> Plan:
             second = bool(closed[60:66, 0].all())
             return Plan(
-                closed,
-                10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0),
+                closed, 10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0), np.zeros(closed.shape),
                 np.zeros(closed.shape),
-                np.zeros(closed.shape),
-            )
+            )  # fmt: skip
 
     landscape = Far(target)
     found = search_sequences(landscape.plan(closed_steps((((30, 36),), ()), 150)), landscape.improve, stride=4, is_over=lambda: False)

@@ -91,6 +91,7 @@ def assemble(m, recipe):
     return (1.25 + pyo.sin(left)) ** right
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, derandomize=True)
 @given(recipes(), st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
 def test_random_expressions_equal_pyomos_symbolic_derivatives(recipe, values):
@@ -132,13 +133,10 @@ def test_every_intrinsic_function_to_twelve_digits(name):
 @pytest.mark.parametrize(
     "write",
     [
-        lambda z: pyo.log(1 + pyo.exp(z)),
-        lambda z: pyo.log(pyo.exp(z) + 1),
-        lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
-        lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)),
-        lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
+        lambda z: pyo.log(1 + pyo.exp(z)), lambda z: pyo.log(pyo.exp(z) + 1), lambda z: pyo.log(1.0 + pyo.exp(0.25 * z + 0.75 * z)),
+        lambda z: pyo.log(pyo.exp(z) + pyo.exp(0 * z)), lambda z: pyo.log10(1 + pyo.exp(z)) * math.log(10.0),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("z", [-900.0, -40.0, -1.0, 0.0, 3.0, 40.0, 900.0])
 def test_softplus_never_overflows_and_keeps_its_digits(write, z):
     _, problem, x = one_expression(lambda m: write(m.x[0]), [z])
@@ -278,6 +276,7 @@ def test_a_chain_of_five_thousand_operations_needs_no_recursion():
     assert hessian_of(problem, x)[by_name["x[1]"], by_name["x[1]"]] == pytest.approx(0.5 / (1 - r) ** 3, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_nested_sum_of_five_thousand_terms():
     m = model_with(5000, 0.1)
     m.partial = pyo.Expression(range(5000))

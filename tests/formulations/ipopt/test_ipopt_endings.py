@@ -316,10 +316,11 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("eps", "cost"), [(1e-3, 197.86), (1e-5, 261.23)])
 def test_three_carts_reach_the_known_costs(eps, cost):
     problem = compile_model(three_carts(500, eps))

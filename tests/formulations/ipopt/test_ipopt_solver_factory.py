@@ -1,7 +1,5 @@
 """SolverFactory("touchstone_ipopt") on models that have nothing to do with contact, with the manners Pyomo's users expect; equations that repeat each other: by luck of rounding Ipopt ends without an answer, and the plugin asks it once more in another way."""
 
-import math
-
 import numpy as np
 import pyomo.environ as pyo
 import pytest
@@ -252,15 +250,6 @@ def test_a_block_can_be_solved_alone(solver):
     assert m.part.y.value == pytest.approx(3.0)
 
 
-def test_a_feasibility_problem(solver):
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=1.0)
-    m.circle = pyo.Constraint(expr=m.x[1] ** 2 + m.x[2] ** 2 == 4)
-    results = solver.solve(m)
-    pyo.assert_optimal_termination(results)
-    assert math.hypot(m.x[1].value, m.x[2].value) == pytest.approx(2.0)
-
-
 SEEDS = 60
 
 
@@ -321,12 +310,10 @@ def test_what_the_message_says_helps(linear_solver):
 @pytest.mark.parametrize(
     ("ends", "options", "asked", "ended"),
     [
-        (["stalled", "solved"], {}, [None, "yes"], "optimal"),
-        (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
-        (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"),
-        (["solved"], {}, [None], "optimal"),
+        (["stalled", "solved"], {}, [None, "yes"], "optimal"), (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
+        (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"), (["solved"], {}, [None], "optimal"),
     ],
-)
+)  # fmt: skip
 def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked, ended):
     m, seen, left = repeated(0), [], iter(ends)
 

@@ -41,6 +41,7 @@ def test_the_answer_is_the_best_of_all_attempts_and_says_what_each_found():
     assert sum(attempt.iterations for attempt in result.attempts) == result.iterations
 
 
+@pytest.mark.slow
 def test_more_starts_are_never_worse_and_the_same_every_time():
     one, many, again = (solve_mpec(valley(), several(starts=starts)) for starts in (1, 5, 5))
     assert many.objective <= one.objective + 1e-9

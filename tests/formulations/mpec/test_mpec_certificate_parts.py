@@ -240,10 +240,8 @@ def test_a_multiplier_of_a_side_counts_whole_where_it_is_open_else_by_its_distan
 def test_given_multipliers_are_those_of_the_pairs_that_are_biactive():
     sources = [Source(str(number)) for number in range(2)]
     model = local(
-        [row(0.0)],
-        pairs=[(pair(0.0, 0.0, source=sources[0]), (1.0,), (1.0,)), (pair(0.0, 5.0, source=sources[1]), (1.0,), (1.0,))],
-        gradient=(1.0,),
-    )
+        [row(0.0)], pairs=[(pair(0.0, 0.0, source=sources[0]), (1.0,), (1.0,)), (pair(0.0, 5.0, source=sources[1]), (1.0,), (1.0,))], gradient=(1.0,),
+    )  # fmt: skip
     for given, kind in (((1.0, 1.0), S), ((-1.0, 1.0), A), ((-1.0, -1.0), C), ((0.0, -1.0), M)):
         multipliers = Multipliers(pairs={sources[0]: given, sources[1]: (-9.0, 9.0)})
         assert _given_class(model, active_set(model, 1e-6), multipliers) is kind

@@ -21,12 +21,8 @@ def test_a_stationary_point_has_a_class():
 
 @pytest.mark.parametrize(
     ("x", "y", "parts"),
-    [
-        (5.0, 0.0, ["not feasible", "most in least", "in no class"]),
-        (0.5, 0.5, ["not feasible, so", "in no class"]),
-        (None, None, ["in no class"]),
-    ],
-)
+    [(5.0, 0.0, ["not feasible", "most in least", "in no class"]), (0.5, 0.5, ["not feasible, so", "in no class"]), (None, None, ["in no class"])],
+)  # fmt: skip
 def test_a_point_that_is_not_feasible_is_of_no_class(x, y, parts):
     assert [part for part in parts if part not in at(x, y)] == []
     assert "B-stationar" not in at(x, y)

@@ -124,12 +124,10 @@ def _crossed(m):
 @pytest.mark.parametrize(
     ("change", "ended", "words"),
     [
-        (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""),
-        (_both_at_least_one, "infeasible", "branches"),
-        (_crossed, "infeasible", "'x'"),
-        (_without_end, "unbounded", ""),
+        (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""), (_both_at_least_one, "infeasible", "branches"),
+        (_crossed, "infeasible", "'x'"), (_without_end, "unbounded", ""),
     ],
-)
+)  # fmt: skip
 def test_what_has_no_solution_is_a_warning(change, ended, words, caplog):
     m = two(near)
     change(m)

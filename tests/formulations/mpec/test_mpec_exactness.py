@@ -9,12 +9,9 @@ from formulations.solution import Outcome
 
 # x and y must not both be 0 in any of them, as far as the other row goes: none has a solution.
 IMPOSSIBLE = {
-    "product": lambda m: m.x * m.y >= 1,
-    "small product": lambda m: m.x * m.y >= 1e-4,
-    "quadratic": lambda m: m.x**2 * m.y >= 1,
-    "root": lambda m: pyo.sqrt(m.x) * m.y >= 1,
-    "large coefficient": lambda m: 1e8 * m.x >= m.y + 1,
-}
+    "product": lambda m: m.x * m.y >= 1, "small product": lambda m: m.x * m.y >= 1e-4, "quadratic": lambda m: m.x**2 * m.y >= 1,
+    "root": lambda m: pyo.sqrt(m.x) * m.y >= 1, "large coefficient": lambda m: 1e8 * m.x >= m.y + 1,
+}  # fmt: skip
 
 
 def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
@@ -33,12 +30,8 @@ def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bounded", "expression"),
-    [
-        ("product", False, False),
-        ("product", True, True),
-        *((name, place % 2 == 0, place % 2 == 0) for place, name in enumerate(IMPOSSIBLE) if place),
-    ],
-)
+    [("product", False, False), ("product", True, True), *((name, place % 2 == 0, place % 2 == 0) for place, name in enumerate(IMPOSSIBLE) if place)],
+)  # fmt: skip
 def test_nothing_is_optimal_where_nothing_is_feasible(name, bounded, expression):
     """Nor unbounded: iterates that leave for infinity while the objective rises prove nothing."""
     result = solve_mpec(impossible(name, bounded, expression))

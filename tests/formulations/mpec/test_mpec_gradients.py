@@ -10,6 +10,7 @@ from pyomo.mpec import Complementarity, complements
 from formulations.ipopt import MissingValueError
 from formulations.ipopt.shapes import TermGroup
 from formulations.mpec import certify
+from formulations.mpec.certificate import derivatives
 from formulations.mpec.certificate.derivatives import gradients_of, number_of, pyomo_gradient, values_set
 
 
@@ -74,6 +75,16 @@ def test_where_they_disagree_pyomos_are_taken(wrong, by, monkeypatch):
     np.testing.assert_array_equal(together, own)
     assert "disagree with Pyomo's own" in found.notes[0]
     assert found.notes[0] in certify(model).notes
+
+
+def test_what_pyomo_cannot_differentiate_is_compared_with_nothing(monkeypatch):
+    """A derivative of Pyomo's that is no number contradicts none, and is told as what it is."""
+    monkeypatch.setattr(
+        derivatives, "pyomo_gradient", lambda expression: [(variable, np.nan) for variable, _ in pyomo_gradient(expression)]
+    )
+    expressions = _bodies(_model())
+    found = gradients_of(expressions, [number_of(expression) for expression in expressions])
+    assert [("no derivatives to compare" in note, "disagree" in note) for note in found.notes] == [(True, False)]
 
 
 def _off_in(target: int, what: str, right):

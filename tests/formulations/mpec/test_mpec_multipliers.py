@@ -131,8 +131,9 @@ def test_a_cone_of_nothing_leaves_the_gradient():
     ],
 )  # fmt: skip
 def test_a_vector_proves_by_what_it_says_of_the_gradient(tolerance: float, across: float, proved: bool):
-    """(1, -0.5)' (3, -2) = 4, of |(1, -0.5)| = 1.5 in all and 1 at most; a millionth of a multiplier counts 1e-4 here."""
-    assert excludes(np.array([3.0, -2.0]), np.array([1.0, -0.5]), across, tolerance) == proved
+    """(1, -0.5)' (3, -2) = 4, of |(1, -0.5)| = 1.5 in all and 1 at most; a millionth of a multiplier counts 1e-4 here. However long the vector is."""
+    for length in (1.0, 4.0):
+        assert excludes(np.array([3.0, -2.0]), length * np.array([1.0, -0.5]), length * across, tolerance) == proved
 
 
 FREE = (np.full(1, -INF), np.full(1, INF))

@@ -137,6 +137,7 @@ def test_bounds_of_the_inputs_hold_and_nothing_is_cheaper():
     assert plan.cost == pytest.approx(other.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cart_pole_walls", "acrobot_limits"])
 def test_unstable_scenes_are_solved_from_a_cold_start(name: str):
     scene, plan = load_scene(name), None

@@ -42,6 +42,7 @@ def gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law:
     return [value.detach() for value in values], torch.autograd.grad(loss, (u, start))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "law", "eps"),
     [

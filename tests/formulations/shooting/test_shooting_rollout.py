@@ -13,12 +13,9 @@ from models.scene import Scene
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
 # A start in contact for each scene, so that the contact's derivatives are there to be compared.
 STARTS = {
-    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1),
-    "two_link_arm": (0.3, 0.4, -0.5, 0.7),
-    "two_body_collision": (0.0, 0.15, 1.0, -1.0),
-    "bouncing_mass": (-0.05, 0.3),
-    "oscillator": (1.0, 0.2),
-}
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7), "two_body_collision": (0.0, 0.15, 1.0, -1.0),
+    "bouncing_mass": (-0.05, 0.3), "oscillator": (1.0, 0.2),
+}  # fmt: skip
 # Two orders of summation: each step rounds differently, and 60 steps carry it on.
 ROUNDING = 1e-12
 

@@ -23,58 +23,38 @@ STEP, STEPS = 0.02, 60
 def conveyor(goal: tuple[float, float] = (0.3, 0.45), *, steps: int = STEPS) -> Scene:
     """Cargo of 1 kg on a driven cart of 2 kg; nothing but friction, at most 2 N, moves the cargo."""
     return Scene(
-        name="conveyor",
-        title="Cargo on a driven cart",
-        source="own",
+        name="conveyor", title="Cargo on a driven cart", source="own",
         coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=cart, velocity=wx, unit="m")),
         inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0),),
         parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg"),
-            Parameter(symbol=M, value=2.0, unit="kg"),
-            Parameter(symbol=mu, value=0.2, unit="1"),
+            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=M, value=2.0, unit="kg"), Parameter(symbol=mu, value=0.2, unit="1"),
             Parameter(symbol=g, value=10.0, unit="m/s^2"),
         ),
-        kinetic_energy=m * vx**2 / 2 + M * wx**2 / 2,
-        potential_energy=sp.Integer(0),
-        forces=(sp.Integer(0), push),
-        contacts=(),
+        kinetic_energy=m * vx**2 / 2 + M * wx**2 / 2, potential_energy=sp.Integer(0), forces=(sp.Integer(0), push), contacts=(),
         frictions=(Friction(name="belt", slip=vx - wx, coefficient=mu, normal_force=m * g),),
         task=Task(start=(0.0,) * 4, goal=(*goal, 0.0, 0.0), running_cost=push**2, step=STEP, steps=steps),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def dragged_block() -> Scene:
     """A block on a soft floor, pressed down and dragged by two inputs: friction is pressed by a contact."""
     return Scene(
-        name="dragged_block",
-        title="A block dragged over a soft floor",
-        source="own",
+        name="dragged_block", title="A block dragged over a soft floor", source="own",
         coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=height, velocity=vz, unit="m")),
         inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0), Input(symbol=press, unit="N", lower=-20.0, upper=20.0)),
         parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg"),
-            Parameter(symbol=mu, value=0.4, unit="1"),
-            Parameter(symbol=g, value=10.0, unit="m/s^2"),
+            Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=mu, value=0.4, unit="1"), Parameter(symbol=g, value=10.0, unit="m/s^2"),
             Parameter(symbol=k, value=500.0, unit="N/m"),
         ),
-        kinetic_energy=m * (vx**2 + vz**2) / 2,
-        potential_energy=m * g * height,
-        forces=(push, -press),
+        kinetic_energy=m * (vx**2 + vz**2) / 2, potential_energy=m * g * height, forces=(push, -press),
         contacts=(
-            Contact(
-                name="floor",
-                bodies=("block", "ground"),
-                depth=1.0,
-                depth_reason="nothing here goes as deep",
-                penetration=-height,
-                stiffness=k,
-            ),
+            Contact(name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-height, stiffness=k),
         ),
         frictions=(Friction(name="floor", slip=vx, coefficient=mu, contact="floor"),),
         task=Task(start=(0.0, -0.02, 0.0, 0.0), goal=(0.2, -0.02, 0.0, 0.0), running_cost=push**2 + press**2, step=STEP, steps=40),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def solve(name: str, scene: Scene, *schedule: float | None, start: Trajectory | None = None) -> list[Solution]:
@@ -137,12 +117,9 @@ def test_plan_goes_in_and_comes_out() -> None:
     scene = dragged_block()
     rng, steps = np.random.default_rng(1), scene.task.steps
     plan = Trajectory(
-        t=uniform_grid(STEP, steps),
-        q=rng.normal(size=(steps + 1, 2)),
-        v=rng.normal(size=(steps + 1, 2)),
-        u=rng.normal(size=(steps, 2)),
+        t=uniform_grid(STEP, steps), q=rng.normal(size=(steps + 1, 2)), v=rng.normal(size=(steps + 1, 2)), u=rng.normal(size=(steps, 2)),
         lam=rng.normal(size=(steps, 2)),
-    )
+    )  # fmt: skip
     model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0)
     load_plan(model, plan)
     assert all(np.array_equal(getattr(read_plan(model), name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))

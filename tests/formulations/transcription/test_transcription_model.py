@@ -45,11 +45,9 @@ ROUNDING = 1e-13
 def in_contact(scene: Scene) -> Scene:
     """The scene started close to (or in) contact, so that forty steps see both modes."""
     starts = {
-        "three_cart": (2.0, 2.48, 3.0, 0.3, 0.0, -0.2),
-        "bouncing_mass": (0.01, -1.0),
-        "two_body_collision": (0.0, 0.21, 2.0, -1.0),
+        "three_cart": (2.0, 2.48, 3.0, 0.3, 0.0, -0.2), "bouncing_mass": (0.01, -1.0), "two_body_collision": (0.0, 0.21, 2.0, -1.0),
         "two_link_arm": (0.9, -0.1, -1.5, 0.2),
-    }
+    }  # fmt: skip
     return scene.with_task(start=starts.get(scene.name, scene.task.start), steps=40)
 
 
@@ -58,12 +56,9 @@ def probe_inputs(scene: Scene) -> dict[str, np.ndarray]:
     steps, nu = scene.task.steps, scene.nu
     count = np.arange(steps * nu, dtype=float).reshape(steps, nu)
     return {
-        "zeros": np.zeros((steps, nu)),
-        "ones": np.ones((steps, nu)),
-        "0101": count % 2,
-        "0123": count / max(1, steps),
+        "zeros": np.zeros((steps, nu)), "ones": np.ones((steps, nu)), "0101": count % 2, "0123": count / max(1, steps),
         "random": np.random.default_rng(7).normal(size=(steps, nu)),
-    }
+    }  # fmt: skip
 
 
 def largest_violation(model: pyo.ConcreteModel) -> float:

@@ -151,10 +151,9 @@ def test_out_of_reach_is_said_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length", [1.0, 0.1])
-def test_one_eps_is_one_law_everywhere(length: float):
+def test_one_eps_is_one_law_everywhere():
     """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""
-    scene = replace(load_scene("two_finger_lift"), length=length).with_task(steps=6)
+    scene = replace(load_scene("two_finger_lift"), length=0.1).with_task(steps=6)
     u = np.random.default_rng(3).uniform(-0.2, 0.2, size=(6, scene.nu))
     plan = rolled_out(scene, u, ForceLaw.SOFTPLUS, EPS)
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
@@ -222,7 +221,7 @@ def test_no_more_iterations_than_allowed():
 
 @pytest.mark.slow
 def test_from_a_small_eps_it_comes_back_through_all_between():
-    found = cold("push_box", 1e-3)
+    found = cold("hopper", 1e-3)
     assert found.outcome is Outcome.SOLVED
     assert "It began softer" in found.message
     assert found.residuals["complementarity"] <= 1e-3 * (1.0 + 1e-6)

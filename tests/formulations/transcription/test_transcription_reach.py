@@ -25,17 +25,17 @@ def with_inputs(scene: Scene, *bounds: tuple[float, float]) -> Scene:
 
 IMPOSSIBLE = {
     "horizon": SCENE.with_task(steps=50),
-    "bounds": with_inputs(SCENE, (-0.3, 0.3), (-0.3, 0.3)).with_task(steps=200),
+    "bounds": with_inputs(SCENE, (-0.3, 0.3), (-0.3, 0.3)).with_task(steps=100, step=0.02),
     # The right cart must come from the right to push the middle one to the left, but can only be driven to the right.
-    "no pull": with_inputs(SCENE, (-10.0, 10.0), (0.0, 10.0)).with_task(steps=200, goal=(2.0, 2.5, 4.5, 0.0, 0.0, 0.0)),
+    "no pull": with_inputs(SCENE, (-10.0, 10.0), (0.0, 10.0)).with_task(steps=100, step=0.02, goal=(2.0, 2.5, 4.5, 0.0, 0.0, 0.0)),
     # The middle cart at 9 m/s with both neighbours at rest: Ipopt stays in restoration.
-    "speed": SCENE.with_task(steps=200, goal=(2.5, 3.5, 4.5, 0.0, 9.0, 0.0)),
+    "speed": SCENE.with_task(steps=100, step=0.02, goal=(2.5, 3.5, 4.5, 0.0, 9.0, 0.0)),
 }
 POSSIBLE = {
-    "two seconds": SCENE.with_task(steps=200),
-    "to the left": SCENE.with_task(steps=200, goal=(1.5, 2.5, 4.5, 0.0, 0.0, 0.0)),
-    "touching at the goal": SCENE.with_task(steps=200, goal=(2.6, 3.1, 3.6, 0.0, 0.0, 0.0)),
-    "elsewhere, stiffer": SCENE.with_parameters(k=100.0).with_task(steps=200, start=(2.2, 3.0, 4.2, 0.0, 0.0, 0.0)),
+    "two seconds": SCENE.with_task(steps=100, step=0.02),
+    "to the left": SCENE.with_task(steps=100, step=0.02, goal=(1.5, 2.5, 4.5, 0.0, 0.0, 0.0)),
+    "touching at the goal": SCENE.with_task(steps=100, step=0.02, goal=(2.6, 3.1, 3.6, 0.0, 0.0, 0.0)),
+    "elsewhere, stiffer": SCENE.with_parameters(k=100.0).with_task(steps=100, step=0.02, start=(2.2, 3.0, 4.2, 0.0, 0.0, 0.0)),
 }
 
 

@@ -55,6 +55,7 @@ def test_a_first_eps_that_is_no_larger_changes_nothing(name: str, steps):
     assert [eps for eps, _ in steps] == [LAST[name]] * len(steps)
 
 
+@pytest.mark.slow
 def test_cheap_steps_grow_and_failed_ones_shrink(monkeypatch: pytest.MonkeyPatch):
     """Of relaxed_lcp, whose eps falls by the square of the factor: 4 at first."""
     asked: list[float] = []
@@ -97,16 +98,3 @@ def test_a_walk_that_ends_early_hands_on_its_last_plan(monkeypatch: pytest.Monke
 def test_no_more_iterations_than_allowed():
     for most in (30, 60):
         assert solved("relaxed_lcp", first_eps=0.9, max_iterations=most).iterations <= most
-
-
-@pytest.mark.slow
-def test_a_loose_first_eps_leaves_the_choice_where_friction_holds():
-    """Transport at 1e-2 first ends at 0.916; the cheapest plan known costs 0.7004."""
-    scene = load_scene("transport")
-    walked = solved("relaxed_lcp", scene, first_eps=0.9)
-    assert walked.outcome is Outcome.SOLVED
-    with load_method("strict_lcp").open(scene) as session:
-        exact = session.solve(eps=None, warm_start=walked.trajectory, time_limit=300.0)
-    assert exact.outcome is Outcome.SOLVED
-    assert exact.cost is not None
-    assert exact.cost <= 0.7063

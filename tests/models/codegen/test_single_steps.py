@@ -14,12 +14,9 @@ from models.contact_law import ContactLaw
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
 # States in contact, away from kinks: (positions, velocities).
 STATES = {
-    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1),
-    "acrobot_limits": (0.3, -0.5, 0.7, -0.4),
-    "transport": (2.2, 1.0, 0.5, -0.4),
-    "cart_pole_walls": (0.7, 0.5, 0.2, -0.3),
-    "damped_arm": (0.2, -0.06, 0.5, 0.3, -0.2, 0.4),
-}
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "acrobot_limits": (0.3, -0.5, 0.7, -0.4), "transport": (2.2, 1.0, 0.5, -0.4),
+    "cart_pole_walls": (0.7, 0.5, 0.2, -0.3), "damped_arm": (0.2, -0.06, 0.5, 0.3, -0.2, 0.4),
+}  # fmt: skip
 
 
 @cache

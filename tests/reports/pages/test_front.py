@@ -59,15 +59,11 @@ def test_every_stage_stands_at_its_error_and_cost_and_the_front_is_a_staircase()
     assert [row.label for row in found["best"]] == ["exact", "near", "middle", "far"]
     assert [row.label for row in found["absent"]] == ["lost", "unpriced"]
     assert (positions.title, positions.x.quantity, positions.x.unit) == (
-        "Cost against terminal position error, after the replay",
-        "terminal position error",
-        "m",
-    )
+        "Cost against terminal position error, after the replay", "terminal position error", "m",
+    )  # fmt: skip
     assert (velocities.title, velocities.x.quantity, velocities.x.unit) == (
-        "Cost against terminal velocity error, after the replay",
-        "terminal velocity error",
-        "m/s",
-    )
+        "Cost against terminal velocity error, after the replay", "terminal velocity error", "m/s",
+    )  # fmt: skip
     assert [mark.at for mark in drawn(velocities).marks] == [(0.1, 100.0), (0.4, 300.0), (0.5, 400.0), (0.5, 200.0), (0.5, 600.0)]
     assert drawn(positions).lines["best known cost of an exact plan: 490.55"][1][0][1] == 490.6
     assert (positions.x.log, positions.y.log, positions.y.quantity, positions.width, positions.height) == (True, False, "cost", 720, 400)
@@ -278,10 +274,8 @@ def test_the_first_screen_has_speed_against_error_of_all_scenes():
     assert (plot.width, plot.height) == (560, 400)
     about = values["about"]
     assert (about["what"], about["where"], about["when"]) == (
-        "3 scenes by 4 pipelines, 12 runs",
-        "Some Processor 2.6 GHz, 2 cores",
-        "2025-01-02 03:04",
-    )
+        "3 scenes by 4 pipelines, 12 runs", "Some Processor 2.6 GHz, 2 cores", "2025-01-02 03:04",
+    )  # fmt: skip
     assert (about["time"], about["command"]) == ("48.00 CPU s", "python -m validate all")
 
 

@@ -126,12 +126,10 @@ def test_a_film_says_what_it_shows():
 @pytest.mark.parametrize(
     ("plan", "shapes"),
     [
-        (None, ("box",)),
-        (moved([0.0, 1.0], None), ("box",)),
-        (moved([2.0, 2.0], [(0.0, 0.0, 0.0)] * 2), ("box",)),
+        (None, ("box",)), (moved([0.0, 1.0], None), ("box",)), (moved([2.0, 2.0], [(0.0, 0.0, 0.0)] * 2), ("box",)),
         (moved([0.0, 1.0], [(0.0, 0.0, 0.0)] * 2), ()),
     ],
-)
+)  # fmt: skip
 def test_without_poses_shapes_or_time_there_is_no_film(plan: Trace | None, shapes: tuple[str, ...]):
     assert filmed(plan, None, shapes) is None
 

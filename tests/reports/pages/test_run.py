@@ -10,7 +10,7 @@ from reports.pages import run as one_run
 from reports.pages import runs
 from reports.pages.run import decision_of, not_applicable, view_of
 from reports.pages.section import Report, run_page
-from reports.records.load import Stored, load
+from reports.records.load import Stored
 from reports.records.record import RunRecord, TrackedRecord
 from reports.render import PAGES, write_report
 from tests.reports import record_factory as factory
@@ -72,21 +72,16 @@ def test_why_a_run_has_its_verdict():
     )
     assert (good.cause, good.advice) == ("", "")
     lost = decision_of(
-        ran("a", verdict="no plan", why="", outcome="crashed").model_copy(
-            update={"stages": (), "outcome": "crashed", "message": "it is gone."}
-        )
-    )
+        ran("a", verdict="no plan", why="", outcome="crashed").model_copy(update={"stages": (), "outcome": "crashed", "message": "it is gone."}),
+    )  # fmt: skip
     assert (lost.question, lost.metric, lost.cause, lost.ends) == (None, None, "No plan: crashed. It is gone.", "")
 
 
 def test_judged_metrics_of_all_stages_stand_side_by_side():
     first = ran(
-        "a",
-        judged("b", 1.0, question=5, limit=3.0),
-        judged("tracked_b", 9.0, question=5, limit=3.0),
-        judged("feedback_effort", 2.0, limit=1.0),
+        "a", judged("b", 1.0, question=5, limit=3.0), judged("tracked_b", 9.0, question=5, limit=3.0), judged("feedback_effort", 2.0, limit=1.0),
         judged("shown", 4.0),
-    ).stages[0]
+    ).stages[0]  # fmt: skip
     second = ran(
         "a", judged("b", 2.0, question=5, limit=4.0), judged("c", 7.0, limit=1.0), judged("d", 8.0, question=1, limit=1.0), eps=1e-3
     ).stages[0]
@@ -188,26 +183,6 @@ def test_the_page_of_a_run_begins_with_its_verdict(factory, tmp_path):
     assert -1 not in places, order[places.index(-1)]
     assert places == sorted(places)
     assert text.count("ends 0.12 m from the goal") == 1, "what decided is told once"
-
-
-def test_stages_before_the_last_stand_side_by_side(factory, tmp_path):
-    run = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
-    folder = factory.store(tmp_path / "all", [run])
-    view = view_of(Report(load(folder), folder), run)
-    assert [len(row.found) for row in view.beside] == [4] * len(view.beside)
-    row = next(row for row in view.beside if row.metric.name == "replay_terminal_position_error")
-    assert [metric.value for metric in row.found] == [0.8 * off for off in (0.4512, 0.2666, 0.1201, 4.0e-3)]
-    assert [bool(item.questions) for item in view.stages] == [False, False, False, True]
-    titles = [[plot.title.split(",")[0] for plot in item.plots.motion] for item in view.stages]
-    assert "Gap" in titles[-1]
-    assert "Gap" not in titles[0]
-    assert "Positions: plan dotted" in titles[0]
-    alone = factory.run("strict", None, "strict_lcp")
-    assert view_of(Report(load(factory.store(tmp_path / "one", [alone])), tmp_path / "one"), alone).beside == []
-    assert (
-        decision_of(run.model_copy(update={"stages": (), "verdict": "no plan", "outcome": "crashed", "message": "it died."})).cause
-        == "No plan: crashed. It died."
-    )
 
 
 def test_long_keys_are_cut_in_links_and_others_are_not(factory):

@@ -24,6 +24,7 @@ def shown(folder: Path):
     return module.build(report, report.scenes[0]).values["shown"]
 
 
+@pytest.mark.slow
 def test_it_plays_the_cheapest_plan_that_holds_beside_replay_goal_and_forces(factory, tmp_path):
     scene = factory.scene()
     scene = scene.model_copy(update={"shapes": tuple(shape.model_copy(update={"goal": (2.5, 0.0, 0.0)}) for shape in scene.shapes)})
@@ -43,6 +44,7 @@ def test_it_plays_the_cheapest_plan_that_holds_beside_replay_goal_and_forces(fac
     assert "Positions: plan dotted, replay solid" in motion
 
 
+@pytest.mark.slow
 def test_its_methods_follow_as_a_scatter_and_a_table_and_then_its_equations(factory, tmp_path):
     text = page_of(factory.store(tmp_path / "all", factory.runs()))
     order = [text.index(f'<section id="{anchor}"') for anchor in ("scene-1", "pareto-1", "stages-1", "front-1", "tightening-1", "model-1")]

@@ -70,11 +70,9 @@ def swept(name: str, k: float, verdict: str = "holds", **changes: object) -> Run
     where = factory.scene(f"hill_k_{k:g}")
     parameters = tuple(item.model_copy(update={"value": k}) if item.name == "k" else item for item in where.parameters)
     metrics = (
-        judged("replay_error", k / 100, "rad"),
-        judged("odd_metric", 1 / k, "J"),
-        judged("replay_terminal_position_error", 2 * k),
+        judged("replay_error", k / 100, "rad"), judged("odd_metric", 1 / k, "J"), judged("replay_terminal_position_error", 2 * k),
         judged("replay_terminal_velocity_error", 3 * k, "m/s"),
-    )
+    )  # fmt: skip
     run = ran(
         name, *metrics, cost=100.0 * k, cpu=k / 10, verdict=verdict, of=where.model_copy(update={"parameters": parameters, **changes})
     )
@@ -207,16 +205,10 @@ def test_zeros_of_a_logarithmic_axis_stand_below_and_off_the_line():
 def figure(name: str, ok: bool | None, **changes: object) -> MetricRecord:
     return MetricRecord.model_validate(
         {
-            "name": name,
-            "value": 0.25,
-            "unit": "m^2",
-            "meaning": f"meaning of {name}",
-            "limit": 0.5,
-            "reason": f"reason of {name}",
-            "ok": ok,
+            "name": name, "value": 0.25, "unit": "m^2", "meaning": f"meaning of {name}", "limit": 0.5, "reason": f"reason of {name}", "ok": ok,
             **changes,
-        }
-    )
+        },
+    )  # fmt: skip
 
 
 def examined(name: str, **changes: object) -> CheckRecord:
@@ -229,11 +221,8 @@ def examined(name: str, **changes: object) -> CheckRecord:
 
 def test_a_stress_case_is_a_row_with_its_decisive_figures():
     figures = (
-        figure("shown", None, limit=None),
-        figure("good", True, at_least=True),
-        figure("fine", True, unit="1"),
-        figure("bad", False, value=None),
-    )
+        figure("shown", None, limit=None), figure("good", True, at_least=True), figure("fine", True, unit="1"), figure("bad", False, value=None),
+    )  # fmt: skip
     records = (
         examined("10 later", passed=False, figures=figures), examined("02 early", found="it went well."), examined("003", outcome="time_limit", passed=False, message="late."),
         examined("00 zero", outcome="time_limit", passed=False), examined("x", kind="FMU"),
@@ -245,11 +234,9 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         ("2", "early", "stress-case-02", "pass", "it went well."), ("10", "later", "stress-case-10", "fail", "It ended as answered, without a word."),
     ]  # fmt: skip
     assert rows[3].decisive == (figures[3], figures[1])
-    assert (section.values["passed"], [row.number for row in section.values["failed"]], section.values["seconds"]) == (
-        "1 of 4 stress cases pass",
-        ["00", "3", "10"],
-        6.0,
-    )
+    assert (
+        section.values["passed"], [row.number for row in section.values["failed"]], section.values["seconds"],
+    ) == ("1 of 4 stress cases pass", ["00", "3", "10"], 6.0)  # fmt: skip
     assert section.said.startswith("1 of 4 stress cases pass: stiff, grazing")
     assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
     assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
@@ -257,11 +244,9 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
 
 def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
     figures = (
-        figure("shown", None, limit=None),
-        figure("good", True, at_least=True),
-        figure("fine", True, unit="1", reason=""),
+        figure("shown", None, limit=None), figure("good", True, at_least=True), figure("fine", True, unit="1", reason=""),
         figure("bad", False, value=None),
-    )
+    )  # fmt: skip
     section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
     text = Templates().render(section.template, section=section, **section.values)
     first, second = (text[place:] for place in (text.index("Stress cases"), text.index("Metrics of case 10")))

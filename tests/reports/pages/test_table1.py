@@ -103,13 +103,8 @@ def chain(
     """strict_lcp, cold or after another method."""
     last = factory.stage(0 if cold else 1, "strict_lcp", None, None, 0.0)
     last = last.model_copy(
-        update={
-            "paper": {},
-            "cost": cost,
-            "metrics": (judged(POSITION, missed),),
-            "seconds": last.seconds.model_copy(update={"total": total}),
-        }
-    )
+        update={"paper": {}, "cost": cost, "metrics": (judged(POSITION, missed),), "seconds": last.seconds.model_copy(update={"total": total})},
+    )  # fmt: skip
     before = ran(first, kind="indirect", cost=1.0).stages[0]
     stages = (last,) if cold else (before, last)
     return factory.run(name, None, "strict_lcp", stages=stages, key=name, scene=of or factory.scene())
@@ -118,11 +113,9 @@ def chain(
 def test_what_a_warm_start_gives():
     bare = factory.scene().model_copy(update={"answers": ()})
     runs = [
-        chain("cold", "", 100.0, 0.1, 8.0, True, bare),
-        chain("a+strict", "a", 90.0, 0.2, 2.5, of=bare),
-        chain("b+strict", "b", 125.0, 0.4, 3.5, of=bare),
-        chain("c+strict", "c", None, 0.4, 3.5, of=bare),
-    ]
+        chain("cold", "", 100.0, 0.1, 8.0, True, bare), chain("a+strict", "a", 90.0, 0.2, 2.5, of=bare),
+        chain("b+strict", "b", 125.0, 0.4, 3.5, of=bare), chain("c+strict", "c", None, 0.4, 3.5, of=bare),
+    ]  # fmt: skip
     (line,) = said(*runs)
     assert not unsaid(
         line,
@@ -139,11 +132,9 @@ def test_what_a_warm_start_gives():
 )
 def test_plans_that_reach_the_goal_in_their_own_model_only(planned: float | None, truly: float | None, cheats: bool):
     metrics = [
-        judged("terminal_error", planned),
-        judged("discrete_terminal_error", truly),
-        judged(GRID, 0.07),
+        judged("terminal_error", planned), judged("discrete_terminal_error", truly), judged(GRID, 0.07),
         judged("discrete_terminal_velocity_error", 0.5, "m/s"),
-    ]
+    ]  # fmt: skip
     found = said(ran("soft", *metrics, kind="indirect"))
     assert len(found) == cheats
     assert not unsaid(found, *["in their own model only: … soft misses by 0.070 m."] * cheats)
@@ -196,12 +187,9 @@ def test_cells_tell_both_parts_of_each_end():
         judged("replay_terminal_velocity_error", 0.8, "m/s"), judged("replay_terminal_error", 0.9),
     )  # fmt: skip
     section = table1.build(report(ran("a", *metrics, why="a reason")))
-    assert (section.anchor, section.title, section.values["beside"], section.values["paper_scene"]) == (
-        "table1",
-        "Table I: ours beside the paper",
-        True,
-        "three_cart",
-    )
+    assert (
+        section.anchor, section.title, section.values["beside"], section.values["paper_scene"],
+    ) == ("table1", "Table I: ours beside the paper", True, "three_cart")  # fmt: skip
     ((_, ends),) = section.values["rows"]
     assert ends == {
         "plan": table1.TerminalError(0.1, 0.2, 0.3, None, "a reason"), "grid": table1.TerminalError(0.4, 0.5, None, None, "it is not known."),
@@ -253,26 +241,19 @@ def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = Fal
         stages.append(
             one.model_copy(
                 update={
-                    "index": place,
-                    "has_plan": True,
-                    "method_title": "Softplus",
-                    "paper": {"cost": 1.0} if paper else {},
-                    "options": {"of": name},
-                }
-            )
-        )
+                    "index": place, "has_plan": True, "method_title": "Softplus", "paper": {"cost": 1.0} if paper else {}, "options": {"of": name},
+                },
+            ),
+        )  # fmt: skip
     run = factory.run(name, None, "strict_lcp", stages=tuple(stages), key=name)
     folder = tmp_path / "runs" / name
     folder.mkdir(parents=True)
     for stage in stages:
         place = stage.index + 1
         columns = {
-            "t": [0.0, 0.5, 1.0],
-            "q1": [10 * stage.eps, 0.0, place],
-            "lam_left": [1.0, -4.0 * place],
-            "gap_left": [0.5, 0.25, -place],
+            "t": [0.0, 0.5, 1.0], "q1": [10 * stage.eps, 0.0, place], "lam_left": [1.0, -4.0 * place], "gap_left": [0.5, 0.25, -place],
             "u1": [float(place), 0.5],
-        }
+        }  # fmt: skip
         factory.write_motion(folder / factory.stage_files(stage.index, len(stages))["trajectory"], columns)
     return run
 
@@ -282,10 +263,8 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     told = Report(Stored("x", None, (run,), (), (), 0), tmp_path)
     section = tightening.build(told, told.scenes[0])
     assert (section.anchor, section.title, section.entries) == (
-        "tightening-1",
-        "Figs. 4–6: plans while ε is tightened",
-        (("tightening-1-1", "Fig. 4: Softplus"),),
-    )
+        "tightening-1", "Figs. 4–6: plans while ε is tightened", (("tightening-1-1", "Fig. 4: Softplus"),),
+    )  # fmt: skip
     (sweep,) = section.values["sweeps"]
     assert [(key.style, key.words) for key in sweep.keys] == [("s0", "ε = 10⁻¹"), ("s2", "ε = 10⁻³"), ("s5", "ε = 10⁻⁵")]
     assert [row.stage.eps for row in sweep.rows] == [1e-1, 1e-3, 1e-5]
@@ -297,12 +276,9 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     }  # fmt: skip
     assert plots["Positions"].words == "q1 ε = 10⁻⁵: from 0.00010 to 3 m."
     assert drawn(plots["Positions"]).tags == [("strong", "q1")]
-    assert (plots["Positions"].height, plots["Positions"].y.quantity, plots["Positions"].y.unit, plots["Positions"].y.high) == (
-        300,
-        "position",
-        "m",
-        pytest.approx(3.24),
-    )
+    assert (
+        plots["Positions"].height, plots["Positions"].y.quantity, plots["Positions"].y.unit, plots["Positions"].y.high,
+    ) == (300, "position", "m", pytest.approx(3.24))  # fmt: skip
     force = plots["Contact force, left"]
     assert drawn(force).lines["ε = 10⁻¹"] == ("s0", [(0.0, 1.0), (0.5, -8.0)])
     assert not unsaid(force.words, "ε = 10⁻¹: … 8 N at 0.5 s. ε = 10⁻³: … 4 N at 0.5 s. ε = 10⁻⁵: … 12 N at 0.5 s.")
@@ -326,10 +302,8 @@ def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
 
 def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     runs = (
-        relaxed(tmp_path, "one", {1e-3: 0.2, 1e-5: 0.1}),
-        relaxed(tmp_path, "two", {1e-3: 0.3, 1e-5: 0.15}),
-        relaxed(tmp_path, "single", {1e-3: 0.3}),
-    )
+        relaxed(tmp_path, "one", {1e-3: 0.2, 1e-5: 0.1}), relaxed(tmp_path, "two", {1e-3: 0.3, 1e-5: 0.15}), relaxed(tmp_path, "single", {1e-3: 0.3}),
+    )  # fmt: skip
     (tmp_path / "runs" / "two" / "trajectory-1.nc").unlink(missing_ok=True)
     for path in (tmp_path / "runs" / "two").glob("*"):
         path.unlink()

@@ -11,13 +11,10 @@ from tests.reports.drawn import Mark, drawn
 from tests.reports.record_factory import judged, ran
 
 POINTS = (
-    FrontPointRecord(
-        tolerance=0.1, outcome="solved", cost=100.0, terminal_error=0.09, windows=(("left", 1, 2), ("right", 5, 6), ("left", 3, 4))
-    ),
+    FrontPointRecord(tolerance=0.1, outcome="solved", cost=100.0, terminal_error=0.09, windows=(("left", 1, 2), ("right", 5, 6), ("left", 3, 4))),
     FrontPointRecord(tolerance=0.0, outcome="solved", cost=400.0, terminal_error=1e-9),
-    FrontPointRecord(tolerance=0.01, outcome="solved", cost=200.0, terminal_error=0.008),
-    FrontPointRecord(tolerance=0.05, outcome="infeasible"),
-)
+    FrontPointRecord(tolerance=0.01, outcome="solved", cost=200.0, terminal_error=0.008), FrontPointRecord(tolerance=0.05, outcome="infeasible"),
+)  # fmt: skip
 
 
 def row(name: str, missed: float | None, cost: float | None, kind: str = "direct") -> RunRecord:

@@ -176,12 +176,10 @@ def sentence_of(tmp_path: Path, text: str | None) -> str:
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (None, ["not there", "run the campaign again"]),
-        ("{", ["not complete JSON", "run it again"]),
-        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]),
-        ("1", ["record schema 5", "Input should be"]),
+        (None, ["not there", "run the campaign again"]), ("{", ["not complete JSON", "run it again"]),
+        ("{}", ["record schema 5", "at check.key: Field required", "and 8 more"]), ("1", ["record schema 5", "Input should be"]),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_with_a_record_is_said(tmp_path: Path, text: str | None, parts: list[str]):
     said = sentence_of(tmp_path, text)
     assert not unsaid(said, *parts)

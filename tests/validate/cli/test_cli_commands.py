@@ -77,6 +77,7 @@ def test_a_command_imports_by_itself(cli_environment, name: str):
 SOLVERS = {"torch", "pyomo", "cyipopt", "scipy", "sksundae"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "spared"),
     [

@@ -75,14 +75,11 @@ def test_each_verdict_is_worse_than_the_next(worse: int):
 @pytest.mark.parametrize(
     ("kind", "before", "after", "said"),
     [
-        ("direct", "holds", "consistent", ChangeKind.OTHER),
-        ("direct", "not applicable", "no plan", ChangeKind.OTHER),
-        ("indirect", "holds", "violates", ChangeKind.OTHER),
-        ("indirect", "violates", "holds with feedback", ChangeKind.OTHER),
-        ("indirect", "violates", "undecided", ChangeKind.REGRESSION),
-        ("indirect", "no plan", "violates", ChangeKind.IMPROVEMENT),
+        ("direct", "holds", "consistent", ChangeKind.OTHER), ("direct", "not applicable", "no plan", ChangeKind.OTHER),
+        ("indirect", "holds", "violates", ChangeKind.OTHER), ("indirect", "violates", "holds with feedback", ChangeKind.OTHER),
+        ("indirect", "violates", "undecided", ChangeKind.REGRESSION), ("indirect", "no plan", "violates", ChangeKind.IMPROVEMENT),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_step_of_the_ladder_is_neither_better_nor_worse(kind: str, before: str, after: str, said: ChangeKind):
     (change,) = changes({"verdict": before}, {"verdict": after}, kind)
     assert (change.kind, change.what) == (said, "verdict")
@@ -90,12 +87,8 @@ def test_what_is_no_step_of_the_ladder_is_neither_better_nor_worse(kind: str, be
 
 @pytest.mark.parametrize(
     ("before", "after", "kind"),
-    [
-        ("solved", "stalled", ChangeKind.REGRESSION),
-        ("stalled", "solved", ChangeKind.IMPROVEMENT),
-        ("stalled", "time_limit", ChangeKind.OTHER),
-    ],
-)
+    [("solved", "stalled", ChangeKind.REGRESSION), ("stalled", "solved", ChangeKind.IMPROVEMENT), ("stalled", "time_limit", ChangeKind.OTHER)],
+)  # fmt: skip
 def test_an_outcome_is_better_if_it_solves(before: str, after: str, kind: ChangeKind):
     """Its costs are then not compared."""
     assert changes({"outcome": before, "cost": 1.0}, {"outcome": after, "cost": 2.0}) == [

@@ -194,23 +194,6 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
     assert process.returncode == 0
 
 
-@pytest.mark.slow
-def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
-    process = start_cli("all", *FAKES, "--out", str(tmp_path), "-j", "1", "-k", "only_good or only_family")
-    come(lambda: len(processes(tmp_path)) >= 4)
-    process.kill()
-    process.communicate()
-    come(lambda: processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)
-    shown = cli("show", "only_good", "--in", str(tmp_path))
-    assert shown.returncode == 0, "what finished can be told of, although the campaign never came to its end"
-    told = cli("report", str(tmp_path))
-    assert told.returncode == 0
-    assert told.stderr.startswith("1 of 2 runs have no readable record")
-    again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
-    assert again.returncode == 0
-    assert "1 stored, 0 to run" in again.stderr
-
-
 def test_a_cell_knows_how_it_was_run(misbehaved):
     out, _ = misbehaved
     record = _records(out)["only_good"]

@@ -69,18 +69,6 @@ def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", [DASK], indirect=True)
-def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, tmp_path):
-    cell = ("--scene", "bouncing_mass", "-k", "free_motion")
-    for name in ("local", engine):
-        done = cli("all", *cell, "--out", str(tmp_path / name), "--engine", name)
-        assert done.returncode == 0, done.stderr
-    rows = untimed(tmp_path / "local")
-    assert rows == untimed(tmp_path / engine)
-    assert rows[0]["verdict"] == "consistent"  # with its closed forms: there is nothing to plan
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path), "-j", "1")
@@ -152,14 +140,11 @@ def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"),
-        ("dask:", "there is no such engine"),
-        ("local:2", "there is no such engine"),
-        pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
-        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK),
-        pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
+        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"), ("dask:", "there is no such engine"),
+        ("local:2", "there is no such engine"), pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
+        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK), pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name, words):
     monkeypatch.chdir(tmp_path)
     Path("empty.json").write_text("")

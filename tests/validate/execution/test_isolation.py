@@ -94,23 +94,16 @@ def test_values_and_arrays_go_in_and_come_out():
 MISBEHAVIOUR = pytest.mark.parametrize(
     ("name", "request_", "limits", "ending", "words"),
     [
-        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
-        ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."), ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
         ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
-        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"),
-        ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
-        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"),
-        ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-        ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
-        ("aborts", None, {}, Ending.ABORT, "SIGABRT"),
-        ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
-        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"),
-        ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
-        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"),
-        ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
+        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"), ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
+        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"), ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"), ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
+        ("aborts", None, {}, Ending.ABORT, "SIGABRT"), ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
+        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"), ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
+        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"), ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
     ],
-)
+)  # fmt: skip
 
 
 @pytest.mark.slow
@@ -217,7 +210,10 @@ def test_temporary_files_go_with_the_child(own_place: Path):
 @pytest.mark.slow
 def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
-    done = call("nested", str(marker), seconds=6.0)
+    for seconds in (3.0, 12.0, 120.0):  # as a loaded machine needs until the inner one runs
+        done = call("nested", str(marker), seconds=seconds)
+        if marker.exists():
+            break
     assert done.ending is Ending.TIME_LIMIT
     assert marker.read_text() == "inner"
     assert processes_of(own_place) == []
@@ -229,7 +225,7 @@ def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, ow
     marker = tmp_path / "marker"
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
     parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=FAKES_FOLDER.parents[2])
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (marker.exists() and marker.read_text() == "inner"):
         assert time.monotonic() < deadline
         assert parent.poll() is None
@@ -248,7 +244,7 @@ def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:waits', {str(marker)!r}, ours=True)"
     environment = {**os.environ, "TMPDIR": str(own_place)}
     parent = subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=FAKES_FOLDER.parents[2])
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while not (marker.exists() and marker.read_text()):
         assert time.monotonic() < deadline
         assert parent.poll() is None

@@ -9,7 +9,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from killed_campaigns import finished, unfinished, untimed
+from killed_campaigns import FAKES_FOLDER, finished, unfinished, untimed
 from standing_cluster import come
 
 from models.catalog import load_scene
@@ -21,9 +21,8 @@ from validate.execution.campaign import CampaignSettings, run_campaign
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
 
-# Three chains that begin with the same stages, and one that shares nothing.
-SCENE, CELLS = "wall_pendulum", "softplus_dc or collocation"
-CAMPAIGN = ("--scene", SCENE, "-k", CELLS)
+SCENE, CHAINS = "wall_pendulum", "real_chains:PLUGIN"
+CAMPAIGN = ("--scene", SCENE, "--plugin", CHAINS)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,8 @@ def test_in_another_order(whole, tmp_path, monkeypatch):
         return entries, left_out
 
     monkeypatch.setattr(campaign, "select", shuffled)
-    run_campaign(CampaignSettings(out=tmp_path, scenes=(SCENE,), expression=CELLS, jobs=2), PlainNarrator())
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
+    run_campaign(CampaignSettings(out=tmp_path, scenes=(SCENE,), plugin=CHAINS, jobs=2), PlainNarrator())
     _same(tmp_path, whole)
 
 
@@ -90,9 +90,9 @@ def test_resumed_after_a_kill(whole, cli, start_cli, tmp_path):
 
 def test_where_nothing_is_shared(whole, cli, tmp_path):
     """A cell in a folder of its own has every stage to itself, whichever of its chains ran them in the other."""
-    for pipeline in ("softplus_dc+strict", "softplus_dc+lbfgs"):
+    for pipeline in ("begin+strict_lcp", "begin+mpcc"):
         out = tmp_path / pipeline
-        done = cli("all", "--scene", SCENE, "-k", f"={pipeline}", "--out", str(out))
+        done = cli("all", *CAMPAIGN, "-k", f"={pipeline}", "--out", str(out))
         assert done.returncode == 0, done.stderr
         assert [row for row in untimed(whole) if row["pipeline"] == pipeline] == untimed(out)
         assert _plans(out).items() <= _plans(whole).items()

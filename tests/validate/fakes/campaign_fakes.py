@@ -42,12 +42,9 @@ class _Session(Session):
             state = np.tile(np.array(scene.task.start), (nodes, 1))
             shift = 0.0 if warm_start is None else warm_start.u[0, 0] + 1.0  # shows whose plan it started from
             trajectory = Trajectory(
-                t=uniform_grid(scene.task.step, scene.task.steps),
-                q=state[:, : scene.nq],
-                v=state[:, scene.nq :],
-                u=np.full((nodes - 1, scene.nu), shift),
-                lam=np.zeros((nodes - 1, scene.nc)),
-            )
+                t=uniform_grid(scene.task.step, scene.task.steps), q=state[:, : scene.nq], v=state[:, scene.nq :],
+                u=np.full((nodes - 1, scene.nu), shift), lam=np.zeros((nodes - 1, scene.nc)),
+            )  # fmt: skip
         cost = None if trajectory is None else float(np.sum(trajectory.u**2))
         return Solution(method=self._name, outcome=outcome, trajectory=trajectory, cost=cost, iterations=3, options=asdict(self._options))
 

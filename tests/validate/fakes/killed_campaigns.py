@@ -22,7 +22,7 @@ FAKES_FOLDER = Path(__file__).parent
 CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
 # What is written over whenever the same cell is run again.
 _RUN_AGAIN = frozenset({"crashed"})
-_PATIENCE, _LOOK = 60.0, 0.01
+_PATIENCE, _LOOK = 300.0, 0.01
 # In the environment of a campaign, and of all that it starts.
 _MARK = "KILLED_CAMPAIGN"
 

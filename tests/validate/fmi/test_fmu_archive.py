@@ -102,19 +102,17 @@ def test_unsafe_entries_are_refused(tmp_path: Path, extra, change, check: str, w
 @pytest.mark.parametrize(
     ("entries", "check", "words"),
     [
-        ({LIBRARY: b"x"}, "description", "no modelDescription.xml"),
-        ({f"m/{DESCRIPTION}": GOOD}, "description", "must lie at the top"),
+        ({LIBRARY: b"x"}, "description", "no modelDescription.xml"), ({f"m/{DESCRIPTION}": GOOD}, "description", "must lie at the top"),
         ({DESCRIPTION: "<fmiModelDescription", LIBRARY: b"x"}, "description", "not well-formed"),
         ({DESCRIPTION: "", LIBRARY: b"x"}, "description", "not well-formed"),
         ({DESCRIPTION: "<html/>", LIBRARY: b"x"}, "description", "begins with <html>"),
         ({DESCRIPTION: GOOD.replace("2.0", "1.0"), LIBRARY: b"x"}, "version", "FMI version '1.0'; 2.0 and 3.0"),
         ({DESCRIPTION: GOOD.replace("2.0", "2.1"), LIBRARY: b"x"}, "version", "'2.1'"),
         ({DESCRIPTION: GOOD.replace("CoSimulation", "Simulation"), LIBRARY: b"x"}, "kind", "neither Model Exchange nor Co-Simulation"),
-        ({DESCRIPTION: GOOD}, "binary", "it has none at all"),
-        ({DESCRIPTION: GOOD, "binaries/win64/m.dll": b"x"}, "binary", "it has win64"),
+        ({DESCRIPTION: GOOD}, "binary", "it has none at all"), ({DESCRIPTION: GOOD, "binaries/win64/m.dll": b"x"}, "binary", "it has win64"),
         ({DESCRIPTION: GOOD, "binaries/linux64/other.so": b"x"}, "binary", r"binaries/linux64/m\.so"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_fmu_for_this_machine_is_refused(tmp_path: Path, entries, check: str, words: str):
     with pytest.raises(ArchiveError, match=words) as caught:
         check_archive(write(tmp_path / "m.fmu", entries))
@@ -245,11 +243,8 @@ def test_only_interfaces_with_a_binary_are_offered_and_scheduled_execution_is_no
 def test_other_texts_may_be_anything_that_is_no_doctype(tmp_path: Path):
     """Only the description must be XML; what else ends in .xml is looked at for a DOCTYPE alone, whatever its letters."""
     others: dict[str, bytes | str] = {
-        "a.xml": "<broken",
-        "b.ssd": '<?xml version="1.0" encoding="nobody"?><x/>',
-        "c.XML": "<html/>",
-        "d.txt": "<!DOCTYPE x><x/>",
-    }
+        "a.xml": "<broken", "b.ssd": '<?xml version="1.0" encoding="nobody"?><x/>', "c.XML": "<html/>", "d.txt": "<!DOCTYPE x><x/>",
+    }  # fmt: skip
     path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", **others})
     assert problems(path) == ()
     for name in ("a.ssv", "a.ssm", "a.ssb", "A.SSD"):

@@ -63,12 +63,10 @@ def refused(status: int) -> FMICallException:
     ("status", "terminated", "expected"),
     [
         (None, None, StepAnswer(event=False, ends=False, early=False, reached=2.5)),
-        (fmi2Discard, True, StepAnswer(event=False, ends=True, early=False, reached=2.5)),
-        (fmi2Discard, False, None),
-        (fmi2Discard, refused(fmi2Error), None),
-        (fmi2Error, True, None),
+        (fmi2Discard, True, StepAnswer(event=False, ends=True, early=False, reached=2.5)), (fmi2Discard, False, None),
+        (fmi2Discard, refused(fmi2Error), None), (fmi2Error, True, None),
     ],
-)
+)  # fmt: skip
 def test_a_step_that_is_discarded_ends_only_where_the_fmu_says_so(status: int | None, terminated: Any, expected: StepAnswer | None):
     fmu, log = bare(TWO, doStep=None if status is None else refused(status), getBooleanStatus=terminated)
     if expected is None:

@@ -61,6 +61,7 @@ def otherwise(judgement: Judgement, engine: str = "fmu_everyday") -> EngineVerdi
     return row
 
 
+@pytest.mark.slow
 def test_our_everyday_fmu_says_what_the_reference_says(thrown: Judgement, planted):
     ours, other = elsewhere(thrown, ("fmu", "fmu_everyday"))
     assert thrown.verdict.value == "consistent"
@@ -87,6 +88,7 @@ def of_contacts(drive: Drive, **change) -> Drive:
     return replace(drive, scene=replace(drive.scene, contacts=contacts))
 
 
+@pytest.mark.slow
 def test_another_law_is_told_from_another_place_of_the_wall(thrown: Judgement, planted):
     planted[0] = lambda drive: of_contacts(drive, stiffness=lambda item: item.stiffness / 2)
     softer = otherwise(thrown)
@@ -129,6 +131,7 @@ def test_a_motion_that_leaves_every_bound_is_a_row(thrown: Judgement, planted, m
     assert row.as_json()["levels"][0]["distance"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_what_an_engine_cannot_express_is_a_row_with_the_reason():
     pytest.importorskip("mujoco")

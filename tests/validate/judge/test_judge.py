@@ -206,15 +206,12 @@ def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
 @pytest.mark.parametrize(
     ("change", "arguments", "words"),
     [
-        ({"u1": None}, {}, "the column 'u1' is missing"),
-        ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
-        ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
-        ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
-        ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
-        ({}, {"hold": ["zero"]}, "hold ['zero'] … zero or linear"),
+        ({"u1": None}, {}, "the column 'u1' is missing"), ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
+        ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"), ({}, {"hold": "cubic"}, "hold 'cubic' … zero or linear"),
+        ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"), ({}, {"hold": ["zero"]}, "hold ['zero'] … zero or linear"),
         ({}, {"scheme": 3}, "the scheme 3 is unknown"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_sentence(held, change: dict, arguments: dict, words: str):
     scene, plan = held
     given = {name: values for name, values in (columns(scene, plan) | change).items() if values is not None}
@@ -312,13 +309,8 @@ def test_our_methods_declare_their_scheme():
 
 @pytest.mark.parametrize(
     ("verdict", "lenient", "strict"),
-    [
-        (Verdict.HOLDS, 0, 0),
-        (Verdict.HOLDS_WITH_FEEDBACK, 0, 1),
-        (Verdict.VIOLATES, 1, 1),
-        (Verdict.UNDECIDED, 1, 1),
-    ],
-)
+    [(Verdict.HOLDS, 0, 0), (Verdict.HOLDS_WITH_FEEDBACK, 0, 1), (Verdict.VIOLATES, 1, 1), (Verdict.UNDECIDED, 1, 1)],
+)  # fmt: skip
 def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
     assert (exit_code(verdict, "feedback"), exit_code(verdict, "holds")) == (lenient, strict)
 
@@ -333,15 +325,12 @@ def answered(motion: str, verdict: Verdict) -> Any:
 @pytest.mark.parametrize(
     ("hold", "scheme", "inputs", "motion", "verdict", "again"),
     [
-        (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True),
-        (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
-        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False),
-        (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
-        (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False),
-        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True), (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
+        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False), (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
+        (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False), (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
         (Hold.ZERO_ORDER, None, 1, "no", Verdict.HOLDS_WITH_FEEDBACK, False),
     ],
-)
+)  # fmt: skip
 def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hold, scheme, inputs, motion, verdict, again, monkeypatch):
     nodes = np.zeros((3, 1))
     plan = Trajectory(t=uniform_grid(0.5, 2), q=nodes, v=nodes, u=np.zeros((2, inputs)), lam=np.zeros((2, 0)), hold=hold, scheme=scheme)
@@ -378,10 +367,8 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
         subject, trajectory, run, feedback = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
         assert (run.func, run.args, run.keywords) == (
-            module.replay_foreign,
-            (foreign, "package of a.fmu"),
-            {"limits": module.Limits(), "own_step": False},
-        )
+            module.replay_foreign, (foreign, "package of a.fmu"), {"limits": module.Limits(), "own_step": False},
+        )  # fmt: skip
         package, table, map_file, hold, where, factors = asked[-1]
         assert (package, table.names[0], map_file, hold, where, factors) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu", None)
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")

@@ -33,11 +33,9 @@ def test_every_pipeline_of_table_one_is_there():
 def test_schedules_and_counts_are_the_papers():
     stages = stage_plan(find_pipeline("softplus_gd+relu_gd"))
     assert [(leg.method, eps, options) for leg, eps, options in stages] == [
-        ("softplus_gd", 1e-3, {"iterations": 15}),
-        ("softplus_gd", 1e-5, {"iterations": 14}),
-        ("softplus_gd", 1e-7, {"iterations": 11}),
+        ("softplus_gd", 1e-3, {"iterations": 15}), ("softplus_gd", 1e-5, {"iterations": 14}), ("softplus_gd", 1e-7, {"iterations": 11}),
         ("relu_gd", None, {"iterations": 10}),
-    ]
+    ]  # fmt: skip
     assert [eps for _, eps, _ in stage_plan(find_pipeline("relaxed+strict"))] == [1e-2, 1e-3, 1e-4, None]
     assert stage_plan(find_pipeline("relu_gd"))[0][2] == {"iterations": 200}
     assert stage_plan(find_pipeline("softplus_dc+relu_gd"))[-1][2] == {"iterations": 6}

@@ -49,11 +49,9 @@ def test_a_key_is_content():
     key = content_key(SCENE, stages, ["strict_lcp"])
     assert key == content_key(load_scene("three_cart"), [list(stages[0])], ["strict_lcp"])
     others = [
-        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]),
-        content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
-        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]),
-        content_key(SCENE, stages, ["strict_lcp"], "another judge"),
-    ]
+        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]), content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
+        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]), content_key(SCENE, stages, ["strict_lcp"], "another judge"),
+    ]  # fmt: skip
     assert len({key, *others}) == 5
 
 

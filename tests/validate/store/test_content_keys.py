@@ -61,17 +61,14 @@ STRICT = Leg(method="strict_lcp")
 @pytest.mark.slow
 def test_whatever_is_asked_otherwise_has_another_key():
     variants = {
-        "as it is": key(SOFT, STRICT),
-        "another eps": key(replace(SOFT, schedule=(1e-3, math.nextafter(1e-5, 1.0))), STRICT),
+        "as it is": key(SOFT, STRICT), "another eps": key(replace(SOFT, schedule=(1e-3, math.nextafter(1e-5, 1.0))), STRICT),
         "the same eps in another order": key(replace(SOFT, schedule=(1e-5, 1e-3)), STRICT),
-        "a stage less": key(replace(SOFT, schedule=(1e-3,)), STRICT),
-        "a method less": key(SOFT),
+        "a stage less": key(replace(SOFT, schedule=(1e-3,)), STRICT), "a method less": key(SOFT),
         "the methods the other way round": key(STRICT, SOFT),
         "an option of one stage": key(replace(SOFT, stage_options=({"max_iterations": 7},)), STRICT),
         "an option of the other stage": key(replace(SOFT, stage_options=({}, {"max_iterations": 7})), STRICT),
-        "another scene": key(SOFT, STRICT, scene="three_cart"),
-        "another name": key(SOFT, STRICT, name="same_otherwise"),
-    }
+        "another scene": key(SOFT, STRICT, scene="three_cart"), "another name": key(SOFT, STRICT, name="same_otherwise"),
+    }  # fmt: skip
     assert len(set(variants.values())) == len(variants)
     assert key(SOFT, STRICT) == variants["as it is"]
 

@@ -139,10 +139,8 @@ def test_each_start_and_each_point_of_a_front_is_a_row(template: RunRecord, tmp_
     residuals = {"primal": "0.5", "complementarity": "0.25", "dual": "0.125", "class": "M"}
     assert front == [
         of_run | {"tolerance": "0.01", "outcome": "solved", "cost": "6.5", "terminal_error": "0.005", "windows": "left:1-3"} | residuals,
-        of_run
-        | {"tolerance": "0.02", "outcome": "infeasible", "cost": "", "terminal_error": "", "windows": ""}
-        | dict.fromkeys(residuals, ""),
-    ]
+        of_run | {"tolerance": "0.02", "outcome": "infeasible", "cost": "", "terminal_error": "", "windows": ""} | dict.fromkeys(residuals, ""),
+    ]  # fmt: skip
     write_tables(tmp_path, [run_of(template, stage())], (), ())
     assert sorted(path.name for path in tmp_path.iterdir()) == [RESULTS, VIOLATION], "what says nothing is removed"
 
@@ -150,10 +148,8 @@ def test_each_start_and_each_point_of_a_front_is_a_row(template: RunRecord, tmp_
 def test_a_violation_stands_beside_its_closed_form():
     points = [ViolationPoint(law="softplus", eps=0.01, measured=measured, closed_form=4.0) for measured in (5.0, 3.0)]
     assert tables((), (), points)[VIOLATION].splitlines() == [
-        "law,eps,measured,closed_form,relative_difference",
-        "softplus,0.01,5.0,4.0,0.25",
-        "softplus,0.01,3.0,4.0,0.25",
-    ]
+        "law,eps,measured,closed_form,relative_difference", "softplus,0.01,5.0,4.0,0.25", "softplus,0.01,3.0,4.0,0.25",
+    ]  # fmt: skip
 
 
 def test_files_hold_the_texts(template: RunRecord, tmp_path: Path):

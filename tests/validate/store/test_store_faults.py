@@ -126,6 +126,7 @@ def _refused(act: Callable[[], object]) -> MachineError | None:
     return None
 
 
+@pytest.mark.slow
 def test_an_older_run_outlives_every_refusal(tmp_path, disk, record):
     store, old, new = Store(tmp_path), record("old"), record("new")
     store.prepare()

@@ -387,13 +387,10 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
     [
         (json.dumps({"schema_version": SCHEMA_VERSION - 1}), f"schema {SCHEMA_VERSION - 1},"),
         (json.dumps({"schema_version": SCHEMA_VERSION + 1}), f"schema {SCHEMA_VERSION + 1},"),
-        (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"),
-        (json.dumps({"schema_version": SCHEMA_VERSION}), ""),
-        (json.dumps({}), ""),
-        ("[", ""),
-        (None, ""),
+        (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"), (json.dumps({"schema_version": SCHEMA_VERSION}), ""), (json.dumps({}), ""),
+        ("[", ""), (None, ""),
     ],
-)
+)  # fmt: skip
 def test_records_of_another_version_are_named_and_run_again(text: str | None, named: str, tmp_path: Path):
     if text is not None:
         (tmp_path / CAMPAIGN).write_text(text, encoding="utf-8")

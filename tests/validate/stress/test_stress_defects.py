@@ -73,6 +73,7 @@ def test_a_gradient_that_is_one_percent_off(monkeypatch):
     assert "gradient" in broken(h04_grazing.measure())
 
 
+@pytest.mark.slow
 def test_contacts_whose_order_matters(monkeypatch):
     """The first contact of the list a little stiffer than the others."""
     rolled = motion.rolled
@@ -119,6 +120,7 @@ def test_a_certificate_that_finds_all_points_strongly_stationary(monkeypatch, ca
     assert broken(case.measure())
 
 
+@pytest.mark.slow
 def test_stiction_that_creeps(monkeypatch):
     rolled = motion.rolled
     monkeypatch.setattr(h14_creep, "COEFFICIENTS", (0.2,))

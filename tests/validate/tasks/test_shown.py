@@ -202,6 +202,7 @@ REACHED = Metric(
 PRICED = Metric(name="cost", question=Question.GOAL, value=12345.678, unit="1", meaning="dear")
 
 
+@pytest.mark.slow
 def test_a_page_is_drawn_from_the_plan_its_replay_and_that_with_feedback(drawn: list[Any]):
     effort = Effort(rms=(1.0, 1.0), peak=(1.0, 1.0), rms_share=0.1, peak_share=0.1, plan_share=0.1, saturated=0.0)
     tracked = replace(replay_of(np.full((4, 3), 7.0), "three_cart", 100.0), effort=effort)
@@ -230,12 +231,9 @@ def test_a_page_is_drawn_from_the_plan_its_replay_and_that_with_feedback(drawn: 
     assert framed.startswith("<iframe srcdoc='<p>a &amp; b &#39;c&#39;</p>' sandbox='allow-scripts allow-downloads'")
     brief, _ = drawn[1]
     assert [metric.name for metric in brief.stages[0].metrics] == ["replay_error"], "what was judged"
-    assert (brief.provenance.command, brief.stages[0].history, brief.stages[0].options, brief.stages[0].residuals) == (
-        "touchstone.judge('three_cart', plan)",
-        {},
-        {},
-        {},
-    )
+    assert (
+        brief.provenance.command, brief.stages[0].history, brief.stages[0].options, brief.stages[0].residuals,
+    ) == ("touchstone.judge('three_cart', plan)", {}, {}, {})  # fmt: skip
 
 
 @pytest.mark.parametrize("missing", [frozenset({"lam"}), frozenset({"q", "v"}), frozenset({"q", "v", "lam"})])
@@ -335,13 +333,12 @@ def test_a_plot_is_beside_the_replay_that_the_verdict_is_of(monkeypatch: pytest.
         judged_as(None, None, name="x").plot()
 
 
+@pytest.mark.slow
 def test_a_solution_is_shown_with_its_method_and_that_nobody_judged_it(drawn: list[Any]):
     solved = SolvedPlan.of(
-        Solution(method="softplus_dc", outcome=ts.Outcome.SOLVED, trajectory=motion(), cost=12.345678, seconds=Seconds(wall=3.0, cpu=2.0)),
-        SCENE,
-        "softplus_dc",
-        1e-3,
-    )
+        Solution(method="softplus_dc", outcome=ts.Outcome.SOLVED, trajectory=motion(), cost=12.345678, seconds=Seconds(wall=3.0, cpu=2.0)), SCENE,
+        "softplus_dc", 1e-3,
+    )  # fmt: skip
     assert repr(solved) == "Solution(three_cart by softplus_dc, eps 0.001: solved, cost 12.35, 2 steps)"
     assert (
         repr(replace(solved, trajectory=None, cost=None, eps=None, outcome=ts.Outcome.TIME_LIMIT))

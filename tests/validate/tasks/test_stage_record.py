@@ -235,12 +235,10 @@ def test_what_was_not_measured_has_no_value(value: float | None):
 @pytest.mark.parametrize(
     ("forces", "windows"),
     [
-        (((1.0, 0.0),), (("left", 0, 0),)),
-        (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)),
-        (((0.0, -1.0), (0.0, 0.0)), ()),
+        (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)), (((0.0, -1.0), (0.0, 0.0)), ()),
         (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)), (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
     ],
-)
+)  # fmt: skip
 def test_windows_are_the_first_and_the_last_step_of_each_force(forces: tuple, windows: tuple):
     (point,) = recorded(solution(front=(FrontPoint(tolerance=1.0, solution=solution(trajectory=plan(*forces))),))).front
     assert point.windows == windows

@@ -20,10 +20,8 @@ from validate.tasks.task import RunTask
 
 def planned(out: Path, *, robust: bool = True) -> PlannedRun:
     (entry,), _ = select(
-        CampaignSettings(
-            out=out, scenes=("wall_pendulum",), expression="=mpcc and not global and not multistart and not best_exact", robust=robust
-        )
-    )
+        CampaignSettings(out=out, scenes=("wall_pendulum",), expression="=mpcc and not global and not multistart and not best_exact", robust=robust),
+    )  # fmt: skip
     assert isinstance(entry, PlannedRun)
     return entry
 

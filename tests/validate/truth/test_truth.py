@@ -27,12 +27,9 @@ from validate.truth.suite import EngineRow, drives, judged, observed_order
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
 # What each fault is looked for with, the first of them that the engine expresses.
 SHOWS = {
-    "stiffness / 2": "rebound: undamped",
-    "friction off": "creep under load: mu = 0.5, half of what friction holds",
-    "step x 2": "two-body collision: masses 1 and 3",
-    "sign of the normal": "rebound: undamped",
-    "damping ignored": "rebound: Kelvin-Voigt damping",
-}
+    "stiffness / 2": "rebound: undamped", "friction off": "creep under load: mu = 0.5, half of what friction holds",
+    "step x 2": "two-body collision: masses 1 and 3", "sign of the normal": "rebound: undamped", "damping ignored": "rebound: Kelvin-Voigt damping",
+}  # fmt: skip
 
 
 def of_package(package: str):
@@ -87,6 +84,7 @@ def test_dying_bounces_rest_when_the_series_of_flights_says():
     assert 0.8 * series < rest < series + 8 * 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values()))
 def test_our_reference_is_right(name: str):
     assert error_of(PROBLEMS[name], "fmu") <= suite.NEAR
@@ -119,10 +117,8 @@ def plant(monkeypatch, engine: str, fault: str) -> None:
         return
     if fault == "step x 2" and not ours:
         monkeypatch.setattr(
-            module,
-            "stepped",
-            lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
-        )
+            module, "stepped", lambda drive, advance, given=module.stepped: given(drive, lambda u, slope, count, h: advance(u, slope, count, 2 * h)),
+        )  # fmt: skip
         return
     if fault == "step x 2":
         monkeypatch.setattr(
@@ -194,6 +190,7 @@ def test_a_name_that_is_no_engine_is_one_sentence(cli):
     assert named_engines("fmu, fmu") == ("fmu",)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_an_engine_that_is_missing_is_exit_code_3_where_it_is_asked_for(cli_environment, tmp_path: Path):
     (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['mujoco'] = None\n")

@@ -171,11 +171,9 @@ def test_each_reason_of_a_loop_has_its_words(reason: Reason, raised: Any, words:
 
 def test_points_of_a_step_are_taken_as_the_loop_came_to_them():
     one = integration(
-        targets=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]),
-        step=1,
-        _outputs=np.arange(6.0).reshape(2, 3, 1),
+        targets=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), step=1, _outputs=np.arange(6.0).reshape(2, 3, 1),
         _sums=10 + np.arange(6.0).reshape(2, 3, 1),
-    )
+    )  # fmt: skip
     one._take(0, 2)
     assert (one.run.t, one.run.knots) == ([0.4, 0.5], [])
     one._take(2, 2)

@@ -114,6 +114,7 @@ def by_hand() -> tuple[np.ndarray, frozenset[str]]:
     return np.array(q), frozenset(seen)
 
 
+@pytest.mark.slow
 def test_plans_are_those_of_a_mass_made_of_the_time_step() -> None:
     """Kernel, its derivatives and single steps to the last bit, at the task's step and at another; Pyomo's equations to rounding."""
     u = np.random.default_rng(0).uniform(-5.0, 20.0, size=(100, 2))
@@ -175,7 +176,7 @@ def test_everyday_and_reference_agree_far_below_the_error_of_the_lag() -> None:
 @pytest.mark.slow
 def test_the_grid_of_a_plan_and_the_step_of_the_task_change_nothing_that_is_judged() -> None:
     plain = replayed(100)
-    for other in (replayed(400), replayed(100, task_step=0.005)):
+    for other in (replayed(200), replayed(100, task_step=0.01)):
         each = (len(other.knots) - 1) // 100
         assert np.abs(other.q[other.knots[::each]] - plain.q[plain.knots]).max() < 1e-9
         assert other.error.lag.position == pytest.approx(plain.error.lag.position, rel=1e-3)

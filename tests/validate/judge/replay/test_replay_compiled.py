@@ -207,12 +207,9 @@ def instance_of(major: int = 2) -> Any:
 
     refused: list[Any] = []
     return SimpleNamespace(
-        major=major,
-        fmu=SimpleNamespace(component=77, address=address),
-        asked=addresses,
-        refuse=lambda *given: refused.append(given),
+        major=major, fmu=SimpleNamespace(component=77, address=address), asked=addresses, refuse=lambda *given: refused.append(given),
         refused=refused,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("major", [2, 3])
@@ -379,11 +376,9 @@ def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
     (stepping,) = found
     own = 0.5 / fineness
     assert (stepping.parts, stepping.slopes, stepping.states, stepping.rolls_back, stepping.own_step) == (parts, slopes, 2, rolls_back, own)
-    assert (stepping.own_step_of.array[:], stepping.given.array[:], stepping.outputs.array[:]) == (
-        [] if internal is None else [internal],
-        [5],
-        [1, 2],
-    )
+    assert (
+        stepping.own_step_of.array[:], stepping.given.array[:], stepping.outputs.array[:],
+    ) == ([] if internal is None else [internal], [5], [1, 2])  # fmt: skip
     settings = [(6, 0.5), (7, 9.0)] + ([] if internal is None else [(internal, own)])
     assert log == [((8, 1),), (0.5, settings, [5], [3.0]), "unload"]
     assert (run.t, run.knots, run.outputs[0].tolist()) == ([0.5], [0], [1.0, 2.0])
@@ -395,15 +390,11 @@ def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
 )
 def test_a_first_row_that_is_no_number_or_out_of_bounds_ends_the_run(values: list[float], outcome: ReplayOutcome):
     stepping: Any = SimpleNamespace(
-        inputs=SimpleNamespace(times=np.array([0.5, 1.0])),
-        fmu=SimpleNamespace(read=lambda outputs: np.array([*values, 1e12])),
-        outputs=None,
+        inputs=SimpleNamespace(times=np.array([0.5, 1.0])), fmu=SimpleNamespace(read=lambda outputs: np.array([*values, 1e12])), outputs=None,
         states=2,
-    )
+    )  # fmt: skip
     run = Run()
     assert everyday.record_start(stepping, run) is (outcome is ReplayOutcome.OK)
     assert (run.outcome, "t = 0.5 s" in run.message, run.t) == (
-        outcome,
-        outcome is not ReplayOutcome.OK,
-        [0.5] if outcome is ReplayOutcome.OK else [],
-    )
+        outcome, outcome is not ReplayOutcome.OK, [0.5] if outcome is ReplayOutcome.OK else [],
+    )  # fmt: skip

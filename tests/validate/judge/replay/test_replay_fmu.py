@@ -189,12 +189,9 @@ def test_an_fmu_without_the_variables_of_the_scene_is_refused():
     (position,), (push,) = scene.coordinates, scene.inputs
     q, u = position.symbol, push.symbol
     swapped = replace(
-        scene,
-        coordinates=(replace(position, symbol=u),),
-        inputs=(replace(push, symbol=q),),
-        forces=(scene.forces[0].subs({q: u, u: q}, simultaneous=True),),
-        task=replace(scene.task, running_cost=q**2),
-    )
+        scene, coordinates=(replace(position, symbol=u),), inputs=(replace(push, symbol=q),),
+        forces=(scene.forces[0].subs({q: u, u: q}, simultaneous=True),), task=replace(scene.task, running_cost=q**2),
+    )  # fmt: skip
     with pytest.raises(FmuError, match=r"u .* is no input"):
         replay(scene, build_fmu(swapped), plan)
 
@@ -234,21 +231,13 @@ def test_a_chattering_contact_ends_with_its_event_budget():
 def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
     q, v, u, k = *sp.symbols("q v u", real=True), sp.Symbol("k", positive=True)
     scene = Scene(
-        name="leaning",
-        title="A mass pressed on a spring wall",
-        source="made up for this test",
-        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),),
-        inputs=(Input(symbol=u, unit="N"),),
-        parameters=(Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6),),
-        kinetic_energy=v**2 / 2,
-        potential_energy=sp.Integer(0),
-        forces=(u,),
-        contacts=(
-            Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=q, stiffness=k),
-        ),
+        name="leaning", title="A mass pressed on a spring wall", source="made up for this test",
+        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),), inputs=(Input(symbol=u, unit="N"),),
+        parameters=(Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6),), kinetic_energy=v**2 / 2, potential_energy=sp.Integer(0), forces=(u,),
+        contacts=(Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=q, stiffness=k),),
         task=Task(start=(0.02, 0.0), goal=(0.02, 0.0), running_cost=u**2, step=0.1, steps=5),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
     resting = replay(scene, build_fmu(scene), driven(scene, np.full((5, 1), 2.0)))
     assert resting.q[:, 0] == pytest.approx(0.02, abs=1e-12)
     assert resting.events == ()

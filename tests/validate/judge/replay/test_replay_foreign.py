@@ -167,10 +167,8 @@ def test_every_variable_of_a_scene_is_found_by_its_name():
     found = find_variables(described(named(scene)), scene)
     assert (found.q, found.v, found.u) == (tuple(range(2)), (100, 101), (200,))
     assert (found.lam, found.gap, found.friction) == (
-        tuple(300 + i for i in range(scene.nc)),
-        tuple(400 + i for i in range(scene.nc)),
-        tuple(500 + i for i in range(scene.nf)),
-    )
+        tuple(300 + i for i in range(scene.nc)), tuple(400 + i for i in range(scene.nc)), tuple(500 + i for i in range(scene.nf)),
+    )  # fmt: skip
     assert (dict(found.energies), dict(found.powers)) == (
         {"kinetic_energy": 600, "potential_energy": 601, "contact_energy": 602},
         {"input_power": 700, "dissipated_power": 701},

@@ -111,11 +111,8 @@ def test_an_endless_step_and_a_plan_without_an_end_are_told_by_leaving_them_out(
 def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulation: bool, monkeypatch: pytest.MonkeyPatch):
     fmu = package(exchange=exchange, cosimulation=cosimulation, once=True)
     answers = [
-        told(["reference"], note="a"),
-        told(["reference"], "no first", "b"),
-        told(["everyday"], "no second", "a"),
-        told(["everyday"], note="c"),
-    ]
+        told(["reference"], note="a"), told(["reference"], "no first", "b"), told(["everyday"], "no second", "a"), told(["everyday"], note="c"),
+    ]  # fmt: skip
     chosen = (answers[:2] if exchange else []) + (answers[2:] if cosimulation else [])
     found, requests = asked(monkeypatch, chosen, fmu)
     runs = [((1e-11,), (), True), ((1e-13,), (), True)] if exchange else []
@@ -176,12 +173,10 @@ def test_mistakes_of_the_machine_and_of_others_are_raised(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("first", "note", "rolled"),
     [
-        (Run(), "", True),
-        (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."), "No step was rolled back: it said no.", False),
-        (RollbackError(), "No step was rolled back: … not the one it saved.", False),
-        (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
+        (Run(), "", True), (Run(outcome=ReplayOutcome.FMU_FAILED, message="it said no."), "No step was rolled back: it said no.", False),
+        (RollbackError(), "No step was rolled back: … not the one it saved.", False), (Run(outcome=ReplayOutcome.DIVERGED, message="gone"), "", True),
     ],
-)
+)  # fmt: skip
 def test_a_rollback_that_fails_is_left_out_and_said(first: Any, note: str, rolled: bool, monkeypatch: pytest.MonkeyPatch):
     calls: list[bool] = []
     plain = Run(message="plain")

@@ -229,10 +229,8 @@ def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: 
 
 def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
     foreign, _ = whole(
-        WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace(
-            "scale = 2.0, offset = 1.0", "scale = 2"
-        )
-    )
+        WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace("scale = 2.0, offset = 1.0", "scale = 2"),
+    )  # fmt: skip
     limit = foreign.model.limit("replay_terminal_velocity_error")
     assert (limit.value, foreign.input_scale.tolist()) == (0.0, [-0.001, 2.0])
 
@@ -245,12 +243,10 @@ def test_a_bound_may_be_the_fmus_own_but_for_rounding(whole):
 @pytest.mark.parametrize(
     ("plan", "words"),
     [
-        (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"),
-        (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
-        (ROWS.replace("time,", "time [ms],"), "time"),
-        (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
+        (ROWS.replace(",M,", ",m,"), "the column 'M' is missing"), (ROWS.replace("pressed", "presed"), "'presed' … (near it: pressed)"),
+        (ROWS.replace("time,", "time [ms],"), "time"), (ROWS.replace("F,", "F [kN],"), "inputs.F: … 'F' is in 'kN' … 'N'"),
     ],
-)
+)  # fmt: skip
 def test_each_mistake_in_the_columns_of_a_plan_is_named(whole, plan: str, words: str):
     assert not unsaid(refusal(lambda: whole(WHOLE, plan)), words)
 

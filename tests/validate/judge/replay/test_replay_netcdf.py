@@ -154,12 +154,10 @@ def _other_hold(file: h5netcdf.File) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (_no_column, "the column 'u3' is missing"),
-        (_other_unit, "q1 is in 'mm', but 'm' is expected"),
-        (_no_number, r"q\[3, 1\] is nan.*stale\.nc"),
+        (_no_column, "the column 'u3' is missing"), (_other_unit, "q1 is in 'mm', but 'm' is expected"), (_no_number, r"q\[3, 1\] is nan.*stale\.nc"),
         (_other_hold, "hold is 'cubic'"),
     ],
-)
+)  # fmt: skip
 def test_a_stale_plan_is_refused_by_name(tmp_path, scene, plan, change, sentence):
     path = tmp_path / "stale.nc"
     write_netcdf(path, plan, scene)

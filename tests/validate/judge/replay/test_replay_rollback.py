@@ -32,12 +32,9 @@ def falling(name: str) -> tuple:
     steps = scene.task.steps
     rest = np.tile(np.array(scene.task.start), (steps + 1, 1))
     plan = Trajectory(
-        t=uniform_grid(scene.task.step, steps),
-        q=rest[:, : scene.nq],
-        v=rest[:, scene.nq :],
-        u=np.zeros((steps, scene.nu)),
+        t=uniform_grid(scene.task.step, steps), q=rest[:, : scene.nq], v=rest[:, scene.nq :], u=np.zeros((steps, scene.nu)),
         lam=np.zeros((steps, scene.nl)),
-    )
+    )  # fmt: skip
     return scene, plan
 
 

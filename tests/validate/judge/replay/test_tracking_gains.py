@@ -129,21 +129,13 @@ def poised() -> Scene:
     x, v, push = sp.symbols("x v push", real=True)
     k = sp.Symbol("k", positive=True)
     return Scene(
-        name="poised",
-        title="A mass on the edge of a wall",
-        source="own",
-        coordinates=(Coordinate(symbol=x, velocity=v, unit="m"),),
-        inputs=(Input(symbol=push, unit="N", lower=-10.0, upper=10.0),),
-        parameters=(Parameter(symbol=k, value=4e4, unit="N/m"),),
-        kinetic_energy=v**2 / 2,
-        potential_energy=-8 * x**2,
-        forces=(push,),
-        contacts=(
-            Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=x, stiffness=k),
-        ),
+        name="poised", title="A mass on the edge of a wall", source="own", coordinates=(Coordinate(symbol=x, velocity=v, unit="m"),),
+        inputs=(Input(symbol=push, unit="N", lower=-10.0, upper=10.0),), parameters=(Parameter(symbol=k, value=4e4, unit="N/m"),),
+        kinetic_energy=v**2 / 2, potential_energy=-8 * x**2, forces=(push,),
+        contacts=(Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=x, stiffness=k),),
         task=Task(start=(0.0, 0.0), goal=(0.0, 0.0), running_cost=push**2, step=0.005, steps=400),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )
+    )  # fmt: skip
 
 
 def test_a_plan_on_an_edge_grows_as_the_side_that_rounding_says():

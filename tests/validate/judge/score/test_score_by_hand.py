@@ -62,52 +62,30 @@ def scene_of(side: float, sizes: Sizes = AS_IT_IS) -> Scene:
     force, torque = bounds if side > 0 else [(-high, -low) for low, high in bounds]
     speed = [value * L / T for value in ((-2.0, 1.5) if side > 0 else (-1.5, 2.0))]
     return Scene(
-        name="by_hand",
-        title="A body on a floor with an arm against a stop",
-        source="worked out by hand",
+        name="by_hand", title="A body on a floor with an arm against a stop", source="worked out by hand",
         coordinates=(
             Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5 * L, velocity_lower=speed[0], velocity_upper=speed[1]),
             Coordinate(symbol=a, velocity=w, unit="rad", nominal=2.0),
         ),
-        inputs=(
-            Input(symbol=f, unit="N", lower=force[0], upper=force[1]),
-            Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1]),
-        ),
-        parameters=(),
-        kinetic_energy=sizes.mass * (M * v**2 + J * L**2 * w**2) / 2,
-        potential_energy=sp.Integer(0),
-        forces=(f, m),
+        inputs=(Input(symbol=f, unit="N", lower=force[0], upper=force[1]), Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1])),
+        parameters=(), kinetic_energy=sizes.mass * (M * v**2 + J * L**2 * w**2) / 2, potential_energy=sp.Integer(0), forces=(f, m),
         contacts=(
             Contact(
-                name="floor",
-                bodies=("body", "floor"),
-                penetration=-side * x,
-                stiffness=100.0 * F / L,
-                nominal=0.05 * L,
-                depth=0.4 * L,
+                name="floor", bodies=("body", "floor"), penetration=-side * x, stiffness=100.0 * F / L, nominal=0.05 * L, depth=0.4 * L,
                 depth_reason="its thickness",
             ),
             Contact(
-                name="stop",
-                bodies=("arm", "stop"),
-                penetration=L * (side * a - 1.0) / 2,
-                stiffness=40.0 * F / L,
-                nominal=0.1 * L,
-                depth=0.2 * L,
+                name="stop", bodies=("arm", "stop"), penetration=L * (side * a - 1.0) / 2, stiffness=40.0 * F / L, nominal=0.1 * L, depth=0.2 * L,
                 depth_reason="its thickness",
             ),
         ),
         frictions=(Friction(name="rub", slip=L * w / 4, coefficient=sp.Rational(3, 10), contact="floor", nominal=0.2 * L / T),),
         task=Task(
-            start=(side * L, side * 0.4, 0.0, 0.0),
-            goal=(side * L, side * 0.4, 0.0, 0.0),
-            running_cost=f**2 + 3 * m**2 + x**2,
-            final_cost=7 * a**2 + v**2,
-            step=H * T,
-            steps=STEPS,
+            start=(side * L, side * 0.4, 0.0, 0.0), goal=(side * L, side * 0.4, 0.0, 0.0), running_cost=f**2 + 3 * m**2 + x**2,
+            final_cost=7 * a**2 + v**2, step=H * T, steps=STEPS,
         ),
         limits=goal_limits(position=0.01, velocity=0.02, reason="a hundredth, and twice that a second"),
-    )
+    )  # fmt: skip
 
 
 def still(rows: int, side: float, length: float) -> np.ndarray:
@@ -310,11 +288,8 @@ SCALED = [item for item in FOUND if "," not in item[3] and "cost" not in item[1]
 PER_SECOND = ("start_error", "replay_velocity_bound_violation", "defect")
 # No round numbers: these would look printed.
 OTHERS = (
-    Sizes(length=math.pi),
-    Sizes(mass=math.e),
-    Sizes(time=math.sqrt(50.0)),
-    Sizes(length=0.1 * math.e, mass=0.05 * math.pi, time=math.sqrt(3.0)),
-)
+    Sizes(length=math.pi), Sizes(mass=math.e), Sizes(time=math.sqrt(50.0)), Sizes(length=0.1 * math.e, mass=0.05 * math.pi, time=math.sqrt(3.0)),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("sizes", OTHERS, ids=["length", "mass", "time", "all"])

@@ -12,34 +12,33 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.run import replay
-from validate.judge.score import Verdict, score
+from validate.judge.score import Score, Verdict, score
 from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
 
 
-def judged(scene: Scene):
+def judged(scene: Scene, *others: Scene) -> list[Score]:
+    """The motion by the scene's own time step, judged on it, and on others that differ from it in their answers alone."""
     task = scene.task
     motion = load_kernel(scene).rollout(np.array(task.start), np.zeros((task.steps, 0)), task.step)
     plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, 0)), lam=motion.lam)
-    return score(scene, plan, replay(scene, build_fmu(scene), plan))
+    replayed = replay(scene, build_fmu(scene), plan)
+    return [score(one, plan, replayed) for one in (scene, *others)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bouncing_mass", "two_body_collision"])
 def test_the_replay_meets_every_closed_form(name: str):
     scene = load_scene(name)
-    result = judged(scene)
+    measured = [index for index, answer in enumerate(scene.answers) if answer.measure]
+    moved = [replace(answer, value=answer.value + 10.0 * answer.tolerance) for answer in scene.answers]
+    result, *wrong = judged(scene, *(replace(scene, answers=(*scene.answers[:i], moved[i], *scene.answers[i + 1 :])) for i in measured))
     assert result.verdict is Verdict.CONSISTENT, result.why  # nothing is asked of a motion that nobody plans
     assert {answer.measure for answer in scene.answers} - {""} <= set(MEASURES)
     metric = result.metric("answer_error")
     assert metric.value < 0.1
-    # each answer alone is watched: moved by ten tolerances, it is found
-    for index, answer in enumerate(scene.answers):
-        if not answer.measure:
-            continue
-        moved = replace(answer, value=answer.value + 10.0 * answer.tolerance)
-        wrong = replace(scene, answers=(*scene.answers[:index], moved, *scene.answers[index + 1 :]))
-        result = judged(wrong)
+    assert len(wrong) == len(measured) > 0, "each answer alone is watched: moved by ten tolerances, it is found"
+    for result in wrong:
         assert result.verdict is Verdict.UNDECIDED, "it accuses the judge, never the plan"
         assert "the judge is not well" in result.why
         assert "tolerances off a closed form" in result.why
@@ -48,7 +47,7 @@ def test_the_replay_meets_every_closed_form(name: str):
 @pytest.mark.slow
 def test_a_contact_that_never_closes_is_not_measured():
     scene = load_scene("bouncing_mass").with_task(steps=100)
-    result = judged(scene)
+    (result,) = judged(scene)
     assert result.verdict is Verdict.UNDECIDED
     assert "no contact closes" in result.why
 

@@ -149,12 +149,8 @@ def test_the_energy_turned_over_is_the_largest_of_five(place: int):
     """Of the potential only its range counts, of works their size, of the others what is there."""
     small = [np.array([0.0, 0.1, 0.05])] * 5
     large = [
-        np.array([1.0, 2.0, 0.0]),
-        np.array([10.0, 12.0, 11.0]),
-        np.array([0.5, 2.0, 2.0]),
-        np.array([0.0, -2.0, 1.0]),
-        np.array([0.0, -2.0, 1.0]),
-    ]
+        np.array([1.0, 2.0, 0.0]), np.array([10.0, 12.0, 11.0]), np.array([0.5, 2.0, 2.0]), np.array([0.0, -2.0, 1.0]), np.array([0.0, -2.0, 1.0]),
+    ]  # fmt: skip
     parts = [large[index] if index == place else small[index] for index in range(5)]
     assert eq.energy_turnover(*parts) == 2.0
 

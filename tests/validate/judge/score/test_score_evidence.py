@@ -196,6 +196,18 @@ def test_the_own_motion_is_semi_implicit_euler_in_so_many_parts(t: list[float], 
         assert case.true_end == pytest.approx(np.concatenate([q[-1], v[-1]]), abs=1e-13)
 
 
+def test_the_own_motion_of_a_collocation_plan_is_that_of_its_scheme():
+    """Implicit midpoint of free carts with c/m = 2/s: v' (1 + h) = v (1 - h) + h u."""
+    u, h = [[1.0, -2.0], [3.0, 4.0]], 0.1
+    case = carts([0.0, h, 2 * h], u, v=np.tile([0.5, 0.0, -0.25], (3, 1)), scheme=Scheme.IMPLICIT_MIDPOINT)
+    q, v = [np.array([2.0, 3.0, 4.0])], [np.array([0.5, 0.0, -0.25])]
+    for left, right in u:
+        v.append(((1 - h) * v[-1] + h * np.array([left, 0.0, right])) / (1 + h))
+        q.append(q[-1] + h * (v[-2] + v[-1]) / 2)
+    assert case.true_motion[0] == pytest.approx(np.array(q), abs=1e-9)
+    assert case.true_motion[1] == pytest.approx(np.array(v), abs=1e-9)
+
+
 @pytest.mark.parametrize("t", [0.05 * 2 ** np.arange(11.0), 25.0 * np.arange(11.0)], ids=["unequal steps", "equal steps"])
 def test_a_step_that_diverges_is_named(t: np.ndarray):
     """h c = 50: each step multiplies the velocity by -49, until nothing is a number any more."""

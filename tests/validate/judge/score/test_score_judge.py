@@ -167,15 +167,13 @@ def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajecto
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("beauty", "'beauty' … no metric; the metrics are start_error,"),
-        ("replay_eror", "did you mean replay_error?"),
+        ("beauty", "'beauty' … no metric; the metrics are start_error,"), ("replay_eror", "did you mean replay_error?"),
         ("terminal_error", "shown, not judged; limit terminal_position_error and terminal_velocity_error"),
         ("replay_terminal_error", "limit replay_terminal_position_error and replay_terminal_velocity_error"),
-        ("physics", "shown, not judged; limit physics_scaled."),
-        ("grid_error", "shown, not judged; limit replay_error, which it explains."),
+        ("physics", "shown, not judged; limit physics_scaled."), ("grid_error", "shown, not judged; limit replay_error, which it explains."),
         ("replay_error_time", "shown, not judged; leave it out."),
     ],
-)
+)  # fmt: skip
 def test_a_limit_that_could_judge_nothing_is_refused_with_its_mend(scene: Scene, name: str, says: str):
     wrong = replace(scene, limits=(*scene.limits, Limit(metric=name, value=1.0, reason="a test")))
     with pytest.raises(SceneError) as caught:

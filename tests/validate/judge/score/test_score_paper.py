@@ -68,13 +68,10 @@ def test_softplus_collocation_rows(scores: dict[str, Score], name: str, physics:
 @pytest.mark.parametrize(
     ("name", "stability", "holds"),
     [
-        ("softplus_gd 0.001", 0.411, False),
-        ("softplus_gd 1e-05", 0.273, False),
-        ("softplus_gd 1e-07", 0.196, False),
-        ("relu_gd warm", 0.047, True),
+        ("softplus_gd 0.001", 0.411, False), ("softplus_gd 1e-05", 0.273, False), ("softplus_gd 1e-07", 0.196, False), ("relu_gd warm", 0.047, True),
         ("relu_gd cold", 0.040, True),
     ],
-)
+)  # fmt: skip
 def test_gradient_descent_rows(scores: dict[str, Score], name: str, stability: float, holds: bool):
     result = scores[name]
     # Measured: the paper's stability of these rows is the norm over positions alone.

@@ -207,14 +207,12 @@ SCENES_OWN, WAIVED = Limit(metric="x", value=2.0, reason="of the scene"), Limit(
 @pytest.mark.parametrize(
     ("measured", "options", "expected"),
     [
-        (0.5, {}, (0.5, 0.0, 0.5, "of the table", True, True)),
-        (0.51, {}, (0.51, 0.0, 0.5, "of the table", False, True)),
+        (0.5, {}, (0.5, 0.0, 0.5, "of the table", True, True)), (0.51, {}, (0.51, 0.0, 0.5, "of the table", False, True)),
         ((0.4, 0.011), {}, (0.4, 0.011, 0.5, "of the table", None, True)),
         ((0.4, 0.011), {"question": Question.JUDGE}, (0.4, 0.011, 0.5, "of the table", True, True)),
         (1.5, {"limit": SCENES_OWN}, (1.5, 0.0, 2.0, "of the scene", True, False)),
         (2.5, {"limit": SCENES_OWN, "default": None}, (2.5, 0.0, 2.0, "of the scene", False, False)),
-        (2.5, {"limit": WAIVED}, (2.5, 0.0, None, "waived", None, True)),
-        (2.5, {"default": None}, (2.5, 0.0, None, "", None, True)),
+        (2.5, {"limit": WAIVED}, (2.5, 0.0, None, "waived", None, True)), (2.5, {"default": None}, (2.5, 0.0, None, "", None, True)),
         (2.5, {"question": Question.SHOWN, "limit": SCENES_OWN}, (2.5, 0.0, None, "", None, True)),
         (2.5, {"default": (math.inf, "none")}, (2.5, 0.0, None, "", None, True)),
         (math.inf, {}, (None, 0.0, 0.5, "the metric is too large to be a number.", False, True)),
@@ -222,15 +220,14 @@ SCENES_OWN, WAIVED = Limit(metric="x", value=2.0, reason="of the scene"), Limit(
         (LeavesBounds("far out"), {"limit": SCENES_OWN}, (None, 0.0, 2.0, "far out", False, False)),
         (LeavesBounds("far out"), {"limit": WAIVED}, (None, 0.0, None, "far out", None, True)),
         (LeavesBounds("far out"), {"default": None}, (None, 0.0, None, "far out", None, True)),
-        (Unmeasured("unseen"), {}, (None, 0.0, None, "unseen", None, True)),
-        (Contradicted("no"), {}, (None, 0.0, 0.5, "no", None, True)),
+        (Unmeasured("unseen"), {}, (None, 0.0, None, "unseen", None, True)), (Contradicted("no"), {}, (None, 0.0, 0.5, "no", None, True)),
         (Contradicted("no"), {"limit": SCENES_OWN}, (None, 0.0, 2.0, "no", None, False)),
         (Contradicted("no"), {"limit": WAIVED}, (None, 0.0, None, "no", None, True)),
         (1.0, {"needs": ("q",), "missing": frozenset({"q"})}, (None, 0.0, None, "the plan does not say its positions.", None, True)),
         (1.0, {"needs": ("v",), "missing": frozenset({"q"})}, (1.0, 0.0, 0.5, "of the table", False, True)),
         (1.0, {"needs": ("scheme",)}, (None, 0.0, None, "the plan declares no scheme.", None, True)),
     ],
-)
+)  # fmt: skip
 def test_a_measurement_becomes_a_metric(measured: Any, options: dict[str, Any], expected: tuple[Any, ...]):
     found = metric_of(measured, **options)
     assert said(found) == expected
