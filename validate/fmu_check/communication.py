@@ -16,7 +16,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -195,7 +195,7 @@ def _through(instance: CheckedInstance, steps: int, log: _StepLog) -> np.ndarray
 def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     """Which state goes another way, in words; empty if none does."""
     watched = subject.states or [item for item in subject.outputs if item.is_float]
-    places = np.cumsum([0, *(item.size for item in subject.observed)])
+    places = subject.observed.ends
     names = [item.reference for item in subject.observed]
     for item in watched:
         if item.reference not in names:
@@ -364,7 +364,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
 
     held, sloping = end(1, np.zeros_like(slope)), end(1, slope)
     line = end(_STAIRS, None)
-    scale = np.maximum(np.abs(line), [item.scale for item in subject.states for _ in range(item.size)])
+    scale = np.maximum(np.abs(line), subject.states.scales)
     effect = np.abs(line - held) / scale
     if effect.max(initial=0.0) < _VISIBLE:
         return not_offered(f"what a slope changes within {length:g} s is too small to be seen.")
@@ -376,9 +376,8 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     away = np.abs(sloping - line) / scale
     worst = int(np.argmax(away - _NEARER * effect))
     if away[worst] > _NEARER * effect[worst] + _VISIBLE:
-        names = entry_names(subject.states)
         return failed(
-            f"after {length:g} s with sloping inputs {names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
+            f"after {length:g} s with sloping inputs {subject.states.names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
         )
     return passed(
         f"one step of {length:g} s with slopes is {_STAIRS} stairs within {away.max():.1g} of the values; no slope is off by {effect.max():.1g}."

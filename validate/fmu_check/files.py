@@ -22,6 +22,7 @@ from fmpy.validation import validate_fmu
 
 from models.errors import MachineError
 from validate.fmi.archive import FmuError, binary_name, problems
+from validate.fmi.description import without_garbage
 from validate.fmi.instance import CLASSES
 from validate.fmi.sources import compile_sources, sources_of
 from validate.fmi.surroundings import listed
@@ -191,7 +192,8 @@ def _required(subject: Subject, kind: str) -> set[str]:
 def valid(path: Path) -> Finding:
     """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation); terminals name variables that there are."""
     # Looks at the unpacked folder; comes before the description is read without validation.
-    problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))] + _of_terminals(path)
+    with without_garbage():
+        problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))] + _of_terminals(path)
     if problems:
         return failed(f"{listed(problems)}.")
     return passed("0 problems.")
