@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +17,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -122,19 +123,20 @@ _ROUNDS, _STILL = 100, 100
 # Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
 _OFF, _OFTEN = 0.05, 0.25
 _UPDATE = "providesIntermediateUpdate"
-_MIGHT = "mightReturnEarlyFromDoStep"
+# An FMU that may return early from a step, and says so.
+MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
 @dataclass
-class _StepLog:
+class StepLog:
     """What an instance reported on its way: times of events, how often it returned early."""
 
     events: list[float] = field(default_factory=list)
     early: int = 0
 
 
-def _settle(instance: CheckedInstance) -> float:
-    """Event updates until it is content, once more without effect, then Step Mode; the time of the next event (inf: none)."""
+def _settle(instance: CheckedInstance) -> None:
+    """Event updates until it is content, once more without effect, then Step Mode."""
     for _ in range(_ROUNDS):
         again, terminate, _, _, _, _ = instance.fmu.updateDiscreteStates()
         if terminate:
@@ -150,46 +152,53 @@ def _settle(instance: CheckedInstance) -> float:
         what = "asks for another one" if again else f"changes values ({apart.where(instance.subject)})"
         raise Misbehaviour(f"at t = {instance.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
     instance.fmu.enterStepMode()
-    return float(when) if defined else math.inf
+    instance.next_event = float(when) if defined else math.inf
 
 
-def _through(instance: CheckedInstance, steps: int, log: _StepLog) -> np.ndarray:
+def _event(instance: CheckedInstance) -> None:
+    instance.fmu.enterEventMode()
+    _settle(instance)
+
+
+def _through(instance: CheckedInstance, steps: int, log: StepLog) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
-    subject, may_return = instance.subject, instance.options["earlyReturnAllowed"]
-    near = _SAME * subject.step
-    t, following = subject.start_time, _settle(instance)
+    subject = instance.subject
+    _settle(instance)
     rows = [instance.observe()]
-    clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     for step in range(steps):
         if step % HOLD == 0 and subject.continuous_inputs:
             instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        goal, still = subject.time(step + 1), 0
-        while goal - t > near:
-            target = min(goal, max(following, t + near))
-            event, _, early, reached = instance.do_step(t, target - t)
-            where = f"the step from t = {t:.6g} s to {target:.6g} s"
-            if early and not may_return:
-                raise Misbehaviour(f"{where} returned early, which was not allowed")
-            if not early and abs(reached - target) > near:
-                raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
-            if not t - near <= reached <= target + near:
-                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
-            for clock in clocks:
-                if abs(float(instance.get([clock])[0]) - reached) > near:
-                    raise Misbehaviour(
-                        f"{where} says that it reached {reached:.9g} s, the variable {clock.name} says {float(instance.get([clock])[0]):.9g} s"
-                    )
-            log.early += early
-            still = still + 1 if reached - t <= near else 0
-            if still > _STILL:
-                raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
-            t = instance.time = reached
-            if event or t >= following - near:
-                log.events.append(t)
-                instance.fmu.enterEventMode()
-                following = _settle(instance)
+        step_to(instance, subject.time(step + 1), log, _event)
         rows.append(instance.observe())
     return np.array(rows)
+
+
+def step_to(instance: CheckedInstance, goal: float, log: StepLog, event: Callable[[Any], Any]) -> None:
+    """Steps to a time [s] with an instance in Step Mode that has event mode; event: what handles one. Raises Misbehaviour where an answer cannot be right."""
+    subject, t, still = instance.subject, instance.time, 0
+    near = _SAME * subject.step
+    clocks = Block(item for item in subject.variables if item.causality == "independent" and item.is_float)
+    while goal - t > near:
+        target = min(goal, max(instance.next_event, t + near))
+        asked, _, early, reached = instance.do_step(t, target - t)
+        where = f"the step from t = {t:.6g} s to {target:.6g} s"
+        if early and not instance.options["earlyReturnAllowed"]:
+            raise Misbehaviour(f"{where} returned early, which was not allowed")
+        if not early and abs(reached - target) > near:
+            raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
+        if not t - near <= reached <= target + near:
+            raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
+        for name, told in zip(clocks.names, instance.get(clocks), strict=True):
+            if abs(told - reached) > near:
+                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s")
+        log.early += early
+        still = still + 1 if reached - t <= near else 0
+        if still > _STILL:
+            raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
+        t = instance.time = reached
+        if asked or t >= instance.next_event - near:
+            log.events.append(t)
+            event(instance)
 
 
 def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
@@ -212,38 +221,39 @@ def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
 def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
-    steps, log = subject.long_steps(kind), _StepLog()
+    steps, log = subject.long_steps(kind), StepLog()
     plain = fresh_run(subject, kind, steps)
-    with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
+    with CheckedInstance(subject, kind, options=with_events(subject.can(kind, MIGHT_RETURN))) as instance:
         rows = _through(instance.begin(), steps, log)
         wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
-        require_equal(subject, rows, _through(instance.begin(), steps, _StepLog()), "after reset in a run with event mode")
+        require_equal(subject, rows, _through(instance.begin(), steps, StepLog()), "after reset in a run with event mode")
     return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
-def _options(early: bool) -> dict[str, bool]:
+def with_events(early: bool) -> dict[str, bool]:
+    """Options of an instance with event mode; early: whether it may return early."""
     return {"eventModeUsed": True, "earlyReturnAllowed": early}
 
 
 @check("early return", Scope.COSIMULATION, clauses=("", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
-    might, asked = (subject.can(kind, name) for name in (_MIGHT, "canReturnEarlyAfterIntermediateUpdate"))
+    might, asked = (subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate"))
     if subject.major < 3 or not (might or asked):
         return not_offered(
-            "FMI 2.0 has none." if subject.major < 3 else f"neither {_MIGHT} nor canReturnEarlyAfterIntermediateUpdate is true."
+            "FMI 2.0 has none." if subject.major < 3 else f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
         )
     said = []
     if subject.can(kind, "hasEventMode"):
-        log = _StepLog()
+        log = StepLog()
         for early in (False, True):
-            with CheckedInstance(subject, kind, options=_options(early)) as instance:
+            with CheckedInstance(subject, kind, options=with_events(early)) as instance:
                 _through(instance.begin(), subject.long_steps(kind), log)
         if log.early and not might:
-            return failed(f"it returned early, though {_MIGHT} is false.")
+            return failed(f"it returned early, though {MIGHT_RETURN} is false.")
         said.append(f"{log.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         asked, wrong = _asked_to_return(subject, kind)

@@ -26,7 +26,7 @@ from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, scheduled, states, values
+from validate.fmu_check import clocks, communication, derivatives, exchange, files, host_process, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -66,7 +66,8 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.dependencies,
     derivatives.rates,
     exchange.agree,
-    scheduled.activated,
+    clocks.ticking,
+    clocks.activated,
     reference.stored,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -40,7 +40,7 @@ DEFAULT_TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FmuVariable:
-    """A variable of the FMU that has a number: `size` entries, start as numbers (or None)."""
+    """A variable of the FMU that has a number: `size` entries, start as numbers (or None); it may be read and set only while one of `clocks` ticks, if it has any."""
 
     name: str
     reference: int
@@ -54,6 +54,7 @@ class FmuVariable:
     upper: float
     nominal: float | None
     unit: str | None
+    clocks: tuple[int, ...] = ()
 
     @property
     def is_float(self) -> bool:
@@ -218,13 +219,13 @@ class Subject:
 
     @cached_property
     def outputs(self) -> Block:
-        """Outputs, as the ModelStructure lists them."""
-        return self.of(self.description.outputs)
+        """Outputs, as the ModelStructure lists them, but for clocked ones."""
+        return Block(item for item in self.of(self.description.outputs) if not item.clocks)
 
     @cached_property
     def observed(self) -> Block:
-        """One variable a value reference and type: what runs are compared by."""
-        return Block(list({(item.reference, item.type): item for item in reversed(self.variables)}.values())[::-1])
+        """One variable a value reference and type, but for clocked ones: what runs are compared by."""
+        return Block(list({(item.reference, item.type): item for item in reversed(self.variables) if not item.clocks}.values())[::-1])
 
     @cached_property
     def continuous_inputs(self) -> Block:
@@ -357,6 +358,7 @@ def _variable(item: Any) -> FmuVariable | None:
         upper=math.inf if upper is None else upper,
         nominal=number("nominal"),
         unit=item.unit or getattr(item.declaredType, "unit", None),
+        clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
     )
 
 
@@ -375,7 +377,7 @@ class CheckedInstance(Instance):
         super().__init__(subject.description, subject.folder, kind, name, options)
         self.time = subject.start_time
 
-    def __enter__(self) -> CheckedInstance:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type | None, *_: object) -> None:

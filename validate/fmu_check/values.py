@@ -25,26 +25,27 @@ _MOVED = 0.01
 
 @check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def readable(subject: Subject, kind: str) -> Finding:
-    """After initialisation each variable's value reference is accepted."""
+    """After initialisation each variable's value reference is accepted, but for clocked ones."""
+    variables = [item for item in subject.variables if not item.clocks]
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
-            for kind in dict.fromkeys(item.type for item in subject.variables)
-            for item in _refused(instance, [item for item in subject.variables if item.type == kind])
+            for kind in dict.fromkeys(item.type for item in variables)
+            for item in _refused(instance, [item for item in variables if item.type == kind])
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
     if problems:
         return failed(listed(problems))
     more = f", {len(texts)} of them strings or binaries" if texts else ""
-    return passed(f"{len(subject.variables) + len(texts)} variables were read{more}.")
+    return passed(f"{len(variables) + len(texts)} variables were read{more}.")
 
 
 def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
     """Of each string and binary that is no array its name, and what is wrong with its value: it cannot be read, or one that nobody set is not its start."""
     for item in instance.subject.description.modelVariables:
-        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None):
+        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None) or item.clocks:
             continue
         said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
         try:
@@ -95,7 +96,7 @@ def starts(subject: Subject, kind: str) -> Finding:
 
 def _movable(item: FmuVariable) -> bool:
     """Whether another value may be given to it; another whole number may switch the model to something else."""
-    changes = item.variability != "constant" and item.causality != "structuralParameter"
+    changes = item.variability != "constant" and item.causality != "structuralParameter" and not item.clocks
     return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
 
 

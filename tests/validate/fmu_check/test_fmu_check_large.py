@@ -36,7 +36,7 @@ def variables(*kinds: tuple[str, str | None, tuple[int, ...]]) -> Block:
     made = [
         SimpleNamespace(
             name=f"v{place}", type=kind, start=start, shape=shape, valueReference=10 + place, causality="parameter", variability="tunable",
-            initial="exact", min=None, max="2" if place == 0 else None, nominal="8" if place == 2 else None, unit=None, declaredType=None,
+            initial="exact", clocks=None, min=None, max="2" if place == 0 else None, nominal="8" if place == 2 else None, unit=None, declaredType=None,
         )
         for place, (kind, start, shape) in enumerate(kinds)
     ]  # fmt: skip
