@@ -231,7 +231,7 @@ class _Fmi3(_Calls):
 class FMU2Exchange(_Fmi2, FMU2Model):
     """FMI 2.0, Model Exchange."""
 
-    rates, update = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates
+    rates, update, leave = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates, FMU2Model.enterContinuousTimeMode
 
 
 class FMU2Stepping(_Fmi2, FMU2Slave):
@@ -241,11 +241,13 @@ class FMU2Stepping(_Fmi2, FMU2Slave):
 class FMU3Exchange(_Fmi3, FMU3Model):
     """FMI 3.0, Model Exchange."""
 
-    rates, update = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates
+    rates, update, leave = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates, FMU3Model.enterContinuousTimeMode
 
 
 class FMU3Stepping(_Fmi3, FMU3Slave):
     """FMI 3.0, Co-Simulation."""
+
+    update, leave = FMU3Slave.updateDiscreteStates, FMU3Slave.enterStepMode
 
 
 class FMU3Scheduling(_Fmi3, _FMU3):
@@ -433,16 +435,24 @@ class Instance:
         self.fmu.enterEventMode()
         return self.settle()
 
+    def before_update(self) -> None:
+        """What else is to be done in each round of an event iteration."""
+
+    def content(self) -> None:
+        """What else is to be done at its end, before Event Mode is left."""
+
     def settle(self) -> bool:
-        """Event updates until the FMU is content, then Continuous-Time Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
+        """Event updates until the FMU is content, then Continuous-Time or Step Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
         changed = False
         for _ in range(EVENT_ROUNDS):
+            self.before_update()
             again, ends, _, states_changed, defined, following = self.fmu.update()
             changed = changed or states_changed
             if ends:
                 raise TerminationRequested(self.time)
             if not again:
-                self.fmu.enterContinuousTimeMode()
+                self.content()
+                self.fmu.leave()
                 self.next_event = float(following) if defined else math.inf
                 return changed
         raise endless()

@@ -20,7 +20,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, fmi3UInt64, fmi3ValueReference
 
 from validate.fmi.archive import DESCRIPTION
-from validate.fmi.instance import EVENT_ROUNDS, Misbehaviour, TerminationRequested, endless
+from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.communication import MIGHT_RETURN, StepLog, step_to, with_events
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
@@ -255,7 +255,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         instance.fmu.exitInitializationMode()
         instance.settle()
         if kind == "CS":
-            step_to(instance, schedule.end, StepLog(), _Ticking.event)
+            step_to(instance, schedule.end, StepLog())
             return instance.log
         mover = Exchange(instance, TOLERANCE)
         mover.renew(subject.start_time)
@@ -272,36 +272,37 @@ class _Ticking(CheckedInstance):
     outputs: list[_Clock]
     schedule: _Schedule
 
+    due: Sequence[_Clock] = ()  # that tick in the round that begins
+    ticked: Sequence[_Clock] = ()  # in this event
+
     def settle(self) -> bool:
-        """Event updates until the FMU is content, as with every other instance; output clocks and what is clocked are read in each round, intervals at the end."""
-        changed, ticked = False, []
+        """As of every instance; output clocks and what is clocked are read in each round, intervals at the end."""
+        ticked = []
         while self.schedule.time <= self.time + self.schedule.near:
             ticked.append(self.schedule.pop())
         references = {item.reference for item in ticked}
-        due = [item for item in ticked if not item.clocks or references & set(item.clocks)]
-        self._activate(due)
-        for _ in range(EVENT_ROUNDS):
-            self.log.counts[""] += 1
-            active = [*due, *self._active()]
-            for item in active:
-                self.log.counts[item.name] += 1
-            self._read(active)
-            again, ends, _, states_changed, defined, following = self.fmu.updateDiscreteStates()
-            due, changed = [], changed or states_changed
-            if ends:
-                raise TerminationRequested(self.time)
-            if not again:
-                break
-        else:
-            raise endless()
+        self.ticked, self.due = ticked, [item for item in ticked if not item.clocks or references & set(item.clocks)]
+        self._activate(self.due)
+        changed = super().settle()
+        self.next_event = min(self.next_event, self.schedule.time)
+        return changed
+
+    def before_update(self) -> None:
+        """What ticks is counted, and what is clocked read."""
+        self.log.counts[""] += 1
+        active = [*self.due, *self._active()]
+        for item in active:
+            self.log.counts[item.name] += 1
+        self._read(active)
+        self.due = ()
+
+    def content(self) -> None:
+        """Every tick is over; when the next ones come."""
         for item in self._active():
             raise Misbehaviour(
                 f"{item.name} is still active after fmi3UpdateDiscreteStates at t = {self.time:.6g} s, which must end each tick"
             )
-        self.schedule.go_on(self.time, ticked)
-        (self.fmu.enterContinuousTimeMode if self.kind == "ME" else self.fmu.enterStepMode)()
-        self.next_event = min(float(following) if defined else math.inf, self.schedule.time)
-        return changed
+        self.schedule.go_on(self.time, self.ticked)
 
     def _activate(self, due: Sequence[_Clock]) -> None:
         """Let input clocks tick, and set what may be set while they do."""

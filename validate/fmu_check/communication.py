@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Misbehaviour, TerminationRequested
+from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
@@ -118,8 +117,8 @@ def stop_time(subject: Subject, kind: str) -> Finding:
     )
 
 
-# Rounds of an event iteration, and steps that go nowhere, before it is called endless.
-_ROUNDS, _STILL = 100, 100
+# Steps that go nowhere before they are called endless.
+_STILL = 100
 # Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
 _OFF, _OFTEN = 0.05, 0.25
 _UPDATE = "providesIntermediateUpdate"
@@ -135,46 +134,34 @@ class StepLog:
     early: int = 0
 
 
-def _settle(instance: CheckedInstance) -> None:
-    """Event updates until it is content, once more without effect, then Step Mode."""
-    for _ in range(_ROUNDS):
-        again, terminate, _, _, _, _ = instance.fmu.updateDiscreteStates()
-        if terminate:
-            raise TerminationRequested(instance.time)
-        if not again:
-            break
-    else:
-        raise Misbehaviour(f"the event iteration did not end after {_ROUNDS} rounds")
-    before = instance.observe()
-    again, _, _, _, defined, when = instance.fmu.updateDiscreteStates()
-    apart = compare(instance.subject, before[np.newaxis], instance.observe()[np.newaxis])
-    if again or not apart.equal:
-        what = "asks for another one" if again else f"changes values ({apart.where(instance.subject)})"
-        raise Misbehaviour(f"at t = {instance.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
-    instance.fmu.enterStepMode()
-    instance.next_event = float(when) if defined else math.inf
+class _Eventful(CheckedInstance):
+    """An instance with event mode, whose every event is tried once more."""
+
+    def content(self) -> None:
+        """Once more without effect."""
+        before = self.observe()
+        again, *_ = self.fmu.update()
+        apart = compare(self.subject, before[np.newaxis], self.observe()[np.newaxis])
+        if again or not apart.equal:
+            what = "asks for another one" if again else f"changes values ({apart.where(self.subject)})"
+            raise Misbehaviour(f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
 
 
-def _event(instance: CheckedInstance) -> None:
-    instance.fmu.enterEventMode()
-    _settle(instance)
-
-
-def _through(instance: CheckedInstance, steps: int, log: StepLog) -> np.ndarray:
+def _through(instance: _Eventful, steps: int, log: StepLog) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
     subject = instance.subject
-    _settle(instance)
+    instance.settle()
     rows = [instance.observe()]
     for step in range(steps):
         if step % HOLD == 0 and subject.continuous_inputs:
             instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        step_to(instance, subject.time(step + 1), log, _event)
+        step_to(instance, subject.time(step + 1), log)
         rows.append(instance.observe())
     return np.array(rows)
 
 
-def step_to(instance: CheckedInstance, goal: float, log: StepLog, event: Callable[[Any], Any]) -> None:
-    """Steps to a time [s] with an instance in Step Mode that has event mode; event: what handles one. Raises Misbehaviour where an answer cannot be right."""
+def step_to(instance: CheckedInstance, goal: float, log: StepLog) -> None:
+    """Steps to a time [s] with an instance in Step Mode that has event mode. Raises Misbehaviour where an answer cannot be right."""
     subject, t, still = instance.subject, instance.time, 0
     near = _SAME * subject.step
     clocks = Block(item for item in subject.variables if item.causality == "independent" and item.is_float)
@@ -198,7 +185,7 @@ def step_to(instance: CheckedInstance, goal: float, log: StepLog, event: Callabl
         t = instance.time = reached
         if asked or t >= instance.next_event - near:
             log.events.append(t)
-            event(instance)
+            instance.event()
 
 
 def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
@@ -223,7 +210,7 @@ def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
     steps, log = subject.long_steps(kind), StepLog()
     plain = fresh_run(subject, kind, steps)
-    with CheckedInstance(subject, kind, options=with_events(subject.can(kind, MIGHT_RETURN))) as instance:
+    with _Eventful(subject, kind, options=with_events(subject.can(kind, MIGHT_RETURN))) as instance:
         rows = _through(instance.begin(), steps, log)
         wrong = _elsewhere(subject, plain, rows)
         if wrong:
@@ -250,7 +237,7 @@ def early_return(subject: Subject, kind: str) -> Finding:
     if subject.can(kind, "hasEventMode"):
         log = StepLog()
         for early in (False, True):
-            with CheckedInstance(subject, kind, options=with_events(early)) as instance:
+            with _Eventful(subject, kind, options=with_events(early)) as instance:
                 _through(instance.begin(), subject.long_steps(kind), log)
         if log.early and not might:
             return failed(f"it returned early, though {MIGHT_RETURN} is false.")

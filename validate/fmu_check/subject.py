@@ -397,7 +397,7 @@ class CheckedInstance(Instance):
         before: Settings = NOTHING,
         during: Settings = NOTHING,
         stop: float | None = None,
-    ) -> CheckedInstance:
+    ) -> Self:
         """Through initialisation, and to Continuous-Time Mode or the first step.
 
         Parameters
@@ -416,7 +416,7 @@ class CheckedInstance(Instance):
         self.set(*during)
         return self.finish_initialisation()
 
-    def finish_initialisation(self) -> CheckedInstance:
+    def finish_initialisation(self) -> Self:
         """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
         self.fmu.exitInitializationMode()
         self.next_event = math.inf

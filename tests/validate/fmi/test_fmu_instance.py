@@ -280,7 +280,7 @@ def test_an_event_goes_round_until_the_fmu_is_content():
     rounds = [(True, False, False, True, False, 9.0), (True, False, True, False, True, 8.0), (False, False, False, False, True, 7.5)]
     instance.fmu.update = iter(rounds).__next__
     assert instance.event() is True
-    assert (log, instance.next_event) == ([("enterEventMode",), ("enterContinuousTimeMode",)], 7.5)
+    assert (log, instance.next_event) == ([("enterEventMode",), ("leave",)], 7.5)
     instance.fmu.update = lambda: (False, False, True, False, False, 7.0)
     assert (instance.settle(), instance.next_event) == (False, math.inf)
     instance.time, instance.fmu.update = 1.25, lambda: (False, True, False, False, False, 0.0)

@@ -5,7 +5,6 @@ A fault is the importer's or the FMU's, which nobody can tell from here: so it i
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import importlib.util
 from collections.abc import Callable
@@ -16,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from validate.execution.isolated import Limits, run_isolated
+from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL
 from validate.fmu_check.check import Check, Finding, Scope, advice, check, not_offered, passed
-from validate.fmu_check.importers.tools import IMPORTERS, TOLERANCE, Importer, casadi
-from validate.fmu_check.motion import Crowded, Exchange
+from validate.fmu_check.importers.tools import IMPORTERS, Importer, casadi
+from validate.fmu_check.reference import ErrorBounded, Signals, solve
 from validate.fmu_check.subject import NOTHING, Block, CheckedInstance, FmuVariable, Settings, Subject
 
 # Steps of the run, seconds and memory of the importer's process.
 _STEPS, _LIMITS = 100, Limits(seconds=40.0, memory=4 * 1024**3)
 # Of a value's size: what Co-Simulation may differ where the same steps are made, and Model Exchange with another integrator beside what ours is off itself.
-_SAME_STEPS, _OTHER_SOLVER, _SAFETY = 1e-6, 1e-5, 4.0
-_RTOLS = (1e-7, TOLERANCE)
+_SAME_STEPS, _OTHER_SOLVER = 1e-6, 1e-5
 # Of the time to the first event: how far an importer goes that handles none.
 _BEFORE = 0.9
 
@@ -82,7 +81,10 @@ def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
     if not block or (importer.run is casadi and not plain):
         return not_offered("there is nothing to compare: no outputs and no states that are single numbers.")
     steps = subject.before_end(kind, min(subject.steps(kind), _STEPS))
-    end, ours, bars = _ours(subject, kind, block, given, steps, before_events=importer.run is casadi)
+    try:
+        end, ours, bars = _ours(subject, kind, block, given, steps, before_events=importer.run is casadi)
+    except FmuError as error:
+        return not_offered(f"we cannot tell either: {str(error).rstrip('.')}.")
     points = [subject.start_time + (end - subject.start_time) * place / steps for place in range(steps + 1)]
     if kind == "CS":
         points = [subject.time(place) for place in range(steps + 1)]
@@ -114,25 +116,17 @@ def _ours(
                 instance.do_step(subject.time(step), subject.step)
             values = instance.get(watched)
         return subject.time(steps), values, _SAME_STEPS * np.maximum(np.abs(values), watched.scales)
-    end, found = subject.time(steps), []
-    if before_events:
-        events = _integrated(subject, watched, given, end, _RTOLS[1])[1]
-        first = next((time for time, *_ in events if time > subject.start_time), None)
-        end = end if first is None else subject.start_time + _BEFORE * (first - subject.start_time)
-    for rtol in _RTOLS:
-        found.append(_integrated(subject, watched, given, end, rtol)[0])
-    own = np.abs(found[1] - found[0])
-    return end, found[1], _SAFETY * own + _OTHER_SOLVER * np.maximum(np.abs(found[1]), watched.scales)
+    variables, values = given
+    parts = [part[np.newaxis] for part in np.split(values, variables.ends[1:-1])] if variables else []
+    signals = Signals(np.array([subject.start_time]), list(variables), parts)
 
+    def solved(end: float) -> ErrorBounded:
+        return solve(subject, kind, np.array([subject.start_time, end]), signals, list(watched))
 
-def _integrated(subject: Subject, watched: Block, given: Settings, end: float, rtol: float) -> tuple[np.ndarray, list[Any]]:
-    with CheckedInstance(subject, "ME") as instance:
-        mover = Exchange(instance.begin(during=given), rtol)
-        mover.renew(subject.start_time)
-        with contextlib.suppress(Crowded):
-            mover.advance(end)
-        mover.close()
-        return instance.get(watched), mover.record.events
+    found = solved(end := subject.time(steps))
+    if before_events and (later := found.events[found.events > subject.start_time]).size:
+        found = solved(end := subject.start_time + _BEFORE * (float(later[0]) - subject.start_time))
+    return end, found.values[-1], found.bars[-1] + _OTHER_SOLVER * np.maximum(np.abs(found.values[-1]), watched.scales)
 
 
 def _checks() -> tuple[Check, ...]:

@@ -18,8 +18,8 @@ import numpy as np
 
 from validate.fmi.archive import FmuError
 
-# Of FMPy's CVODE, beside which ours has the same.
-TOLERANCE = 1e-9
+# Of FMPy's CVODE.
+_TOLERANCE = 1e-9
 
 
 def _module(name: str) -> Any:
@@ -36,7 +36,7 @@ def fmpy(job: dict[str, Any]) -> list[float]:
     given = {name: value for name, _, value in job["inputs"]}
     result = simulate_fmu(
         job["path"], validate=False, fmi_type=whole, start_time=begin, stop_time=end, output_interval=job["steps"][0][1], start_values=given,
-        output=job["names"], relative_tolerance=TOLERANCE if job["type"] == "ME" else None,
+        output=job["names"], relative_tolerance=_TOLERANCE if job["type"] == "ME" else None,
     )  # fmt: skip
     return [float(result[name][-1]) for name in job["names"]]
 
