@@ -21,7 +21,7 @@ from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, f
 
 from validate.fmi.archive import DESCRIPTION
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Failed, Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.communication import MIGHT_RETURN, StepLog, step_to, with_events
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
 from validate.fmu_check.subject import Block, CheckedInstance, Subject
@@ -62,8 +62,11 @@ def _clock(item: ElementTree.Element) -> _Clock:
 
 
 def _clocks_of(subject: Subject) -> tuple[list[_Clock], list[_Clock]]:
-    """Input clocks and output clocks."""
-    found = [_clock(item) for item in ElementTree.parse(subject.folder / DESCRIPTION).iter("Clock")]
+    """Input clocks and output clocks. Raises Failed."""
+    try:
+        found = [_clock(item) for item in ElementTree.parse(subject.folder / DESCRIPTION).iter("Clock")]
+    except (ValueError, ZeroDivisionError) as error:
+        raise Failed(f"the interval, shift or priority of a clock is no number that can be used ({error}).") from error
     return [item for item in found if item.causality == "input"], [item for item in found if item.causality == "output"]
 
 

@@ -165,6 +165,13 @@ def test_a_defect_of_ticks_is_found_in_either_interface(words: str, old: str, ne
     assert [(row.status, words in row.sentence) for row in found] == [(Status.FAILED, True)] * 2, [row.sentence for row in found]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("old", "new"), [('resolution="100"', 'resolution="0"'), ('priority="1"', 'priority="first"')])
+def test_a_clock_whose_numbers_are_none_is_told(old: str, new: str, defective: Callable[..., Path]):
+    row = _row(defective([(name, before, after.replace(old, new)) for name, before, after in _EDITS], "3.0"))
+    assert (row.status, "of a clock is no number" in row.sentence) == (Status.FAILED, True), row.sentence
+
+
 def _row(fmu: Path) -> FmuCheckRow:
     report = check_fmu(fmu, names=[_NAME])
     assert report.types == ("ME", "CS", "SE")
