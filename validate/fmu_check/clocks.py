@@ -238,7 +238,8 @@ def _scheduled(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[
 @check("clocks tick in Event Mode", Scope.EACH, clauses=("", "2.3.3"))
 def ticking(subject: Subject, kind: str) -> Finding:
     """Input clocks tick when their time comes, clocked variables can be read meanwhile, the FMU ends every tick itself, intervals make sense, and a second run is the same."""
-    clocks, outputs = _clocks_of(subject) if subject.major >= 3 else ([], [])
+    has = subject.major >= 3 and any(item.type == "Clock" for item in subject.description.modelVariables)
+    clocks, outputs = _clocks_of(subject) if has else ([], [])
     if not clocks and not outputs:
         return not_offered("it has no clocks." if subject.major >= 3 else "FMI 2.0 has none.")
     if kind == "CS" and not subject.can(kind, "hasEventMode"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -32,7 +33,7 @@ def readable(subject: Subject, kind: str) -> Finding:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
             for kind in dict.fromkeys(item.type for item in variables)
-            for item in _refused(instance, [item for item in variables if item.type == kind])
+            for item in itertools.islice(_refused(instance, [item for item in variables if item.type == kind]), _LEAST)
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
