@@ -71,16 +71,21 @@ class Equations:
     def __init__(self, scene: Scene) -> None:
         d = derive(scene)
         self.scene, self.n = scene, scene.nq
-        self._mass, self._force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
-        self._phi, self._jacobian = d.function(d.penetration, d.q), d.function(d.gap_jacobian, d.q)
-        self.stiffness = d.function(d.stiffness)().ravel()
         share = pressing_shares(d)
-        self._push, self._share = d.function(d.push, d.q, d.v), d.function(share, d.q, d.v)
+        slip_rate = d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip  # at no acceleration
+        parts = {
+            "mass": d.mass_matrix, "jacobian": d.gap_jacobian, "direction": d.slip_jacobian,
+            "phi": d.penetration, "push": d.push, "slip": d.slip, "slip_rate": slip_rate, "share": share,
+        }  # fmt: skip
+        # One function for all of them, kept at the last state: a call costs more than what it computes.
+        self._all, self._last = _quick(d, [entry for matrix in parts.values() for entry in matrix], d.q, d.v), (b"", {})
+        ends = np.cumsum([0, *(len(matrix) for matrix in parts.values())]).tolist()
+        shapes = [matrix.shape if name in ("mass", "jacobian", "direction") else (-1,) for name, matrix in parts.items()]
+        self._places = list(zip(parts, ends, ends[1:], shapes, strict=False))
+        self._tau, self._limit = _quick(d, list(d.tau), d.q, d.v, d.u), _quick(d, list(d.friction_limit), d.q, d.lam)
+        self.stiffness = d.function(d.stiffness)().ravel()
         slopes = [share.jacobian(group) if scene.damped else sp.zeros(0, self.n) for group in (d.q, d.v)]
         self._share_slopes = [d.function(slope, d.q, d.v) for slope in slopes]
-        slip_rate = d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip  # at no acceleration
-        self._slip, self._slip_rate = d.function(d.slip, d.q, d.v), d.function(slip_rate, d.q, d.v)
-        self._direction, self._limit = d.function(d.slip_jacobian, d.q), d.function(d.friction_limit, d.q, d.lam)
         self._slip_band = _BOUNDARY * np.array([friction.nominal for friction in scene.frictions])
         self._band = _BOUNDARY * np.array([contact.nominal for contact in scene.contacts])
         self._energies = {
@@ -89,6 +94,14 @@ class Equations:
             "input_power": (d.function([d.input_power], d.q, d.v, d.u), "qvu"),
             "dissipated_power": (d.function([d.dissipated_power], d.q, d.v), "qv"),
         }
+
+    def _at(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone: the mass matrix, J, S, penetrations and so on. Raises nothing."""
+        key = x.tobytes()
+        if key != self._last[0]:
+            values = self._all(x[: self.n], x[self.n :])
+            self._last = key, {name: values[first:last].reshape(shape) for name, first, last, shape in self._places}
+        return self._last[1]
 
     def penetration(self, x: np.ndarray) -> np.ndarray:
         """Penetrations of all contacts.
@@ -108,7 +121,7 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        return self._phi(x[: self.n]).ravel()
+        return self._at(x)["phi"]
 
     def slip(self, x: np.ndarray) -> np.ndarray:
         """Slip speeds of all frictions.
@@ -128,7 +141,7 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        return self._slip(x[: self.n], x[self.n :]).ravel()
+        return self._at(x)["slip"]
 
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
         """The modes of all contacts and frictions: on its boundary a contact is closed if it is closing; a friction slips one way or sticks.
@@ -160,7 +173,7 @@ class Equations:
         for slips in product(*choices):
             modes = Modes(closed, pushes, np.array(slips, dtype=int))
             acceleration, force = self.motion(x, u, modes)
-            change = self._slip_rate(x[: self.n], x[self.n :]).ravel() + self._direction(x[: self.n]) @ acceleration
+            change = self._at(x)["slip_rate"] + self._at(x)["direction"] @ acceleration
             holds = np.abs(force) <= limit * (1 + _BOUNDARY / 2)  # less than what ends sticking: whoever has just left does not stick
             if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
                 return modes
@@ -189,7 +202,7 @@ class Equations:
         phi = self.penetration(x)
         if not phi.size:
             return phi > 0
-        jacobian, at_boundary = self._jacobian(x[: self.n]), np.abs(phi) <= self._band
+        jacobian, at_boundary = self._at(x)["jacobian"], np.abs(phi) <= self._band
         rate = -jacobian @ x[self.n :]
         if np.any(at_boundary & (rate == 0)):
             inside = phi > self._band
@@ -248,7 +261,7 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        return float(self._share(x[: self.n], x[self.n :])[row, 0])
+        return float(self._at(x)["share"][row])
 
     def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
         """The largest friction forces, mu N.
@@ -270,7 +283,7 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        return self._limit(x[: self.n], self.contact_force(x, pushes)).ravel()
+        return self._limit(x[: self.n], self.contact_force(x, pushes))
 
     def contact_force(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
         """Contact forces: k phi, with damping more or less, in contacts that push and nothing in others.
@@ -292,8 +305,8 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        push, damped = self.stiffness * self.penetration(x), list(self.scene.damped)
-        push[damped] = self._push(x[: self.n], x[self.n :]).ravel()[damped]
+        push, damped = self.stiffness * self._at(x)["phi"], list(self.scene.damped)
+        push[damped] = self._at(x)["push"][damped]
         return np.where(pushes, push, 0.0)
 
     def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
@@ -320,17 +333,19 @@ class Equations:
         LinAlgError
             Where the mass matrix is singular.
         """
-        q, v = x[: self.n], x[self.n :]
+        now, n = self._at(x), self.n
         lam = self.contact_force(x, modes.pushes)
-        friction = -modes.slips * self.limit(x, modes.pushes)
-        force = self._force(q, v, u, np.concatenate([lam, friction])).ravel()
+        friction = -modes.slips * self._limit(x[:n], lam)
+        force = self._tau(x[:n], x[n:], u) + now["jacobian"].T @ lam + now["direction"].T @ friction
         sticks = modes.slips == 0
-        S = self._direction(q)[sticks] if sticks.size else np.zeros((0, self.n))
-        system = np.block([[self._mass(q), -S.T], [S, np.zeros((len(S), len(S)))]])
-        solution = np.linalg.solve(system, np.concatenate([force, -self._slip_rate(q, v).ravel()[sticks]]))
-        friction = friction.astype(float)
-        friction[sticks] = solution[self.n :]
-        return solution[: self.n], friction
+        if not sticks.any():
+            return np.linalg.solve(now["mass"], force), friction
+        S = now["direction"][sticks]
+        system = np.zeros((n + len(S), n + len(S)))
+        system[:n, :n], system[:n, n:], system[n:, :n] = now["mass"], -S.T, S
+        solution = np.linalg.solve(system, np.concatenate([force, -now["slip_rate"][sticks]]))
+        friction[sticks] = solution[n:]
+        return solution[:n], friction
 
     def rate(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
         """The derivative dx/dt of the state in the given modes.
@@ -431,7 +446,7 @@ class Equations:
         lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
         parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
         values = {contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)}
-        rate = -self._jacobian(x[: self.n]) @ x[self.n :]
+        rate = -self._at(x)["jacobian"] @ x[self.n :]
         for row, contact in enumerate(self.scene.damped):
             values[self.scene.contacts[contact].pressing_name] = self.share_pressing(x, row) if phi[contact] > 0 else 1.0
         friction, slip = self.motion(x, u, modes)[1], self.slip(x)
@@ -443,6 +458,20 @@ class Equations:
         values["dissipated_power"] -= float(friction @ slip)
         values["dissipated_power"] += sum(float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped)
         return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
+
+
+def _quick(d: Dynamics, entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+    """A function of vectors for inner loops: of Python's floats, which are three times as fast as numpy's; what has no value is NaN in all entries."""
+    expressions = [sp.sympify(entry).subs(d.scene.parameter_values) for entry in entries]
+    compiled = sp.lambdify([list(group) for group in groups], expressions, modules="math", cse=True)
+
+    def call(*values: np.ndarray) -> np.ndarray:
+        try:
+            return np.array(compiled(*(value.tolist() for value in values)), dtype=float)
+        except (ArithmeticError, ValueError):
+            return np.full(len(expressions), np.nan)
+
+    return call
 
 
 def pressing_shares(d: Dynamics) -> sp.Matrix:

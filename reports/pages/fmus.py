@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.records.check_record import CheckRecord
+from reports.records.check_record import IMPORTER, CheckRecord, CheckRow, by_importer
 from reports.wording import count, listing
 
 KIND = "FMU"
@@ -24,6 +24,16 @@ class FmuView:
     version: str
     anchor: str
     ended: str
+
+    @property
+    def importers(self) -> dict[str, dict[str, CheckRow]]:
+        """What other people's importers made of it."""
+        return by_importer(self.record.fmu.rows) if self.record.fmu else {}
+
+    @property
+    def rows(self) -> list[CheckRow]:
+        """All other checks."""
+        return [row for row in self.record.fmu.rows if not row.name.startswith(IMPORTER)] if self.record.fmu else []
 
 
 def build(report: Report) -> Section | None:

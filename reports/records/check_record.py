@@ -15,6 +15,9 @@ from pydantic import Discriminator, RootModel, Tag
 
 from reports.records.record import SCHEMA_VERSION, Finite, MetricRecord, Model, ProvenanceRecord, RunRecord
 
+# How the names of checks by other people's importers begin.
+IMPORTER = "importer "
+
 
 class AxisRecord(Model):
     """An axis of a chart; log: whether it is logarithmic."""
@@ -80,6 +83,15 @@ class FmuRecord(Model):
     def failed(self) -> tuple[CheckRow, ...]:
         """The checks that the FMU failed."""
         return tuple(row for row in self.rows if row.status == "failed")
+
+
+def by_importer(rows: Iterable[Any]) -> dict[str, dict[str, Any]]:
+    """The rows of other people's importers: importer -> type of FMI ("ME", "CS", "" for the file) -> row, whatever has a name and a type."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row.name.startswith(IMPORTER):
+            found.setdefault(row.name.removeprefix(IMPORTER), {})[row.type] = row
+    return found
 
 
 class CheckRecord(Model):

@@ -22,7 +22,7 @@ _EPILOG = """\b
 Examples:
   python -m validate check model.fmu
   python -m validate check model.fmu --only "set state restores"
-  python -m validate check model.fmu --html check.html
+  python -m validate check model.fmu --html check.html --importers
   python -m validate check build/*.fmu --junit check.xml --sarif check.sarif
   python -m validate check model.fmu --waive "runs repeat=it draws random numbers"
 
@@ -37,6 +37,11 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-", "advice": "!", "
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE.fmu...", nargs=-1, required=True)
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
+@click.option(
+    "--importers",
+    is_flag=True,
+    help="Also by other people's importers, each in a process of its own, their numbers against ours: FMPy, fmuloader, libcosimpy, CasADi, fmutool, as far as they are installed (extra [fmu-check]).",
+)
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout: an object; of several FMUs, a list of them.")
 @written_to("--html", "html_file", "FILE.html", "a page with every check")
 @written_to("--junit", "junit_file", "FILE.xml", "JUnit XML, for CI: a test suite an FMU, a test case a check")
@@ -56,6 +61,7 @@ def command(
     files: tuple[Path, ...],
     names: tuple[str, ...],
     time_limit: float,
+    importers: bool,
     as_json: bool,
     html_file: Path | None,
     junit_file: Path | None,
@@ -77,7 +83,9 @@ def command(
 
     for file in files:
         before = os.times()
-        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else told)
+        report = check_fmu(
+            file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else told, importers=importers
+        )
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
         checked.append((report, after.elapsed - before.elapsed, cpu))

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import quote
 from xml.etree import ElementTree
 
+from reports.records.check_record import IMPORTER, by_importer
 from validate.cli.table import one_line
 from validate.fmu_check import CheckReport, FmuCheckRow, Status
 
@@ -112,13 +113,23 @@ def markdown(reports: Sequence[CheckReport], command: str) -> str:
     for report in reports:
         digest = hashlib.sha256(Path(report.path).read_bytes()).hexdigest()
         about = f"FMI {report.version}, {' and '.join(report.types)}. " if report.types else ""
-        rows = sorted(report.rows, key=lambda row: order.index(row.status))
+        rows = sorted((row for row in report.rows if not row.name.startswith(IMPORTER)), key=lambda row: order.index(row.status))
         cells = [[_status(row), *map(_cell, (row.title, row.sentence, row.clause))] for row in rows]
         table = ["| outcome | check | what was found | clause |", "|---|---|---|---|"]
         table += [f"| {' | '.join(row)} |" for row in cells]
+        table += _importers(report)
         parts += [f"## {_cell(Path(report.path).name)}", "", f"{about}{report.counts}. SHA-256 `{digest}`.", "", *table, ""]
     origin = f"touchstone {version('touchstone-contact')}, {platform.system()} {platform.machine()}, against FMI 2.0.4 and 3.0.2"
     return "\n".join([*parts, f"Checked by `{one_line(command)}` ({origin}).", ""])
+
+
+def _importers(report: CheckReport) -> list[str]:
+    """A table importer x interface; nothing where none was asked."""
+    table = []
+    for importer, cells in by_importer(report.rows).items():
+        told = [f"{cells[kind].status.value}: {cells[kind].sentence}" if kind in cells else "-" for kind in ("ME", "CS", "")]
+        table.append(f"| {' | '.join(map(_cell, [importer, *told]))} |")
+    return ["", "| importer | Model Exchange | Co-Simulation | file |", "|---|---|---|---|", *table] if table else []
 
 
 def _status(row: FmuCheckRow) -> str:

@@ -17,6 +17,7 @@ import ctypes
 import math
 import os
 import re
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -84,13 +85,19 @@ def faults_of(path: Path) -> Iterator[None]:
 
 
 class References:
-    """Value references of doubles that are read or written at once. values: (n,) the memory that C reads and writes."""
+    """Value references of one type, doubles unless said, that are read or written at once. values: (size,) the memory that C reads and writes."""
 
-    def __init__(self, references: Sequence[int]) -> None:
-        self.count = len(references)
+    def __init__(self, references: Sequence[int], kind: str = "", size: int | None = None, number: Any = ctypes.c_double) -> None:
+        """kind: as the functions of FMI name it, empty for doubles; size: entries of all, one a reference unless said; number: of C."""
+        self.count, self.kind = len(references), kind
+        self.size = self.count if size is None else size
         self.array = (ctypes.c_uint * self.count)(*references)
-        self.memory: Any = (ctypes.c_double * self.count)()
-        self.values = np.frombuffer(self.memory) if self.count else np.empty(0)
+        self.memory: Any = (number * self.size)()
+        self.values = np.frombuffer(self.memory, dtype=number) if self.size else np.empty(0)
+
+    def forget(self) -> None:
+        """What was read before is there no more, should the FMU say that it wrote, and write nothing."""
+        self.values.fill(math.nan if self.values.dtype.kind == "f" else 0)
 
 
 # FMPy's classes of FMI 2.0 and FMI 3.0, with one name for what the two versions name, or pass, differently. What is the same in both - terminate, reset,
@@ -114,6 +121,7 @@ class _Calls(_FMU):
     """FMPy's one way to call, stricter: a status that FMI does not know is refused as well, and a fatal one is remembered (`fatal`)."""
 
     prefix: str
+    doubles: str
     whole: str  # what enumerations are read and written as
     state: str
     fatal = False
@@ -134,20 +142,23 @@ class _Calls(_FMU):
         """Of one of FMI's functions, named without its prefix."""
         return ctypes.cast(self._functions[self.prefix + function], ctypes.c_void_p).value or 0
 
-    def name_of(self, kind: str) -> str:
-        """How the functions that read and write a type are called."""
-        return self.whole if kind == "Enumeration" else kind
+    @classmethod
+    def references(cls, kind: str, references: Sequence[int], size: int | None = None) -> References:
+        """Of variables of a type, with memory as C has it; size: entries of all."""
+        name = cls.whole if kind == "Enumeration" else kind
+        return References(references, name, size, getattr(sys.modules[f"fmpy.{cls.prefix}"], cls.prefix + name))
 
-    def write(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
-        made = float if kind in ("Real", "Float64", "Float32") else bool if kind == "Boolean" else int
-        getattr(self, f"set{self.name_of(kind)}")(references, [made(value) for value in values])
+    def transfer(self, verb: str, what: References) -> None:
+        """Get or Set. Raises FMICallException."""
+        size = (what.size,) if self.prefix == "fmi3" else ()
+        getattr(self, f"{self.prefix}{verb}{what.kind or self.doubles}")(self.component, what.array, what.count, what.memory, *size)
 
     def save_to(self, place: Any) -> None:
         self._call(f"{self.prefix}Get{self.state}", self.component, ctypes.byref(place))
 
 
 class _Fmi2(_Calls):
-    prefix, whole, state = "fmi2", "Integer", "FMUstate"
+    prefix, doubles, whole, state = "fmi2", "Real", "Integer", "FMUstate"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         if self.callbacks is None:
@@ -164,16 +175,6 @@ class _Fmi2(_Calls):
     def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
         """Into Initialization Mode."""
         self.enterInitializationMode()
-
-    def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
-        return getattr(self, f"get{self.name_of(kind)}")(references)
-
-    def read_doubles(self, references: Any, memory: Any, count: int) -> None:
-        """Into memory of C's, without a list."""
-        self.fmi2GetReal(self.component, references, count, memory)
-
-    def write_doubles(self, references: Any, memory: Any, count: int) -> None:
-        self.fmi2SetReal(self.component, references, count, memory)
 
     def step(self, time: float, length: float) -> StepAnswer:
         """One communication step [s]."""
@@ -202,7 +203,7 @@ class _Fmi2(_Calls):
 class _Fmi3(_Calls):
     """Co-Simulation without event mode and without early return, unless the options ask for them."""
 
-    prefix, whole, state = "fmi3", "Int64", "FMUState"
+    prefix, doubles, whole, state = "fmi3", "Float64", "Int64", "FMUState"
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         self.instantiate(logMessage=log, **options)
@@ -212,15 +213,6 @@ class _Fmi3(_Calls):
 
     def enter(self, start: float, stop: float | None, tolerance: float | None) -> None:
         self.enterInitializationMode(tolerance=tolerance, startTime=start, stopTime=stop)
-
-    def read(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
-        return getattr(self, f"get{self.name_of(kind)}")(references, nValues=size)
-
-    def read_doubles(self, references: Any, memory: Any, count: int) -> None:
-        self.fmi3GetFloat64(self.component, references, count, memory, count)
-
-    def write_doubles(self, references: Any, memory: Any, count: int) -> None:
-        self.fmi3SetFloat64(self.component, references, count, memory, count)
 
     def step(self, time: float, length: float) -> StepAnswer:
         return StepAnswer(*self.doStep(time, length))
@@ -239,7 +231,7 @@ class _Fmi3(_Calls):
 class FMU2Exchange(_Fmi2, FMU2Model):
     """FMI 2.0, Model Exchange."""
 
-    rates, update = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates
+    rates, update, leave = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates, FMU2Model.enterContinuousTimeMode
 
 
 class FMU2Stepping(_Fmi2, FMU2Slave):
@@ -249,11 +241,13 @@ class FMU2Stepping(_Fmi2, FMU2Slave):
 class FMU3Exchange(_Fmi3, FMU3Model):
     """FMI 3.0, Model Exchange."""
 
-    rates, update = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates
+    rates, update, leave = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates, FMU3Model.enterContinuousTimeMode
 
 
 class FMU3Stepping(_Fmi3, FMU3Slave):
     """FMI 3.0, Co-Simulation."""
+
+    update, leave = FMU3Slave.updateDiscreteStates, FMU3Slave.enterStepMode
 
 
 class FMU3Scheduling(_Fmi3, _FMU3):
@@ -359,7 +353,7 @@ class Instance:
     def choose(self, choices: Sequence[tuple[int, int]]) -> None:
         """Set whole numbers (enumerations), (reference, value), before `initialise`."""
         if choices:
-            self.fmu.write("Enumeration", [reference for reference, _ in choices], [value for _, value in choices])
+            self.write(self.fmu.references("Enumeration", [reference for reference, _ in choices]), [value for _, value in choices])
 
     def free(self) -> None:
         """Free the instance, if it lives and reported no fatal status."""
@@ -399,7 +393,7 @@ class Instance:
         FMICallException : if the FMU refuses the call.
         """
         if references.count:
-            self.fmu.read_doubles(references.array, references.memory, references.count)
+            self.fmu.transfer("Get", references)
         return references.values
 
     def write(self, references: References, values: Sequence[float] | np.ndarray) -> None:
@@ -416,7 +410,7 @@ class Instance:
         """
         if references.count:
             references.values[:] = values
-            self.fmu.write_doubles(references.array, references.memory, references.count)
+            self.fmu.transfer("Set", references)
 
     # Saved states
 
@@ -441,16 +435,24 @@ class Instance:
         self.fmu.enterEventMode()
         return self.settle()
 
+    def before_update(self) -> None:
+        """What else is to be done in each round of an event iteration."""
+
+    def content(self) -> None:
+        """What else is to be done at its end, before Event Mode is left."""
+
     def settle(self) -> bool:
-        """Event updates until the FMU is content, then Continuous-Time Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
+        """Event updates until the FMU is content, then Continuous-Time or Step Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
         changed = False
         for _ in range(EVENT_ROUNDS):
+            self.before_update()
             again, ends, _, states_changed, defined, following = self.fmu.update()
             changed = changed or states_changed
             if ends:
                 raise TerminationRequested(self.time)
             if not again:
-                self.fmu.enterContinuousTimeMode()
+                self.content()
+                self.fmu.leave()
                 self.next_event = float(following) if defined else math.inf
                 return changed
         raise endless()

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Misbehaviour, TerminationRequested
+from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
+from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -117,85 +117,81 @@ def stop_time(subject: Subject, kind: str) -> Finding:
     )
 
 
-# Rounds of an event iteration, and steps that go nowhere, before it is called endless.
-_ROUNDS, _STILL = 100, 100
+# Steps that go nowhere before they are called endless.
+_STILL = 100
 # Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
 _OFF, _OFTEN = 0.05, 0.25
 _UPDATE = "providesIntermediateUpdate"
-_MIGHT = "mightReturnEarlyFromDoStep"
+# An FMU that may return early from a step, and says so.
+MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
 @dataclass
-class _StepLog:
+class StepLog:
     """What an instance reported on its way: times of events, how often it returned early."""
 
     events: list[float] = field(default_factory=list)
     early: int = 0
 
 
-def _settle(instance: CheckedInstance) -> float:
-    """Event updates until it is content, once more without effect, then Step Mode; the time of the next event (inf: none)."""
-    for _ in range(_ROUNDS):
-        again, terminate, _, _, _, _ = instance.fmu.updateDiscreteStates()
-        if terminate:
-            raise TerminationRequested(instance.time)
-        if not again:
-            break
-    else:
-        raise Misbehaviour(f"the event iteration did not end after {_ROUNDS} rounds")
-    before = instance.observe()
-    again, _, _, _, defined, when = instance.fmu.updateDiscreteStates()
-    apart = compare(instance.subject, before[np.newaxis], instance.observe()[np.newaxis])
-    if again or not apart.equal:
-        what = "asks for another one" if again else f"changes values ({apart.where(instance.subject)})"
-        raise Misbehaviour(f"at t = {instance.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
-    instance.fmu.enterStepMode()
-    return float(when) if defined else math.inf
+class _Eventful(CheckedInstance):
+    """An instance with event mode, whose every event is tried once more."""
+
+    def content(self) -> None:
+        """Once more without effect."""
+        before = self.observe()
+        again, *_ = self.fmu.update()
+        apart = compare(self.subject, before[np.newaxis], self.observe()[np.newaxis])
+        if again or not apart.equal:
+            what = "asks for another one" if again else f"changes values ({apart.where(self.subject)})"
+            raise Misbehaviour(f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
 
 
-def _through(instance: CheckedInstance, steps: int, log: _StepLog) -> np.ndarray:
+def _through(instance: _Eventful, steps: int, log: StepLog) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
-    subject, may_return = instance.subject, instance.options["earlyReturnAllowed"]
-    near = _SAME * subject.step
-    t, following = subject.start_time, _settle(instance)
+    subject = instance.subject
+    instance.settle()
     rows = [instance.observe()]
-    clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     for step in range(steps):
         if step % HOLD == 0 and subject.continuous_inputs:
             instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        goal, still = subject.time(step + 1), 0
-        while goal - t > near:
-            target = min(goal, max(following, t + near))
-            event, _, early, reached = instance.do_step(t, target - t)
-            where = f"the step from t = {t:.6g} s to {target:.6g} s"
-            if early and not may_return:
-                raise Misbehaviour(f"{where} returned early, which was not allowed")
-            if not early and abs(reached - target) > near:
-                raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
-            if not t - near <= reached <= target + near:
-                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
-            for clock in clocks:
-                if abs(float(instance.get([clock])[0]) - reached) > near:
-                    raise Misbehaviour(
-                        f"{where} says that it reached {reached:.9g} s, the variable {clock.name} says {float(instance.get([clock])[0]):.9g} s"
-                    )
-            log.early += early
-            still = still + 1 if reached - t <= near else 0
-            if still > _STILL:
-                raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
-            t = instance.time = reached
-            if event or t >= following - near:
-                log.events.append(t)
-                instance.fmu.enterEventMode()
-                following = _settle(instance)
+        step_to(instance, subject.time(step + 1), log)
         rows.append(instance.observe())
     return np.array(rows)
+
+
+def step_to(instance: CheckedInstance, goal: float, log: StepLog) -> None:
+    """Steps to a time [s] with an instance in Step Mode that has event mode. Raises Misbehaviour where an answer cannot be right."""
+    subject, t, still = instance.subject, instance.time, 0
+    near = _SAME * subject.step
+    clocks = Block(item for item in subject.variables if item.causality == "independent" and item.is_float)
+    while goal - t > near:
+        target = min(goal, max(instance.next_event, t + near))
+        asked, _, early, reached = instance.do_step(t, target - t)
+        where = f"the step from t = {t:.6g} s to {target:.6g} s"
+        if early and not instance.options["earlyReturnAllowed"]:
+            raise Misbehaviour(f"{where} returned early, which was not allowed")
+        if not early and abs(reached - target) > near:
+            raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
+        if not t - near <= reached <= target + near:
+            raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
+        for name, told in zip(clocks.names, instance.get(clocks), strict=True):
+            if abs(told - reached) > near:
+                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s")
+        log.early += early
+        still = still + 1 if reached - t <= near else 0
+        if still > _STILL:
+            raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
+        t = instance.time = reached
+        if asked or t >= instance.next_event - near:
+            log.events.append(t)
+            instance.event()
 
 
 def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     """Which state goes another way, in words; empty if none does."""
     watched = subject.states or [item for item in subject.outputs if item.is_float]
-    places = np.cumsum([0, *(item.size for item in subject.observed)])
+    places = subject.observed.ends
     names = [item.reference for item in subject.observed]
     for item in watched:
         if item.reference not in names:
@@ -212,38 +208,39 @@ def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
 def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
-    steps, log = subject.long_steps(kind), _StepLog()
+    steps, log = subject.long_steps(kind), StepLog()
     plain = fresh_run(subject, kind, steps)
-    with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
+    with _Eventful(subject, kind, options=with_events(subject.can(kind, MIGHT_RETURN))) as instance:
         rows = _through(instance.begin(), steps, log)
         wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
-        require_equal(subject, rows, _through(instance.begin(), steps, _StepLog()), "after reset in a run with event mode")
+        require_equal(subject, rows, _through(instance.begin(), steps, StepLog()), "after reset in a run with event mode")
     return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
-def _options(early: bool) -> dict[str, bool]:
+def with_events(early: bool) -> dict[str, bool]:
+    """Options of an instance with event mode; early: whether it may return early."""
     return {"eventModeUsed": True, "earlyReturnAllowed": early}
 
 
 @check("early return", Scope.COSIMULATION, clauses=("", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
-    might, asked = (subject.can(kind, name) for name in (_MIGHT, "canReturnEarlyAfterIntermediateUpdate"))
+    might, asked = (subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate"))
     if subject.major < 3 or not (might or asked):
         return not_offered(
-            "FMI 2.0 has none." if subject.major < 3 else f"neither {_MIGHT} nor canReturnEarlyAfterIntermediateUpdate is true."
+            "FMI 2.0 has none." if subject.major < 3 else f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
         )
     said = []
     if subject.can(kind, "hasEventMode"):
-        log = _StepLog()
+        log = StepLog()
         for early in (False, True):
-            with CheckedInstance(subject, kind, options=_options(early)) as instance:
+            with _Eventful(subject, kind, options=with_events(early)) as instance:
                 _through(instance.begin(), subject.long_steps(kind), log)
         if log.early and not might:
-            return failed(f"it returned early, though {_MIGHT} is false.")
+            return failed(f"it returned early, though {MIGHT_RETURN} is false.")
         said.append(f"{log.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         asked, wrong = _asked_to_return(subject, kind)
@@ -364,7 +361,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
 
     held, sloping = end(1, np.zeros_like(slope)), end(1, slope)
     line = end(_STAIRS, None)
-    scale = np.maximum(np.abs(line), [item.scale for item in subject.states for _ in range(item.size)])
+    scale = np.maximum(np.abs(line), subject.states.scales)
     effect = np.abs(line - held) / scale
     if effect.max(initial=0.0) < _VISIBLE:
         return not_offered(f"what a slope changes within {length:g} s is too small to be seen.")
@@ -376,9 +373,8 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     away = np.abs(sloping - line) / scale
     worst = int(np.argmax(away - _NEARER * effect))
     if away[worst] > _NEARER * effect[worst] + _VISIBLE:
-        names = entry_names(subject.states)
         return failed(
-            f"after {length:g} s with sloping inputs {names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
+            f"after {length:g} s with sloping inputs {subject.states.names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
         )
     return passed(
         f"one step of {length:g} s with slopes is {_STAIRS} stairs within {away.max():.1g} of the values; no slope is off by {effect.max():.1g}."

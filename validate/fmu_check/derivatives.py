@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
@@ -19,7 +20,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import Record, fresh_run, run
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
+from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
@@ -101,8 +102,8 @@ class _CheckedPoint:
 
     where: str
     instance: CheckedInstance
-    knowns: list[FmuVariable]
-    unknowns: list[FmuVariable]
+    knowns: Block
+    unknowns: Block
     x: np.ndarray
     time: float
     state_entries: int
@@ -111,22 +112,21 @@ class _CheckedPoint:
         """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each]. Raises FMICallException."""
         if self.state_entries:
             self.instance.move(self.time, x[: self.state_entries])
-        given = [item for item in self.knowns if item not in self._states]
-        if given:
-            self.instance.set(given, x[self.state_entries :])
+        self.instance.set(self._given, x[self.state_entries :])
         return self.instance.get(self.unknowns)
 
     def back(self) -> None:
         """Set the knowns of the point again."""
         self.evaluate(self.x)
 
-    @property
-    def _states(self) -> list[FmuVariable]:
-        return self.instance.subject.states if self.state_entries else []
+    @cached_property
+    def _given(self) -> Block:
+        """Knowns that are no states: those come first."""
+        return Block(self.knowns[int(np.searchsorted(self.knowns.ends, self.state_entries)) :])
 
     def sizes(self) -> np.ndarray:
         """Typical sizes of the knowns' entries, (entries,) [unit of each]. Raises nothing."""
-        return entry_scales(self.knowns)
+        return self.knowns.scales
 
     def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
         """The derivatives by entry `place` of x, by finite differences."""
@@ -142,7 +142,7 @@ class _CheckedPoint:
 
     def names(self) -> list[str]:
         """Of the unknowns' entries."""
-        return entry_names(self.unknowns)
+        return self.unknowns.names
 
 
 def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
@@ -150,16 +150,12 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
     steps = subject.long_steps(kind)
     exchange = kind == "ME"
     outputs = [item for item in subject.outputs if item.is_float]
-    states = (
-        subject.states
-        if exchange and sum(item.size for item in subject.states) == int(subject.description.numberOfContinuousStates)
-        else []
-    )
-    knowns = [*states, *subject.continuous_inputs]
-    unknowns = [*(subject.derivatives if exchange else []), *outputs]
+    states = subject.states if exchange and subject.states.entries == int(subject.description.numberOfContinuousStates) else Block()
+    knowns = Block([*states, *subject.continuous_inputs])
+    unknowns = Block([*(subject.derivatives if exchange else []), *outputs])
     if not knowns or not unknowns:
         return
-    count = sum(item.size for item in states)
+    count = states.entries
     places = _places(subject, kind, steps)
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
@@ -187,21 +183,14 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
 
 def _initial_point(subject: Subject, kind: str) -> _CheckedPoint | None:
     """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; None if there are none or it is refused."""
-    unknowns = [item for item in subject.of(subject.description.initialUnknowns) if item.is_float]
-    knowns = [
-        item
-        for item in subject.variables
-        if item.is_float
-        and item.start is not None
-        and item.variability != "constant"
-        and (item.initial == "exact" or item.causality == "input")
-    ]
+    unknowns = Block(item for item in subject.of(subject.description.initialUnknowns) if item.is_float)
+    knowns = Block(item for item in subject.exact if item.is_float and item.variability != "constant")
     if not knowns or not unknowns:
         return None
     instance = CheckedInstance(subject, kind, "initial")
     instance.setup()
     # A little off the starts, where symmetric models have kinks and zeros.
-    instance.set_all(subject.varied_parameters())
+    instance.set(*subject.varied)
     instance.enter_initialisation()
     point = _CheckedPoint("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
     try:
@@ -262,7 +251,7 @@ def _claimed(point: _CheckedPoint, place: int) -> np.ndarray:
     return point.instance.directional(point.unknowns, known, list(seed))
 
 
-def _locate(knowns: list[FmuVariable], place: int) -> tuple[FmuVariable, int]:
+def _locate(knowns: Block, place: int) -> tuple[FmuVariable, int]:
     for known in knowns:
         if place < known.size:
             return known, place
@@ -271,7 +260,7 @@ def _locate(knowns: list[FmuVariable], place: int) -> tuple[FmuVariable, int]:
 
 
 def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
-    floor = _FLOOR * entry_scales(point.unknowns) / point.sizes()[place]
+    floor = _FLOOR * point.unknowns.scales / point.sizes()[place]
     bad = ~_agrees(claimed, found, floor)
     if not bad.any():
         return []
@@ -294,7 +283,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
             return not_offered("the model is too large for all columns.")
         columns = [point.column(place) for place, _ in point.entries()]
         point.back()
-        rows = sum(item.size for item in point.unknowns)
+        rows = point.unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
             claimed = point.instance.adjoint(point.unknowns, point.knowns, list(seed))
             for place, (known, found) in enumerate(zip([item for _, item in point.entries()], columns, strict=True)):
@@ -413,9 +402,9 @@ def rates(subject: Subject, kind: str) -> Finding:
     ]
     if not pairs or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
         return not_offered("that needs variables that are derivatives, and communication steps of any length.")
-    derivatives, moving = ([pair[place] for pair in pairs] for place in (0, 1))
+    derivatives, moving = (Block(pair[place] for pair in pairs) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
-    names, places, resolved = entry_names(derivatives), 0, False
+    names, places, resolved = derivatives.names, 0, False
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         for step in range(steps):

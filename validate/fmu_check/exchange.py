@@ -17,7 +17,7 @@ from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, run
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
+from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
@@ -45,7 +45,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
                 ("state", subject.states, instance.states()),
                 ("derivative", subject.derivatives, instance.rates()),
             ):
-                if sum(item.size for item in variables) != count:
+                if variables.entries != count:
                     worst.append(f"the description lists {len(variables)} {what} variables for {count} states")
                     return
                 worst.extend(_unequal(instance, what, variables, values, subject.time(step)))
@@ -57,10 +57,10 @@ def arrays(subject: Subject, kind: str) -> Finding:
     return passed(f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
 
 
-def _unequal(instance: CheckedInstance, what: str, variables: list[FmuVariable], values: np.ndarray, time: float) -> list[str]:
+def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
     for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
-        name = entry_names(variables)[place]
+        name = variables.names[place]
         return [f"{what} {place} is {values[place]:.10g} in the array, but the variable {name} is {read[place]:.10g} at t = {time:.6g} s"]
     return []
 
@@ -173,7 +173,7 @@ def agree(subject: Subject) -> Finding:
     ]
     if not compared:
         return not_offered("there are no continuous outputs or locals to compare.")
-    compared = compared[:: max(1, len(compared) // _MOST_COMPARED)]
+    compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
     steps = min(subject.long_steps(kind) for kind in subject.types)
     fine, events = _exchange(subject, compared, steps, _RTOLS[1])
     coarse, _ = _exchange(subject, compared, len(fine) - 1, _RTOLS[0])
@@ -184,10 +184,9 @@ def agree(subject: Subject) -> Finding:
     return _judge(subject, compared, _Traces(fine[:length], np.abs(fine[:length] - coarse[:length]), parts, awake, events))
 
 
-def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Finding:
-    names = entry_names(compared)
-    floor = entry_scales(compared)
-    size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * floor)
+def _judge(subject: Subject, compared: Block, traces: _Traces) -> Finding:
+    names = compared.names
+    size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * compared.scales)
     finest = traces.parts[max(traces.parts)]
     apart = np.abs(finest - traces.reference)
     shrink = np.abs(finest - traces.parts[max(traces.parts) // 2]) if len(traces.parts) > 1 else np.zeros_like(apart)
@@ -201,14 +200,11 @@ def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Fi
         return told(f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}.")
     euler = _euler(subject, compared, len(finest) - 1, traces.awake)
     if euler is not None:
-        # What happens at an event may come a step later.
-        yardstick = _SAFETY * _running(np.abs(euler - traces.reference)[: len(apart)])
-        ahead = np.vstack([yardstick[1:], yardstick[-1:]])
-        if not (unexplained & ~(apart <= allowed + ahead)).any():
+        unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - traces.reference)[: len(apart)]))
+        if not unexplained.any():
             return told(
                 f"{where}: no more than explicit Euler has with the smallest of these steps, but it does not shrink with the step, so less cannot be told."
             )
-        unexplained &= ~(apart <= allowed + ahead)
     row, column = np.argwhere(unexplained)[0]
     return failed(
         f"{names[column]} differs at t = {subject.time(row):.6g} s: {finest[row, column]:.8g} by Co-Simulation, "
@@ -217,21 +213,16 @@ def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Fi
 
 
 def _running(rows: np.ndarray) -> np.ndarray:
-    """The largest so far: an error that was there may come back."""
-    return np.maximum.accumulate(np.where(np.isfinite(rows), rows, np.inf), axis=0)
+    """The largest so far, and a step later: an error that was there may come back, and what happens at an event may come a step later."""
+    largest = np.maximum.accumulate(np.where(np.isfinite(rows), rows, np.inf), axis=0)
+    return np.vstack([largest[1:], largest[-1:]])
 
 
 def _start(instance: CheckedInstance, subject: Subject) -> None:
-    instance.begin(during=_inputs(subject, 0))
+    instance.begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
 
 
-def _inputs(subject: Subject, step: int) -> dict[FmuVariable, np.ndarray]:
-    values = subject.inputs_at(step)
-    ends = np.cumsum([item.size for item in subject.continuous_inputs])
-    return dict(zip(subject.continuous_inputs, np.split(values, ends[:-1]), strict=True)) if len(ends) else {}
-
-
-def _exchange(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float) -> tuple[np.ndarray, int]:
+def _exchange(subject: Subject, compared: Block, steps: int, rtol: float) -> tuple[np.ndarray, int]:
     """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
     try:
         return _integrate(subject, compared, steps, rtol, ADAMS)
@@ -239,7 +230,7 @@ def _exchange(subject: Subject, compared: list[FmuVariable], steps: int, rtol: f
         return _integrate(subject, compared, steps, rtol, BDF)
 
 
-def _integrate(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+def _integrate(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
     with CheckedInstance(subject, "ME", "reference") as instance:
         _start(instance, subject)
         mover = Exchange(instance, rtol, method)
@@ -256,7 +247,7 @@ def _integrate(subject: Subject, compared: list[FmuVariable], steps: int, rtol: 
         return np.array(rows), sum(bool(event[1]) for event in mover.record.events)
 
 
-def _cosimulation(subject: Subject, compared: list[FmuVariable], steps: int, parts: int) -> tuple[np.ndarray, int]:
+def _cosimulation(subject: Subject, compared: Block, steps: int, parts: int) -> tuple[np.ndarray, int]:
     """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
     with CheckedInstance(subject, "CS", f"parts {parts}") as instance:
         _start(instance, subject)
@@ -265,7 +256,7 @@ def _cosimulation(subject: Subject, compared: list[FmuVariable], steps: int, par
         awake = 1
         for step in range(steps):
             if step and step % HOLD == 0:
-                instance.set_all(_inputs(subject, step))
+                instance.set(subject.continuous_inputs, subject.inputs_at(step))
             moved, before = 0, rows[-1]
             for part in range(parts):
                 instance.do_step(subject.time(step) + part * length, length)
@@ -277,7 +268,7 @@ def _cosimulation(subject: Subject, compared: list[FmuVariable], steps: int, par
         return np.array(rows), awake
 
 
-def _euler(subject: Subject, compared: list[FmuVariable], steps: int, parts: int) -> np.ndarray | None:
+def _euler(subject: Subject, compared: Block, steps: int, parts: int) -> np.ndarray | None:
     """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
     length = subject.step / parts
     with CheckedInstance(subject, "ME", "euler") as instance:
@@ -286,7 +277,7 @@ def _euler(subject: Subject, compared: list[FmuVariable], steps: int, parts: int
         for step in range(steps):
             if step and step % HOLD == 0 and subject.continuous_inputs:
                 instance.fmu.enterEventMode()
-                instance.set_all(_inputs(subject, step))
+                instance.set(subject.continuous_inputs, subject.inputs_at(step))
                 instance.settle()
             try:
                 for part in range(1, parts + 1):

@@ -26,7 +26,7 @@ from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import communication, derivatives, exchange, files, host_process, reference, scheduled, states, values
+from validate.fmu_check import clocks, communication, derivatives, exchange, files, host_process, importers, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -66,8 +66,10 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.dependencies,
     derivatives.rates,
     exchange.agree,
-    scheduled.activated,
+    clocks.ticking,
+    clocks.activated,
     reference.stored,
+    *importers.CHECKS,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 _TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",), Scope.SCHEDULED: ("SE",)}
@@ -108,6 +110,7 @@ class _Table:
 
     def __init__(self, request: dict[str, Any]) -> None:
         self._names, self._seconds, self._told = request["names"], request["seconds"], Path(request["told"])
+        self._importers = request["importers"]
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
         self.ran = False  # whether any of its code could be run
@@ -169,7 +172,9 @@ class _Table:
             self._row(item, kind, not_offered(sentence), time.monotonic())
 
     def _wanted(self, item: Check) -> bool:
-        return self._names is None or item.name in self._names or item in (FIRST, files.compiled)
+        if self._names is None:
+            return self._importers or item not in importers.CHECKS
+        return item.name in self._names or item in (FIRST, files.compiled)
 
     def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
         row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status.name, "sentence": found.sentence}
@@ -214,10 +219,11 @@ def check_fmu(
     seconds: float = CHECK_SECONDS,
     waived: Mapping[str, str] | None = None,
     told: Callable[[FmuCheckRow], None] | None = None,
+    importers: bool = False,
 ) -> CheckReport:
     """All checks of an FMU file, or those named.
 
-    seconds: of the clock, for each check; waived: the reason why a failure of the check of this name is right; told: called with each row as soon as it is there.
+    importers: also by other people's importers, where no names are given; seconds: of the clock, for each check; waived: the reason why a failure of the check of this name is right; told: called with each row as soon as it is there.
     Raises ArchiveError if the file is no FMU of version 2.0 or 3.0, MachineError if this machine cannot, UnknownNameError for a name.
     """
     waived = waived or {}
@@ -247,7 +253,7 @@ def check_fmu(
         unpack(archive, unpacked)
         lines.touch()
         request = {"path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds}
-        request["runnable"] = bool(archive.kinds)
+        request["runnable"], request["importers"] = bool(archive.kinds), importers
         request["names"] = None if names is None else list(names)
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):

@@ -16,7 +16,7 @@ import numpy as np
 from validate.fmi.cvode import BDF, FILLS, ROOT_RETURN, Cvode, array_of, why
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed
-from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
 _RESTART = 1e-6
@@ -58,15 +58,13 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDiffe
         return MotionDifference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
     if np.array_equal(one, other, equal_nan=True):
         return MotionDifference(True, 0.0, 0.0, "", 0)
-    names = entry_names(subject.observed)
-    scales = entry_scales(subject.observed)
     with np.errstate(invalid="ignore"):
         apart = np.where(one == other, 0.0, np.abs(one - other))
     apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf))
-    size = np.maximum(np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), scales * 1e-6)
+    size = np.maximum(np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), subject.observed.scales * 1e-6)
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), names[column], int(row))
+    return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), subject.observed.names[column], int(row))
 
 
 def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0) -> None:
@@ -303,7 +301,7 @@ class Exchange:
             place = int(np.argmax(jump))
             if jump[place] > _JUMP:
                 subject = instance.subject
-                names = entry_names(subject.states if what == "state" else subject.derivatives)
+                names = (subject.states if what == "state" else subject.derivatives).names
                 name = names[place] if place < len(names) else f"{what} {place}"
                 self.record.surprises.append(f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.time:.6g} s")
 

@@ -35,7 +35,7 @@ from validate.fmi.references import (
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange
-from validate.fmu_check.subject import RUN_SECONDS, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
+from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
 _RTOLS, _PARTS = (1e-6, 1e-8, 1e-10), (1, 2, 4, 8)
@@ -223,7 +223,7 @@ def _exchanged(
         def drive(time: float) -> None:
             instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
-        instance.begin(during=dict(zip(signals.variables, (value[0] for value in signals.values), strict=True)))
+        instance.begin(during=(Block(signals.variables), np.concatenate([np.empty(0), *(value[0] for value in signals.values)])))
         mover = Exchange(instance, rtol, method, drive if moving else None)
         mover.record.most = _EVENTS
 
@@ -261,7 +261,7 @@ def _stepped(
     """By communication steps: the inputs of the middle of each during it, those of its end after it."""
     with CheckedInstance(subject, "CS", "reference") as instance:
         instance.tolerance = tolerance
-        instance.begin(during=dict(zip(signals.variables, (value[0] for value in signals.values), strict=True)))
+        instance.begin(during=(Block(signals.variables), np.concatenate([np.empty(0), *(value[0] for value in signals.values)])))
         time, rows, before = subject.start_time, [], []
         for goal in times:
             count = max(1, round((goal - time) / subject.step)) * parts if goal > time else 0
@@ -383,12 +383,12 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     except FmuError as error:
         return not_offered, f"{where}: it cannot be tried: {error}"
     theirs = np.hstack(list(table.columns.values()))[:rows]
-    size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * entry_scales(watched))
+    size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * Block(watched).scales)
     apart = _apart(watched, theirs, found, table.times[:rows])
     stated = np.hstack(list(claims.columns.values()))[:rows] if claims else (settings["RelTol"] if settings else subject.tolerance) * size
     excess = apart - stated - found.bars - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None and settings is None)
     row, column = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess / size, np.inf))), excess.shape)
-    names, worst = entry_names(watched), apart / size
+    names, worst = Block(watched).names, apart / size
     shown = f"{where}: {len(names)} values at {rows} times, off by up to {np.nanmax(worst):.2g} of their size"
     claim = "its error bars" if claims else f"the tolerance {settings['RelTol'] if settings else subject.tolerance:g}"
     if not excess[row, column] > 0.0 and np.isfinite(excess[row, column]):

@@ -103,7 +103,7 @@ def at_time(instance: CheckedInstance, step: int) -> None:
 def begin_varied(instance: CheckedInstance) -> None:
     """Begin with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
     try:
-        instance.begin(before=instance.subject.varied_parameters())
+        instance.begin(before=instance.subject.varied)
     except FMICallException:
         instance.fmu.reset()
         instance.begin()

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from validate.fmi.archive import DESCRIPTION, interfaces
-from validate.fmi.description import REAL, interface_of
-from validate.fmi.instance import Instance, References
+from validate.fmi.description import interface_of, without_garbage
+from validate.fmi.instance import CLASSES, Instance, References
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -32,13 +32,15 @@ _MOST_VALUES = 4_000_000
 HOLD = 10
 # Inputs move about their starts by this share of their range, or of their size if they have no range.
 RANGE_SHARE, SIZE_SHARE = 0.3, 0.1
+# Parameters are varied by this share of their size.
+_VARIED = 0.01
 # Tolerance of an FMU that proposes none (the value FMI's own examples use).
 DEFAULT_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class FmuVariable:
-    """A variable of the FMU that has a number: `size` entries, start as numbers (or None)."""
+    """A variable of the FMU that has a number: `size` entries, start as numbers (or None); it may be read and set only while one of `clocks` ticks, if it has any."""
 
     name: str
     reference: int
@@ -52,6 +54,7 @@ class FmuVariable:
     upper: float
     nominal: float | None
     unit: str | None
+    clocks: tuple[int, ...] = ()
 
     @property
     def is_float(self) -> bool:
@@ -66,21 +69,77 @@ class FmuVariable:
         size = float(np.max(np.abs(self.start))) if self.start is not None and self.start.size else 0.0
         return size if size > 0.0 and math.isfinite(size) else 1.0
 
-    def near(self, value: np.ndarray, share: float) -> np.ndarray:
-        """Another value: `share` of the size away, on the side that the range allows; the same where it allows none.
+
+class Block(tuple[FmuVariable, ...]):
+    """Variables that are read or written together, by one call a type; what that takes is found out once. Entries: all of the first variable, then of the second."""
+
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """(variables,) entries of each [-]. Raises nothing."""
+        return np.array([item.size for item in self], dtype=int)
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """(variables + 1,) where each variable's entries begin, and all end [-]. Raises nothing."""
+        return np.concatenate([[0], np.cumsum(self.sizes, dtype=int)])
+
+    @property
+    def entries(self) -> int:
+        """Of all variables together."""
+        return int(self.ends[-1])
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Of the variable of each entry."""
+        return [item.name for item in self for _ in range(item.size)]
+
+    def each(self, of: Callable[[FmuVariable], float]) -> np.ndarray:
+        """(entries,) a number of each entry's variable [unit of that]. Raises nothing."""
+        return np.repeat(np.array([of(item) for item in self], dtype=float), self.sizes)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """(entries,) typical magnitudes [unit of each]. Raises nothing."""
+        return self.each(lambda item: item.scale)
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """(entries,) starts, NaN without one [unit of each]. Raises nothing."""
+        return np.concatenate([np.empty(0), *(np.full(item.size, math.nan) if item.start is None else item.start for item in self)])
+
+    def near(self, share: float) -> np.ndarray:
+        """Other values than the starts: `share` of the size away, on the side that the range allows; the same where it allows none.
 
         Parameters
         ----------
-        value : (size,) [unit of the variable].
         share : of its size [-].
 
         Returns
         -------
-        (size,) [unit of the variable]. Raises nothing.
+        (entries,) [unit of each]. Raises nothing.
         """
-        away = share * np.where(value == 0.0, self.scale, np.abs(value))
+        value, upper, lower = self.starts, self.each(lambda item: item.upper), self.each(lambda item: item.lower)
+        away = share * np.where(value == 0.0, self.scales, np.abs(value))
         above, below = value + away, value - away
-        return np.where(above <= self.upper, above, np.where(below >= self.lower, below, value))
+        return np.where(above <= upper, above, np.where(below >= lower, below, value))
+
+    def parts(self, fmu: Any) -> list[tuple[References, Any]]:
+        """Of each type its references, with memory, and the places of its entries; fmu: an object or class of `validate.fmi.instance`."""
+        if self._parts is None:
+            self._parts = []
+            kinds = [item.type for item in self]
+            for kind in dict.fromkeys(kinds):
+                chosen = np.fromiter((other == kind for other in kinds), bool, len(kinds))
+                references = fmu.references(kind, [item.reference for item in self if item.type == kind], int(self.sizes[chosen].sum()))
+                self._parts.append((references, slice(None) if chosen.all() else np.repeat(chosen, self.sizes)))
+        return self._parts
+
+    _parts: list[tuple[References, Any]] | None = None
+
+
+# Variables, and (entries,) a value for each [unit of each].
+Settings = tuple[Block, np.ndarray]
+NOTHING: Settings = (Block(), np.empty(0))
 
 
 @dataclass(eq=False)
@@ -136,48 +195,57 @@ class Subject:
 
     def prepare(self) -> None:
         """Find out, once for all forks, what follows from the description. Raises ValueError, KeyError for one that contradicts itself."""
-        gc.disable()
-        try:
-            for name in ("_interfaces", "by_name", "states", "derivatives", "outputs", "observed", "continuous_inputs", "parameters"):
+        with without_garbage():
+            for name in ("_interfaces", "by_name", "states", "derivatives", "outputs", "observed", "continuous_inputs", "exact", "varied"):
                 getattr(self, name)
-        finally:
-            gc.enable()
+            for block in (self.observed, self.exact, self.varied[0]):
+                block.parts(CLASSES[self.major, "CS"])
         gc.freeze()
 
-    def of(self, unknowns: list[Any]) -> list[FmuVariable]:
+    def of(self, unknowns: list[Any]) -> Block:
         """The variables of a section of the ModelStructure, those without numbers left out."""
-        return [self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name]
+        return Block(self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name)
 
     @cached_property
-    def states(self) -> list[FmuVariable]:
+    def states(self) -> Block:
         """Of which the derivatives are listed, in that order."""
         names = [item.variable.derivative.name for item in self.description.derivatives if item.variable.derivative is not None]
-        return [self.by_name[name] for name in names if name in self.by_name]
+        return Block(self.by_name[name] for name in names if name in self.by_name)
 
     @cached_property
-    def derivatives(self) -> list[FmuVariable]:
+    def derivatives(self) -> Block:
         """Derivatives of the states, as the ModelStructure lists them."""
         return self.of(self.description.derivatives)
 
     @cached_property
-    def outputs(self) -> list[FmuVariable]:
-        """Outputs, as the ModelStructure lists them."""
-        return self.of(self.description.outputs)
+    def outputs(self) -> Block:
+        """Outputs, as the ModelStructure lists them, but for clocked ones."""
+        return Block(item for item in self.of(self.description.outputs) if not item.clocks)
 
     @cached_property
-    def observed(self) -> list[FmuVariable]:
-        """One variable a value reference and type: what runs are compared by."""
-        return list({(item.reference, item.type): item for item in reversed(self.variables)}.values())[::-1]
+    def observed(self) -> Block:
+        """One variable a value reference and type, but for clocked ones: what runs are compared by."""
+        return Block(list({(item.reference, item.type): item for item in reversed(self.variables) if not item.clocks}.values())[::-1])
 
     @cached_property
-    def continuous_inputs(self) -> list[FmuVariable]:
+    def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
-        return [item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous"]
+        return Block(item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous")
 
     @cached_property
-    def parameters(self) -> list[FmuVariable]:
-        """Floating-point parameters that may be set before a run."""
-        return [item for item in self.variables if item.causality == "parameter" and item.is_float and item.variability != "constant"]
+    def exact(self) -> Block:
+        """Variables whose start is their value in initialisation."""
+        return Block(item for item in self.variables if item.start is not None and (item.initial == "exact" or item.causality == "input"))
+
+    @cached_property
+    def varied(self) -> Settings:
+        """Other values of the floating-point parameters that may be set before a run: a hundredth of their size off their starts."""
+        parameters = Block(
+            item
+            for item in self.variables
+            if item.causality == "parameter" and item.is_float and item.variability != "constant" and item.start is not None
+        )
+        return parameters, parameters.near(_VARIED)
 
     @cached_property
     def start_time(self) -> float:
@@ -242,18 +310,16 @@ class Subject:
         -------
         (nu,) [unit of each input]. Raises nothing.
         """
-        values = []
-        for place, item in enumerate(self.continuous_inputs):
-            start = item.start if item.start is not None else np.zeros(item.size)
-            bounded = math.isfinite(item.lower) and math.isfinite(item.upper)
-            size = RANGE_SHARE * (item.upper - item.lower) if bounded else SIZE_SHARE * item.scale
-            dice = np.random.default_rng([seed, place, step // HOLD])
-            values.append(np.clip(start + size * dice.uniform(-1.0, 1.0, start.shape), item.lower, item.upper))
-        return np.concatenate(values) if values else np.empty(0)
+        start, size, lower, upper = self._inputs
+        return np.clip(start + size * np.random.default_rng([seed, step // HOLD]).uniform(-1.0, 1.0, start.shape), lower, upper)
 
-    def varied_parameters(self, share: float = 0.01) -> dict[FmuVariable, np.ndarray]:
-        """Other values of the parameters, (size,) each [unit of the parameter], `share` [-] of their size off their starts. Raises nothing."""
-        return {item: item.near(item.start, share) for item in self.parameters if item.start is not None}
+    @cached_property
+    def _inputs(self) -> tuple[np.ndarray, ...]:
+        """Of the continuous inputs starts, how far they move, and bounds, (nu,) [unit of each input] each. Raises nothing."""
+        inputs = self.continuous_inputs
+        lower, upper = inputs.each(lambda item: item.lower), inputs.each(lambda item: item.upper)
+        bounded = np.isfinite(lower) & np.isfinite(upper)
+        return np.nan_to_num(inputs.starts), np.where(bounded, RANGE_SHARE * (upper - lower), SIZE_SHARE * inputs.scales), lower, upper
 
 
 def _variable(item: Any) -> FmuVariable | None:
@@ -292,6 +358,7 @@ def _variable(item: Any) -> FmuVariable | None:
         upper=math.inf if upper is None else upper,
         nominal=number("nominal"),
         unit=item.unit or getattr(item.declaredType, "unit", None),
+        clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
     )
 
 
@@ -306,13 +373,11 @@ class CheckedInstance(Instance):
     def __init__(self, subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> None:
         """options: more arguments of FMPy's instantiate(). Raises Fault if the binary cannot be loaded or refuses."""
         self.subject = subject
-        self._doubles: Any = None  # how all values are read at once
-        self._entries = 0
         self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
         super().__init__(subject.description, subject.folder, kind, name, options)
         self.time = subject.start_time
 
-    def __enter__(self) -> CheckedInstance:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type | None, *_: object) -> None:
@@ -329,15 +394,15 @@ class CheckedInstance(Instance):
 
     def begin(
         self,
-        before: Mapping[FmuVariable, np.ndarray] | None = None,
-        during: Mapping[FmuVariable, np.ndarray] | None = None,
+        before: Settings = NOTHING,
+        during: Settings = NOTHING,
         stop: float | None = None,
-    ) -> CheckedInstance:
+    ) -> Self:
         """Through initialisation, and to Continuous-Time Mode or the first step.
 
         Parameters
         ----------
-        before, during : values (size,) [unit of the variable] of variables set before and in initialisation.
+        before, during : variables and their values (entries,) [unit of the variable] that are set before and in initialisation.
         stop : stop time [s].
 
         Raises
@@ -346,12 +411,12 @@ class CheckedInstance(Instance):
         """
         self.time = self.subject.start_time
         self.setup(stop)
-        self.set_all(before or {})
+        self.set(*before)
         self.enter_initialisation(stop)
-        self.set_all(during or {})
+        self.set(*during)
         return self.finish_initialisation()
 
-    def finish_initialisation(self) -> CheckedInstance:
+    def finish_initialisation(self) -> Self:
         """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
         self.fmu.exitInitializationMode()
         self.next_event = math.inf
@@ -370,22 +435,11 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses a call.
         """
-        if not variables:
-            return np.empty(0)
-        kinds = dict.fromkeys([item.type for item in variables])
-        if len(kinds) == 1:
-            references, size = [item.reference for item in variables], sum([item.size for item in variables])
-            return np.array(self.fmu.read(variables[0].type, references, size), dtype=float)
-        places = np.cumsum([0, *(item.size for item in variables)])
-        values = np.empty(places[-1])
-        for kind in kinds:
-            chosen = [index for index, item in enumerate(variables) if item.type == kind]
-            sizes = [variables[index].size for index in chosen]
-            read = self.fmu.read(kind, [variables[index].reference for index in chosen], sum(sizes))
-            at = 0
-            for index, size in zip(chosen, sizes, strict=True):
-                values[places[index] : places[index] + size] = read[at : at + size]
-                at += size
+        block = variables if isinstance(variables, Block) else Block(variables)
+        values = np.empty(block.entries)
+        for references, places in block.parts(self.fmu):
+            references.forget()
+            values[places] = self.read(references)
         return values
 
     def set(self, variables: Sequence[FmuVariable], values: np.ndarray) -> None:
@@ -400,41 +454,13 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses a call.
         """
-        at = 0
-        groups: dict[str, tuple[list[int], list[float]]] = {}
-        for item in variables:
-            references, numbers = groups.setdefault(item.type, ([], []))
-            references.append(item.reference)
-            numbers.extend(float(value) for value in values[at : at + item.size])
-            at += item.size
-        for kind, (references, numbers) in groups.items():
-            self.fmu.write(kind, references, numbers)
-
-    def set_all(self, values: Mapping[FmuVariable, np.ndarray]) -> None:
-        """Set variables to values (size,) each [unit of the variable]. Raises FMICallException."""
-        if values:
-            self.set(list(values), np.concatenate(list(values.values())))
+        block = variables if isinstance(variables, Block) else Block(variables)
+        for references, places in block.parts(self.fmu):
+            self.write(references, values[places])
 
     def observe(self) -> np.ndarray:
         """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
-        if self._doubles is None:
-            observed, sizes = self.subject.observed, [item.size for item in self.subject.observed]
-            first = np.cumsum([0, *sizes])
-            chosen = [place for place, item in enumerate(observed) if item.type in REAL and item.size == 1]
-            rest = [place for place, item in enumerate(observed) if item.type not in REAL or item.size != 1]
-            places = np.concatenate([np.arange(first[place], first[place + 1]) for place in rest]) if rest else np.empty(0, dtype=int)
-            self._doubles = (
-                References([observed[place].reference for place in chosen]),
-                first[chosen],
-                [observed[place] for place in rest],
-                places,
-            )
-            self._entries = int(first[-1])
-        doubles, where, others, places = self._doubles
-        values = np.empty(self._entries)
-        values[where] = self.read(doubles)
-        values[places] = self.get(others)
-        return values
+        return self.get(self.subject.observed)
 
     def directional(self, unknowns: Sequence[FmuVariable], known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
         """Directional derivatives of unknowns by one known.
@@ -469,16 +495,6 @@ class CheckedInstance(Instance):
         FMICallException : if the FMU refuses the call.
         """
         return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
-
-
-def entry_names(variables: Sequence[FmuVariable]) -> list[str]:
-    """The name of each entry of some variables, as `CheckedInstance.get` orders them."""
-    return [item.name for item in variables for _ in range(item.size)]
-
-
-def entry_scales(variables: Sequence[FmuVariable]) -> np.ndarray:
-    """Typical magnitude of each entry of some variables, (entries,) [unit of each]. Raises ValueError for no variables."""
-    return np.concatenate([np.full(item.size, item.scale) for item in variables])
 
 
 def _references(variables: Sequence[FmuVariable]) -> list[int]:

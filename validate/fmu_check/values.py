@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,7 +12,7 @@ from validate.fmi.instance import Misbehaviour
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.motion import fresh_run, require_equal, run
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
+from validate.fmu_check.subject import Block, CheckedInstance, FmuVariable, Subject
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -25,26 +26,27 @@ _MOVED = 0.01
 
 @check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def readable(subject: Subject, kind: str) -> Finding:
-    """After initialisation each variable's value reference is accepted."""
+    """After initialisation each variable's value reference is accepted, but for clocked ones."""
+    variables = [item for item in subject.variables if not item.clocks]
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
-            for kind in dict.fromkeys(item.type for item in subject.variables)
-            for item in _refused(instance, [item for item in subject.variables if item.type == kind])
+            for kind in dict.fromkeys(item.type for item in variables)
+            for item in itertools.islice(_refused(instance, [item for item in variables if item.type == kind]), _LEAST)
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
     if problems:
         return failed(listed(problems))
     more = f", {len(texts)} of them strings or binaries" if texts else ""
-    return passed(f"{len(subject.variables) + len(texts)} variables were read{more}.")
+    return passed(f"{len(variables) + len(texts)} variables were read{more}.")
 
 
 def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
     """Of each string and binary that is no array its name, and what is wrong with its value: it cannot be read, or one that nobody set is not its start."""
     for item in instance.subject.description.modelVariables:
-        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None):
+        if item.type not in ("String", "Binary") or getattr(item, "dimensions", None) or item.clocks:
             continue
         said, start = "", "".join(item.start[:1]) if isinstance(item.start, list) else item.start
         try:
@@ -73,82 +75,76 @@ def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterato
             yield from _refused(instance, half)
 
 
-def _exact(subject: Subject) -> list[FmuVariable]:
-    """Variables whose start is their value in initialisation."""
-    return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
-
-
 @check("start values are the XML's", Scope.EACH, clauses=("2.2.7", "2.4.7.5"))
 def starts(subject: Subject, kind: str) -> Finding:
     """In Initialization Mode variables have the start values of the description."""
-    variables = _exact(subject)
+    variables = subject.exact
     if not variables:
         return not_offered("no variable has a start value that counts.")
     with CheckedInstance(subject, kind) as instance:
         instance.setup()
         instance.enter_initialisation()
         values = instance.get(variables)
-    starts = np.concatenate([item.start for item in variables if item.start is not None])
-    share = np.concatenate([np.full(item.size, _SINGLE if item.type == "Float32" else _TEXT) for item in variables])
+    starts, share = variables.starts, variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
     bad = ~((values == starts) | (np.abs(values - starts) <= share * np.abs(starts)) | (np.isnan(values) & np.isnan(starts)))
-    names = entry_names(variables) if bad.any() else []
-    wrong = [f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)]
+    wrong = [
+        f"{variables.names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)
+    ]
     if wrong:
         return failed(listed(wrong))
     return passed(f"{len(variables)} start values agree to {_TEXT:g}.")
 
 
-def _moved(item: FmuVariable) -> np.ndarray | None:
-    """Another value that may be given to it; None if there is none that is surely legal."""
-    if item.start is None or item.variability == "constant" or item.causality == "structuralParameter":
-        return None
-    if item.is_float:
-        value = item.near(item.start, _MOVED)
-        if item.type == "Float32":  # what it can hold
-            value = value.astype(np.float32).astype(float)
-    elif item.type == "Boolean" and item.causality == "input":
-        value = 1.0 - item.start
-    else:
-        return None  # another whole number may switch the model to something else
-    return None if np.array_equal(value, item.start) else value
+def _movable(item: FmuVariable) -> bool:
+    """Whether another value may be given to it; another whole number may switch the model to something else."""
+    changes = item.variability != "constant" and item.causality != "structuralParameter" and not item.clocks
+    return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
+
+
+def _moved(item: FmuVariable, start: np.ndarray) -> np.ndarray | None:
+    """Another value than its start; None if there is none in its range."""
+    value = Block([item]).near(_MOVED) if item.is_float else 1.0 - start
+    if item.type == "Float32":  # what it can hold
+        value = value.astype(np.float32).astype(float)
+    return None if np.array_equal(value, start) else value
 
 
 @check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
 def obeyed(subject: Subject, kind: str) -> Finding:
     """A start value set before or in initialisation is the value from then on."""
-    moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
+    every = [item for item in subject.exact if _movable(item)]
+    drawn = [Block([every[place]]) for place in sorted(_drawn(len(every), len(subject.variables)))]
+    moved = {block: value for block in drawn if (value := _moved(block[0], block.starts)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
-    every = list(moved)
-    moved = {every[place]: moved[every[place]] for place in sorted(_drawn(len(every), len(subject.variables)))}
     with CheckedInstance(subject, kind, "default") as instance:
         instance.begin()
-        default = {item: instance.get([item]) for item in moved}
+        default = {block: instance.get(block) for block in moved}
     wrong, refused, tried = [], 0, 0
-    for item, value, phase in ((item, value, phase) for item, value in moved.items() for phase in ("before", "in")):
-        instance = _another(subject, kind)
-        if instance is None:
+    for block, value, phase in ((block, value, phase) for block, value in moved.items() for phase in ("before", "in")):
+        try:
+            instance.instantiate()  # of the library that is loaded: FMPy takes 2 ms to look through it
+        except Misbehaviour:  # no more of them after others were freed: told by the check of freed instances
             break
         tried += 1
         with instance:
-            given = {item: value}
             try:
                 instance.setup()
                 if phase == "before":
-                    instance.set_all(given)
+                    instance.set(block, value)
                 instance.enter_initialisation()
                 if phase == "in":
-                    instance.set_all(given)
-                inside = instance.get([item])
+                    instance.set(block, value)
+                inside = instance.get(block)
             except FMICallException:
-                wrong.append(f"{item.name} cannot be set {phase} initialisation{instance.quote()}")
+                wrong.append(f"{block[0].name} cannot be set {phase} initialisation{instance.quote()}")
                 continue
             try:
-                after = instance.finish_initialisation().get([item])
+                after = instance.finish_initialisation().get(block)
             except FMICallException:
                 refused += 1  # the model has no solution there, and says so
                 continue
-            wrong += _ignored(item, phase, value, inside, after, default[item])
+            wrong += _ignored(block[0], phase, value, inside, after, default[block])
     if wrong:
         return failed(listed(wrong))
     more = f" {refused} of them make the model refuse to start." if refused else ""
@@ -157,16 +153,8 @@ def obeyed(subject: Subject, kind: str) -> Finding:
         if tried == 2 * len(moved)
         else f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
     )
-    of_all = "" if len(moved) == len(every) else f", drawn from {len(every)}"
+    of_all = "" if len(drawn) == len(every) else f", drawn from {len(every)}"
     return passed(f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}")
-
-
-def _another(subject: Subject, kind: str) -> CheckedInstance | None:
-    """A new instance after others were freed; None if the FMU gives no more: that is told by the check of freed instances."""
-    try:
-        return CheckedInstance(subject, kind)
-    except Misbehaviour:
-        return None
 
 
 def _drawn(count: int, size: int) -> list[int]:
@@ -193,9 +181,8 @@ def finite(subject: Subject, kind: str) -> Finding:
     rows = fresh_run(subject, kind, steps)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
-        names = entry_names(subject.observed)
         row, column = bad[0]
-        return failed(f"{names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
+        return failed(f"{subject.observed.names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
 
 
@@ -205,16 +192,16 @@ def get_order(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), 20)
     observed, dice = subject.observed, np.random.default_rng(5)
     drawn = _drawn(len(observed), len(observed))
-    first = np.cumsum([0, *(item.size for item in observed)])
+    blocks = {place: Block([observed[place]]) for place in drawn}
     reference = fresh_run(subject, kind, steps, "all")
     other = []
     with CheckedInstance(subject, kind, "single") as instance:
 
         def shuffled() -> None:
-            single = {place: instance.get([observed[place]]) for place in (*dice.permutation(drawn), *dice.permutation(drawn))}
+            single = {place: instance.get(blocks[place]) for place in (*dice.permutation(drawn), *dice.permutation(drawn))}
             values = instance.observe()
             for place, value in single.items():
-                values[first[place] : first[place + 1]] = value
+                values[observed.ends[place] : observed.ends[place + 1]] = value
             other.append(values)
 
         instance.begin()

@@ -21,6 +21,7 @@ from scipy.integrate import solve_ivp
 from models.catalog import load_scene, scene_names
 from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, _leaving, true_motion
+from validate.execution.isolated import Limits, run_isolated
 
 pytestmark = pytest.mark.peer
 
@@ -33,65 +34,6 @@ STEPS = 100
 # CasADi: simulated seconds at most, and until a contact must close; how far short of the first event it ends (as a share), and how far beyond it
 # goes to be past it [s].
 LONGEST, LATEST, CLEAR, PAST = 0.5, 2.0, 0.9, 1e-9
-
-LOADER = """
-import json, sys
-path, identifier, token, names, inputs = sys.argv[1], sys.argv[2], sys.argv[3], json.loads(sys.argv[4]), json.loads(sys.argv[5])
-if sys.argv[6] == "2.0":
-    from fmuloader.fmi2 import Fmi2Slave as Slave, Fmi2Type
-    fmu = Slave(path, model_identifier=identifier)
-    fmu.instantiate("it", Fmi2Type.CO_SIMULATION, guid=token)
-    fmu.setup_experiment(0.0)
-    fmu.enter_initialization_mode()
-    get, put = fmu.get_real, fmu.set_real
-else:
-    from fmuloader.fmi3 import Fmi3Slave as Slave
-    fmu = Slave(path, model_identifier=identifier)
-    fmu.instantiate_co_simulation("it", instantiation_token=token)
-    fmu.enter_initialization_mode(start_time=0.0)
-    get, put = fmu.get_float64, fmu.set_float64
-if inputs:
-    put([row[0] for row in inputs], [row[1] for row in inputs])
-fmu.exit_initialization_mode()
-for begin, step in json.loads(sys.argv[7]):
-    fmu.do_step(begin, step)
-print("RESULT", json.dumps(get(names)))
-fmu.terminate()
-fmu.free_instance()
-"""
-
-MASTER = """
-import json, sys
-from libcosimpy.CosimExecution import CosimExecution
-from libcosimpy.CosimObserver import CosimObserver
-from libcosimpy.CosimSlave import CosimLocalSlave
-path, names, inputs = sys.argv[1], json.loads(sys.argv[4]), json.loads(sys.argv[5])
-steps = json.loads(sys.argv[7])
-execution = CosimExecution.from_step_size(round(1e9 * steps[0][1]))
-index = execution.add_local_slave(CosimLocalSlave(fmu_path=path, instance_name="it"))
-for reference, value in inputs:
-    execution.real_initial_value(index, reference, value)
-observer = CosimObserver.create_last_value()
-execution.add_observer(observer)
-execution.simulate_until(round(1e9 * sum(steps[-1])))
-print("RESULT", json.dumps(list(observer.last_real_values(index, names))))
-"""
-
-TOOL = """
-import contextlib, functools, io, json, sys
-import xmlschema
-xmlschema.XMLSchema = functools.cache(xmlschema.XMLSchema)
-from fmu_manipulation_toolbox.cli.fmutool import fmutool
-for line in sys.stdin:
-    sys.argv = ["fmutool", "-input", line.strip(), "-check"]
-    said, code = io.StringIO(), 0
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        try:
-            fmutool()
-        except SystemExit as end:
-            code = end.code or 0
-    print("RESULT", json.dumps([code, said.getvalue()]), flush=True)
-"""
 
 DAE = """
 import json, sys
@@ -133,6 +75,15 @@ def child(code, *arguments):
     return json.loads(next(line for line in done.stdout.splitlines() if line.startswith("RESULT")).removeprefix("RESULT"))
 
 
+def asked(importer, **job):
+    """What an importer answers, as the check has it run."""
+    done = run_isolated(
+        "validate.fmu_check.importers.tools:run_importer", {"importer": importer, **job}, limits=Limits(seconds=60.0, memory=2**32)
+    )
+    assert done.ok, done.sentence
+    return done.value["values"]
+
+
 @pytest.fixture(params=SCENES, ids=lambda name: Path(name).stem, scope="module")
 def scene(request):
     return load_scene(request.param).continuous()  # as its FMU has it: a quasi-static scene's relaxation time is its grid's before
@@ -157,32 +108,14 @@ def agree():
         print(" ".join(f"{cell:>20}" for cell in (name, *cells)))
 
 
-@pytest.fixture(scope="module")
-def fmutool():
-    """fmutool(path) -> (exit code, what it says) of `fmutool -input path -check`. One process for all: it reads the schema of FMI for a second."""
-    needs("fmu_manipulation_toolbox")
-    process = subprocess.Popen([sys.executable, "-c", TOOL], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    def check(path):
-        process.stdin.write(f"{path}\n")
-        process.stdin.flush()
-        return json.loads(next(line for line in process.stdout if line.startswith("RESULT")).removeprefix("RESULT"))
-
-    yield check
-    process.communicate()
-
-
 @pytest.mark.slow
-def test_checkers_find_no_problem(scene, fmutool):
+def test_checkers_find_no_problem(scene):
     """FMPy's validation and fmutool's, FMI 2.0 and 3.0."""
+    needs("fmu_manipulation_toolbox")
     for version in VERSIONS:
         path = build_fmu(scene, version)
         assert validate_fmu(str(path)) == []
-        code, said = fmutool(path)
-        assert code == 0, said
-        assert f"compliant with FMI-{version}" in said
-        assert "No semantic error" in said
-        assert "WARNING" not in said
+        assert asked("fmutool", path=str(path), fmi=version) == []
 
 
 @pytest.mark.parametrize(("tool", "version"), [("fmuloader", "2.0"), ("fmuloader", "3.0"), ("libcosimpy", "2.0")])
@@ -198,11 +131,9 @@ def test_other_importers_get_our_numbers(scene, drive, agree, tool, version):
     steps = [(begin, after - begin) for begin, after in pairwise(points)]
     outputs = (*ours.names.q, *ours.names.v, *ours.names.lam, *ours.names.gap, ours.names.kinetic_energy)
     token = ours.description.guid if version == "2.0" else ours.description.instantiationToken
-    inputs = [[reference, value] for reference, value in zip(ours.vr(ours.names.u), u, strict=True)]
-    code = LOADER if tool == "fmuloader" else MASTER
-    got = child(
-        code, build_fmu(scene, version), scene.name, token, json.dumps(ours.vr(outputs)), json.dumps(inputs), version, json.dumps(steps)
-    )
+    inputs = [["u", reference, float(value)] for reference, value in zip(ours.vr(ours.names.u), u, strict=True)]
+    fmu = {"path": str(build_fmu(scene, version)), "identifier": scene.name, "token": token, "fmi": version}
+    got = asked(tool, **fmu, references=ours.vr(outputs), inputs=inputs, steps=steps)
     agree(scene, f"{tool}, FMI {version}", got, ours.get(*outputs))
 
 
@@ -279,13 +210,10 @@ def test_a_robot_of_mujoco_moves_in_their_hands_as_in_mujoco(version: str, tmp_p
     states = [place for name, place in places.items() if name.startswith(("q_", "v_"))]
     token = re.search(r'(?:guid|instantiationToken)="(\w+)"', _description(fmu))
     assert token is not None
-    given = [fmu, robot.identifier, token[1], json.dumps(states), json.dumps([[places["u_arm"], 0.5]]), version, json.dumps(steps)]
-    for tool in (LOADER, MASTER) if version == "2.0" else (LOADER,):  # libcosim reads FMI 2.0 alone
-        assert child(tool, *given) == [*data.qpos.tolist(), *data.qvel.tolist()]
-    done = subprocess.run([sys.executable, "-c", TOOL], input=f"{fmu}\n", capture_output=True, text=True, check=True)
-    code, said = json.loads(done.stdout.splitlines()[-1].removeprefix("RESULT"))
-    assert code == 0
-    assert "No semantic error" in said
+    given = {"path": str(fmu), "identifier": robot.identifier, "token": token[1], "fmi": version, "references": states, "steps": steps}
+    for tool in ("fmuloader", "libcosimpy") if version == "2.0" else ("fmuloader",):  # libcosim reads FMI 2.0 alone
+        assert asked(tool, **given, inputs=[["u_arm", places["u_arm"], 0.5]]) == [*data.qpos.tolist(), *data.qvel.tolist()]
+    assert asked("fmutool", path=str(fmu), fmi=version) == []
 
 
 def _description(fmu: Path) -> str:

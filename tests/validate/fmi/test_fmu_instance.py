@@ -88,34 +88,41 @@ def test_the_last_successful_time_is_asked_of_fmi_2_alone():
 
 
 @pytest.mark.parametrize(
-    ("kind", "type_of", "values", "expected"),
+    ("kind", "type_of", "values", "name", "held"),
     [
-        (TWO, "Real", [1.5], ("setReal", [7], [1.5])), (TWO, "Integer", [2.0], ("setInteger", [7], [2])), (TWO, "Enumeration", [3.0], ("setInteger", [7], [3])),
-        (THREE, "Float64", [1.5], ("setFloat64", [7], [1.5])), (THREE, "Float32", [1.5], ("setFloat32", [7], [1.5])),
-        (THREE, "Int32", [2.0], ("setInt32", [7], [2])), (THREE, "Boolean", [2.0], ("setBoolean", [7], [True])),
-        (THREE, "Enumeration", [3.0], ("setInt64", [7], [3])),
+        (TWO, "Real", [1.5, -2.5], "Real", [1.5, -2.5]), (TWO, "Integer", [2.0, 3.0], "Integer", [2, 3]), (TWO, "Enumeration", [3.0, 1.0], "Integer", [3, 1]),
+        (TWO, "Boolean", [1.0, 0.0], "Boolean", [1, 0]), (THREE, "Float64", [1.5, -2.5], "Float64", [1.5, -2.5]),
+        (THREE, "Float32", [1.5, -2.5], "Float32", [1.5, -2.5]), (THREE, "Int32", [2.0, -7.0], "Int32", [2, -7]), (THREE, "UInt8", [2.0, 255.0], "UInt8", [2, 255]),
+        (THREE, "Boolean", [2.0, 0.0], "Boolean", [True, False]), (THREE, "Enumeration", [3.0, 1.0], "Int64", [3, 1]),
     ],
 )  # fmt: skip
-def test_a_value_is_written_and_read_by_the_call_of_its_type(kind: Any, type_of: str, values: list[float], expected: tuple[Any, ...]):
-    get = expected[0].replace("set", "get")
-    fmu, log = bare(kind, **{expected[0]: None, get: [9]})
-    fmu.write(type_of, [7], values)
-    assert log == [expected]
-    assert [type(value) for value in log[0][2]] == [type(value) for value in expected[2]]
-    assert fmu.read(type_of, [7], 3) == [9]
-    assert log[1] == ((get, [7]) if kind is TWO else (get, [7], ("nValues", 3)))
+def test_values_are_handed_over_by_the_call_of_their_type_as_c_has_them(
+    kind: Any, type_of: str, values: list[float], name: str, held: list[Any]
+):
+    """Two entries of one array, or two variables; FMI 3.0 is told how many entries there are."""
+    calls = {f"{kind.prefix}{verb}{name}": None for verb in ("Get", "Set")}
+    fmu, log = bare(kind, **calls)
+    several = fmu.references(type_of, [7] if kind is THREE else [7, 9], 2)
+    several.values[:] = values
+    fmu.transfer("Set", several)
+    fmu.transfer("Get", several)
+    size = (2,) if kind is THREE else ()
+    assert log == [(call, "component", several.array, several.count, several.memory, *size) for call in reversed(calls)]
+    assert (list(several.memory), list(several.array)) == (held, [7] if kind is THREE else [7, 9])
+    several.forget()
+    assert np.isnan(several.values).all() if several.values.dtype.kind == "f" else not several.values.any()
 
 
 def test_doubles_are_handed_over_in_the_order_of_each_version():
     two, log_2 = bare(TWO, fmi2GetReal=None, fmi2SetReal=None)
     three, log_3 = bare(THREE, fmi3GetFloat64=None, fmi3SetFloat64=None)
+    some = References([3, 4, 8, 9])
     for fmu in (two, three):
-        fmu.read_doubles("references", "memory", 4)
-        fmu.write_doubles("references", "memory", 5)
-    assert log_2 == [("fmi2GetReal", "component", "references", 4, "memory"), ("fmi2SetReal", "component", "references", 5, "memory")]
-    assert log_3 == [
-        ("fmi3GetFloat64", "component", "references", 4, "memory", 4), ("fmi3SetFloat64", "component", "references", 5, "memory", 5),
-    ]  # fmt: skip
+        fmu.transfer("Get", some)
+        fmu.transfer("Set", some)
+    given = ("component", some.array, 4, some.memory)
+    assert log_2 == [("fmi2GetReal", *given), ("fmi2SetReal", *given)]
+    assert log_3 == [("fmi3GetFloat64", *given, 4), ("fmi3SetFloat64", *given, 4)]
 
 
 def test_each_version_sets_up_and_derives_by_its_own_calls():
@@ -208,20 +215,22 @@ def made(major: int = 2, kind: str = "CS", **description: Any) -> tuple[Instance
 def test_an_initialisation_sets_first_what_is_set_before_and_then_the_inputs():
     instance, log = made()
     memory: list[Any] = []
-    instance.fmu.write_doubles = lambda array, values, count: memory.append((list(array), list(values), count))
+    instance.fmu.transfer = lambda verb, what: memory.append((verb, list(what.array), list(what.memory), what.count))
     instance.initialise(1.5, [(12, 0.5), (13, -2.0)], References([3]), np.array([7.0]))
     assert [call[0] for call in log] == ["setup", "enter", "exitInitializationMode"]
     assert log[0] == ("setup", 1.5, None, None)
     assert log[1] == ("enter", 1.5, None, None)
-    assert memory == [([12, 13], [0.5, -2.0], 2), ([3], [7.0], 1)]
+    assert memory == [("Set", [12, 13], [0.5, -2.0], 2), ("Set", [3], [7.0], 1)]
     assert instance.time == 1.5
 
 
 def test_whole_numbers_are_chosen_where_there_are_some():
     instance, log = made()
     instance.choose([])
+    instance.fmu.references = THREE.references
     instance.choose([(4, 1), (5, 2)])
-    assert log == [("write", "Enumeration", [4, 5], [1, 2])]
+    ((call, verb, what),) = log
+    assert (call, verb, what.kind, list(what.array), list(what.memory)) == ("transfer", "Set", "Int64", [4, 5], [1, 2])
 
 
 def test_nothing_is_read_or_written_where_there_is_nothing():
@@ -230,7 +239,7 @@ def test_nothing_is_read_or_written_where_there_is_nothing():
     instance.write(References([]), [])
     assert log == []
     some = References([3, 4])
-    instance.fmu.read_doubles = lambda array, memory, count: memory.__setitem__(slice(None), [5.0, 6.0])
+    instance.fmu.transfer = lambda verb, what: what.memory.__setitem__(slice(None), [5.0, 6.0] if verb == "Get" else [])
     assert (instance.read(some).tolist(), some.count) == ([5.0, 6.0], 2)
 
 
@@ -269,7 +278,7 @@ def test_an_event_goes_round_until_the_fmu_is_content():
     rounds = [(True, False, False, True, False, 9.0), (True, False, True, False, True, 8.0), (False, False, False, False, True, 7.5)]
     instance.fmu.update = iter(rounds).__next__
     assert instance.event() is True
-    assert (log, instance.next_event) == ([("enterEventMode",), ("enterContinuousTimeMode",)], 7.5)
+    assert (log, instance.next_event) == ([("enterEventMode",), ("leave",)], 7.5)
     instance.fmu.update = lambda: (False, False, True, False, False, 7.0)
     assert (instance.settle(), instance.next_event) == (False, math.inf)
     instance.time, instance.fmu.update = 1.25, lambda: (False, True, False, False, False, 0.0)

@@ -17,7 +17,7 @@ _DEFECTS = (
      ((_INSTANCE, _RESTORE, f"    double kept[NQ];\n    memcpy(kept, self->model.v, sizeof kept);\n{_RESTORE}    memcpy(self->model.v, kept, sizeof kept);\n"),)),
     ("serialising forgets a parameter", "serialised state loads elsewhere", "in a new process",
      ((_INSTANCE, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.p[1] = 2.0;\n"),)),
-    ("serialising forgets the inputs", "serialised state loads elsewhere", "u1 differs", ((_INSTANCE, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.u[0] = 0.0;\n"),)),
+    ("serialising forgets the inputs", "serialised state loads elsewhere", "serialised state, input_power differs", ((_INSTANCE, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.u[0] = 0.0;\n"),)),
     ("a serialised state is an address", "serialised state loads elsewhere", "in a new process",
      ((_INSTANCE, _SERIALIZE,
        f"{_SERIALIZE}    void *copy = malloc(sizeof(Model));\n    memcpy(copy, &((const SavedState *)state)->model, sizeof(Model));\n"

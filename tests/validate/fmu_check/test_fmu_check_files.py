@@ -218,3 +218,15 @@ def test_an_fmu_of_sources_is_compiled_and_then_checked(version: str, sound_cont
     assert row.status is Status.FAILED
     assert "sources/equations.h" in row.sentence
     assert "#error no" in row.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "legal"),
+    [("a.b[1,2].c", True), ("der(a.b)", True), ("'x y'.z", True), ("a..b", False), ("1a", False), ("der(a", False), ("a[b]", False), ("a b", False)],
+)  # fmt: skip
+def test_a_structured_name_is_legal_or_told_however_it_is_found_out(name: str, legal: bool, defective: Callable[..., Path]):
+    """FMPy's parser takes a millisecond a name, and is asked about those alone that are not plain."""
+    path = defective([("modelDescription.xml", 'name="kinetic_energy"', f'name="{name}"')], "3.0")
+    (row,) = [row for row in check_fmu(path, names=["description is valid"]).rows if row.name == "description is valid"]
+    assert ("is not a legal variable name" in row.sentence) is not legal, row.sentence

@@ -2,11 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from shell_fmu import FOREIGN, PARAMETER, build_shell
 
+from validate.fmi.instance import CLASSES
 from validate.fmu_check import Status, check_fmu
+from validate.fmu_check.subject import Block, Subject
 
 COUNT = 20_000  # 40 million values in all, one instance a value
 
@@ -24,3 +29,40 @@ def test_start_values_of_many_parameters_are_drawn(tmp_path: Path, wrong: bool):
     assert f"drawn from {COUNT + 5}" in obeyed.sentence
     assert stored.status is (Status.FAILED if wrong else Status.PASSED)
     assert ("pipe[9000].k is 0 in the binary, 1" in stored.sentence) is wrong
+
+
+def variables(*kinds: tuple[str, str | None, tuple[int, ...]]) -> Block:
+    """Variables of a type, a start and a shape, with references 10, 11, .."""
+    made = [
+        SimpleNamespace(
+            name=f"v{place}", type=kind, start=start, shape=shape, valueReference=10 + place, causality="parameter", variability="tunable",
+            initial="exact", clocks=None, min=None, max="2" if place == 0 else None, nominal="8" if place == 2 else None, unit=None, declaredType=None,
+        )
+        for place, (kind, start, shape) in enumerate(kinds)
+    ]  # fmt: skip
+    return Block(Subject(Path(), Path(), SimpleNamespace(modelVariables=made)).variables)
+
+
+MIXED = (("Float64", "2", ()), ("Int32", "7", ()), ("Float64", "0", (3,)), ("Boolean", "true", ()), ("Int32", None, (2,)))
+
+
+def test_variables_of_several_types_and_shapes_are_one_call_a_type_and_keep_their_order():
+    block = variables(*MIXED)
+    memory: dict[str, Any] = {}
+    for references, places in block.parts(CLASSES[3, "ME"]):
+        memory[references.kind] = (list(references.array), references.size, np.arange(block.entries)[places].tolist())
+    assert memory == {"Float64": ([10, 12], 4, [0, 2, 3, 4]), "Int32": ([11, 14], 3, [1, 6, 7]), "Boolean": ([13], 1, [5])}
+    assert block.parts(CLASSES[3, "ME"]) is block.parts(CLASSES[3, "CS"]), "found out once"
+    assert block.names == ["v0", "v1", "v2", "v2", "v2", "v3", "v4", "v4"]
+    assert block.ends.tolist() == [0, 1, 2, 5, 6, 8]
+    ((one, everything),) = variables(("Float32", "1", ())).parts(CLASSES[3, "ME"])
+    assert (one.values.dtype, everything) == (np.float32, slice(None))
+    assert (Block().parts(CLASSES[2, "CS"]), Block().entries, Block().starts.size) == ([], 0, 0)
+
+
+def test_starts_are_moved_to_the_side_that_the_range_allows():
+    """2 of at most 2 goes down; 0 goes by a share of its nominal 8, in all three entries; what has no start goes nowhere."""
+    block = variables(*MIXED)
+    assert block.near(0.25).tolist()[:6] == [1.5, 8.75, 2.0, 2.0, 2.0, 1.25]
+    assert np.isnan(block.near(0.25)[6:]).all()
+    assert block.starts.tolist()[:6] == [2.0, 7.0, 0.0, 0.0, 0.0, 1.0]
