@@ -1,5 +1,6 @@
 """Engines: found by their files, run in a child, each way to fail a row; MuJoCo is told what the scene says and nothing else."""
 
+import importlib.util
 import math
 import os
 from dataclasses import replace
@@ -155,3 +156,21 @@ def test_an_engine_that_crashes_hangs_or_raises_is_a_row(monkeypatch, tmp_path, 
     answer = run_engine("fmu", [drive("wall_pendulum", 1)], limits=Limits(seconds=5.0))
     assert answer.came is Came.FAILED
     assert not unsaid(answer.why, words)
+
+
+@pytest.mark.slow
+@pytest.mark.peer
+@pytest.mark.skipif(importlib.util.find_spec("pydrake") is None, reason="pydrake is not installed")
+@pytest.mark.parametrize(
+    ("engine", "least", "most"), [("drake_sap", 0.0, 1e-4), ("drake_cenic", 0.0, 1e-4), ("drake_continuous", 5e-4, 1e-2)]
+)
+def test_balls_rub_where_they_meet(engine: str, least: float, most: float):
+    """Two fingers close on a disc, and rub on it: where they meet divides the depth by their radii. Drake's continuous plant rubs in the middle, whatever it is told."""
+    given = drive("two_finger_lift")
+    u = np.tile([0.4, 0.15], (20, 2))
+    nothing = np.zeros((21, 0))
+    plan = Trajectory(t=uniform_grid(given.scene.task.step, 20), q=nothing, v=nothing, u=u, lam=nothing[1:])
+    asked = replace(given, plan=plan, parts=256, tolerance=1e-8 if engine == "drake_cenic" else 1e-11)
+    ours, theirs = (run_engine(name, [asked]).motions[0].q for name in ("fmu", engine))
+    assert (ours[:, :4] != ours[0, :4]).any()
+    assert least <= np.abs(theirs - ours).max() <= most

@@ -74,12 +74,14 @@ class Plant:
         if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
             own = "Kelvin and Voigt's alone" if linear else "Hunt and Crossley's alone"
             raise CannotExpressError(f"contact {touch.name}: its damping is another than this plant has, which is {own}")
-        found = []
+        found, across = [], sum(pad.radius for pad in touch.pads)
         for place, pad in enumerate(touch.pads):
+            # Drake puts both in series, and friction where they meet: balls give way in proportion to their radii.
+            share = pad.radius / across if all(each.radius for each in touch.pads) else 0.5
             properties = drake.ProximityProperties()
             dissipation = None if linear else touch.damping * touch.steepness
             drake.AddContactMaterial(
-                dissipation=dissipation, point_stiffness=2.0 * touch.stiffness * touch.steepness**2,
+                dissipation=dissipation, point_stiffness=touch.stiffness * touch.steepness**2 / share,
                 friction=drake.CoulombFriction(touch.friction, touch.friction), properties=properties,
             )  # fmt: skip
             if linear:  # those of a pair add
