@@ -257,7 +257,7 @@ def grid_error(case: Evidence) -> tuple[float, float]:
 
 def grid_order(case: Evidence) -> float:
     """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
-    error, near = grid_error(case)[0], _replay_limit(case) / 4.0
+    error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
     if error <= near:
         raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
@@ -268,10 +268,6 @@ def grid_order(case: Evidence) -> float:
         if error <= near:
             break
     return min(order, _HALVINGS)
-
-
-def _replay_limit(case: Evidence) -> float:
-    return float(replay_limits(case.scene).min())
 
 
 def replay_limits(scene: Subject) -> np.ndarray:

@@ -94,7 +94,7 @@ def refined(errors: list[float], limit: float | None = 0.4, waived: bool = False
         true_motion=(np.array([[0.0, 0.0], [errors[0], 0.0]]), None), replay_q=np.zeros((2, 2)), error=SimpleNamespace(position=0.0),
         scene=SimpleNamespace(
             limit=lambda name: SimpleNamespace(value=None if waived else limit) if name == "replay_error" and (limit or waived) else None,
-            coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
+            nq=2, coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
         ),
         refined_motion=motion,
     )  # fmt: skip
