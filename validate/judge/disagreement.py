@@ -105,7 +105,7 @@ def why(
         return Otherwise.LOST, begun
     if about.softens and finest.scene.nf:
         soft = again(replace(finest, soft=_SOFTER))
-        if soft >= _SOFTER / 2.0 * last:
+        if max(soft, last) >= _SOFTER / 2.0 * min(soft, last):
             return Otherwise.FRICTION, f"{begun}; with its friction {_SOFTER:g} times as soft {size(soft)}"
     if words := unstable():
         return Otherwise.UNSTABLE, f"{begun}; {words}"

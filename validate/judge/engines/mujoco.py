@@ -32,8 +32,8 @@ _SOFT, _HARD = 1e-4, 0.9999
 _IMPEDANCE = [_SOFT, _SOFT, 0.001, 0.5, 1.0]
 # Constraint force of friction over that of the normal at the same violation: 1e8 leaves friction with 1e-4 of the inverse mass as compliance, as _HARD does.
 _RATIO = 1e8
-# Slip decays by this share of itself in a step: Runge-Kutta 4 bears 2.7.
-_DECAY = 0.5
+# Slip decays by this share of itself in a step at most, as Runge-Kutta 4 bears 2.7; on pads at this rate [1/s], as faster decay pushes apart what slides.
+_DECAY, _RATE = 0.5, 1e3
 # Half the size of the block whose face is a plane, which no motion leaves, and half its depth [m]: planes may not move.
 _BLOCK, _DEPTH = 100.0, 1.0
 _FAR, _TINY = 1e6, 1e-12
@@ -150,7 +150,7 @@ def _set_constraints(model: Any, mechanism: Mechanism, h: float, soft: float) ->
         if pair >= 0:
             bodies = model.geom_bodyid[[model.pair_geom1[pair], model.pair_geom2[pair]]]
             model.pair_solref[pair] = -pull * touch.steepness**2 * model.body_invweight0[bodies, 0].sum()
-            model.pair_solreffriction[pair] = -_TINY, -_DECAY / h * _SOFT
+            model.pair_solreffriction[pair] = -_TINY, -min(_DECAY / h, _RATE / soft) * _SOFT
         elif tendon >= 0:  # of one with a dead band, which has no limit, nobody reads it
             model.tendon_solref_lim[tendon] = -pull * model.tendon_invweight0[tendon]
     for name, _, _ in _rubs(mechanism):
