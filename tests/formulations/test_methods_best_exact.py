@@ -106,12 +106,15 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_a_scene_with_friction_ends_where_the_best_known_way_does():
-    """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds."""
+    """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds.
+
+    Either ends at 0.701, or at 0.818, as the processor rounds; so one way alone is not enough.
+    """
     found = solved(load_scene("transport"))
-    by = {attempt.start.partition(",")[0]: attempt.cost for attempt in found.starts}
+    costs = [attempt.cost for attempt in found.starts if attempt.cost is not None]
     assert found.outcome is Outcome.SOLVED
-    assert found.cost is not None
-    assert found.cost <= by["relaxed_lcp from eps = 0.9"] <= 0.7063
+    assert found.cost == min(costs) <= 0.7063
+    assert max(costs) > 0.9
 
 
 @pytest.mark.slow
