@@ -104,7 +104,7 @@ def test_a_robust_plan_meets_the_goal_and_arrives_in_more_worlds_it_was_not_made
     assert found.residuals["terminal_error"] < 1e-6
     assert alone.cost is not None
     assert found.cost == pytest.approx(KERNEL.cost(found.trajectory.q, found.trajectory.v, found.trajectory.u))
-    assert alone.cost < found.cost < 1.3 * alone.cost
+    assert alone.cost < found.cost < 1.5 * alone.cost
     before, after = missed(alone.trajectory, seed=77), missed(found.trajectory, seed=77)
     assert (after <= 1.0).sum() >= (before <= 1.0).sum() + 5
     assert after.mean() < 0.8 * before.mean()
