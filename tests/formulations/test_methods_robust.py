@@ -96,7 +96,7 @@ def missed(plan: Trajectory, seed: int) -> np.ndarray:
 def test_a_robust_plan_meets_the_goal_and_arrives_in_more_worlds_it_was_not_made_for():
     with load_method("mpcc").open(SCENE, {}) as session:
         alone = session.solve(eps=None, warm_start=None, time_limit=1e4)
-    with load_method("robust").open(SCENE, {"worlds": 16}) as session:
+    with load_method("robust").open(SCENE, {"worlds": 32}) as session:
         found = session.solve(eps=None, warm_start=alone.trajectory, time_limit=1e4)
     assert found.outcome is Outcome.SOLVED
     assert found.trajectory is not None
