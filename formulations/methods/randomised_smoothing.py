@@ -42,12 +42,14 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
 
     def session(self, scene: Scene, options: RandomisedSmoothingOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, noise, quasi_newton  # imports PyTorch
+        from formulations.shooting.session import ShootingSession, noise, paper_objective, quasi_newton  # imports PyTorch
 
         drawn = partial(
             noise, scene, unbounded=options.unbounded, samples=options.samples, pieces=options.pieces, seed=options.seed
         )  # of the deviation
-        return ShootingSession(self, scene, options, clock, law=ContactLaw.RELU, minimise=quasi_newton, noise=drawn)
+        return ShootingSession(
+            self, scene, options, clock, objective=paper_objective(options, ContactLaw.RELU, noise=drawn), minimise=quasi_newton
+        )
 
 
 METHOD = RandomisedSmoothing()

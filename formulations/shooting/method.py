@@ -37,9 +37,11 @@ class DescentMethod(ShootingMethod[DescentOptions]):
 
     def session(self, scene: Scene, options: DescentOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, descend
+        from formulations.shooting.session import ShootingSession, descend, paper_objective
 
-        return ShootingSession(self, scene, options, clock, law=self.law, minimise=descend, loss=self.loss(scene))
+        return ShootingSession(
+            self, scene, options, clock, objective=paper_objective(options, self.law, self.loss(scene)), minimise=descend
+        )
 
 
 class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
@@ -49,6 +51,8 @@ class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
 
     def session(self, scene: Scene, options: QuasiNewtonOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, quasi_newton
+        from formulations.shooting.session import ShootingSession, paper_objective, quasi_newton
 
-        return ShootingSession(self, scene, options, clock, law=self.law, minimise=quasi_newton, loss=self.loss(scene))
+        return ShootingSession(
+            self, scene, options, clock, objective=paper_objective(options, self.law, self.loss(scene)), minimise=quasi_newton
+        )

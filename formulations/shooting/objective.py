@@ -35,6 +35,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from formulations.shooting.options import WeightOptions
 from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
@@ -225,3 +226,21 @@ def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pie
     values = np.random.default_rng(seed).normal(size=(samples // 2, min(pieces, steps), scene.nu))
     held = values[:, np.arange(steps) * values.shape[1] // steps] * scale
     return np.concatenate([held, -held])
+
+
+def paper_objective(
+    options: WeightOptions, law: ContactLaw, loss: Loss | None = None, noise: Callable[[float], np.ndarray] | None = None
+) -> Callable[[Kernel, float | None, np.ndarray], Objective]:
+    """Give the objective of a kernel, at an eps and from any first inputs: the paper's loss, or one's own; noise: at an eps, what it is averaged over."""
+
+    def objective(kernel: Kernel, eps: float | None, _: np.ndarray) -> Objective:
+        return Objective(
+            kernel,
+            law=law,
+            eps=eps if law is ContactLaw.SOFTPLUS else None,
+            weights=Weights(terminal=options.terminal_weight, running=options.input_weight),
+            loss=loss,
+            noise=None if noise is None or eps is None else noise(eps),
+        )
+
+    return objective

@@ -19,7 +19,7 @@ from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent
 from formulations.shooting.diagnosis import dead_contact_message, sensitivity, stable_rate
 from formulations.shooting.objective import Objective
-from formulations.shooting.options import LbfgsOptions
+from formulations.shooting.options import GoalOptions, LbfgsOptions
 from formulations.solution import Outcome
 from models.scene import Scene
 
@@ -33,7 +33,7 @@ class _Run:
     """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
 
     def __init__(
-        self, objective: Objective, goal: np.ndarray, options: LbfgsOptions, deadline: float, history: dict[str, list[float]]
+        self, objective: Objective, goal: np.ndarray, options: LbfgsOptions | GoalOptions, deadline: float, history: dict[str, list[float]]
     ) -> None:
         self._objective, self._goal, self._options, self._deadline, self._history = objective, goal, options, deadline, history
         self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
@@ -105,7 +105,7 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
     return np.where(beyond, 0.0, gradient)
 
 
-def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions, time_limit: float) -> Descent:
+def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions | GoalOptions, time_limit: float) -> Descent:
     """Minimise from u0 (steps, nu) [N, N m] within the bounds; the objective's goal is left where it was.
 
     Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall seconds. Raises ShootingError for a loss of one's own that
@@ -151,7 +151,7 @@ def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions, time_l
 
 
 def _rounds(
-    objective: Objective, u: np.ndarray, options: LbfgsOptions, deadline: float, history: dict[str, list[float]]
+    objective: Objective, u: np.ndarray, options: LbfgsOptions | GoalOptions, deadline: float, history: dict[str, list[float]]
 ) -> tuple[_Run | None, np.ndarray, float, int]:
     """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
     goal, best, least, displaced, weight, slow = objective.goal, u, np.inf, 0, objective.weights.terminal, 0
@@ -176,7 +176,7 @@ def _rounds(
         displaced += 1
 
 
-def _one(run: _Run, scene: Scene, u: np.ndarray, options: LbfgsOptions) -> np.ndarray:
+def _one(run: _Run, scene: Scene, u: np.ndarray, options: LbfgsOptions | GoalOptions) -> np.ndarray:
     lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(scene))
     result = minimize(
         run.function,

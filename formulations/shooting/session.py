@@ -12,27 +12,27 @@ import numpy as np
 from formulations.grids import plan_of
 from formulations.method import Clock, Method, Session
 from formulations.shooting.descent import Descent, descend
-from formulations.shooting.objective import Loss, Objective, Weights, noise
-from formulations.shooting.options import DescentOptions, LbfgsOptions
+from formulations.shooting.objective import Objective, noise, paper_objective
+from formulations.shooting.options import DescentOptions, GoalOptions, LbfgsOptions
 from formulations.shooting.quasi_newton import minimise as quasi_newton
 from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds, with_growth
 from formulations.solution import Outcome, Solution
-from models.codegen.kernel import load_kernel
+from models.codegen.kernel import Kernel, load_kernel
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ShootingSession", "descend", "noise", "quasi_newton"]
+__all__ = ["ShootingSession", "descend", "noise", "paper_objective", "quasi_newton"]
 
-_Options = TypeVar("_Options", bound=DescentOptions | LbfgsOptions)
+_Options = TypeVar("_Options", bound=DescentOptions | LbfgsOptions | GoalOptions)
 
 
 class ShootingSession(Session, Generic[_Options]):
     """One method on one scene.
 
-    clock: of the opening; law: the contact law of the rollouts; minimise: from a loss, inputs u0 (steps, nu), options and a time limit in wall seconds
-    to the best inputs; loss: None for the paper's; noise: at an eps, what the loss is averaged over (samples, steps, nu), if it is.
+    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu) [N, N m]; minimise: from that loss, these inputs, options
+    and a time limit in wall seconds to the best inputs.
     """
 
     def __init__(
@@ -42,13 +42,11 @@ class ShootingSession(Session, Generic[_Options]):
         options: _Options,
         clock: Clock,
         *,
-        law: ContactLaw,
+        objective: Callable[[Kernel, float | None, np.ndarray], Objective],
         minimise: Callable[[Objective, np.ndarray, _Options, float], Descent],
-        loss: Loss | None = None,
-        noise: Callable[[float], np.ndarray] | None = None,
     ) -> None:
         self._method, self._scene, self._options = method, scene, options
-        self._law, self._minimise, self._loss, self._noise = law, minimise, loss, noise
+        self._objective, self._minimise = objective, minimise
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         self._clock = clock
         clock.stop()
@@ -57,28 +55,17 @@ class ShootingSession(Session, Generic[_Options]):
         """Descend from the inputs of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
         stage = Clock()
         self._method.check_stage(eps, time_limit)
-        objective = self._objective(eps)
         u0 = given_inputs(self._scene, warm_start)
+        objective = self._objective(self._kernel, eps, u0)
         descending = perf_counter()
         descent = self._minimise(objective, u0, self._options, time_limit)
         evaluating, descending = objective.seconds, perf_counter() - descending
-        solution = self._solution(descent, u0, objective.eps)
+        solution = self._solution(descent, u0, objective.law, objective.eps)
         return replace(solution, seconds=stage_seconds(stage, self._clock, evaluating, descending))
 
-    def _objective(self, eps: float | None) -> Objective:
-        """The loss at this eps: of the softplus law, or of the noise."""
-        return Objective(
-            self._kernel,
-            law=self._law,
-            eps=eps if self._law is ContactLaw.SOFTPLUS else None,
-            weights=Weights(terminal=self._options.terminal_weight, running=self._options.input_weight),
-            loss=self._loss,
-            noise=None if self._noise is None or eps is None else self._noise(eps),
-        )
-
-    def _solution(self, descent: Descent, u0: np.ndarray, eps: float | None) -> Solution:
+    def _solution(self, descent: Descent, u0: np.ndarray, law: ContactLaw, eps: float | None) -> Solution:
         """The plan simulated once more by the kernel, and its residuals recomputed from that; without a plan, the growth at the first guess."""
-        law, task = self._law, self._scene.task
+        task = self._scene.task
         empty = Solution(
             method=self._method.name,
             outcome=descent.outcome,

@@ -27,7 +27,7 @@ LITTLE = SCENE.with_task(steps=6, step=0.15)
 PLANS = ("softplus_dc", "relaxed_lcp", "strict_lcp", "relu_gd")
 
 # Options that make little work of a method, where it has them: what is tested here holds for few iterations as for many.
-FEW = {"iterations": 5, "tolerances": (0.0, 0.05), "pairs": 1}
+FEW = {"iterations": 5, "tolerances": (0.0, 0.05), "worlds": 2}
 
 
 def scene_for(*names: str) -> Scene:
