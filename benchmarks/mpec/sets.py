@@ -8,6 +8,7 @@ With `--peer N`, CasADi and Ipopt are given each problem of at most N pairs too 
 beside the table.
 The child's own answer is not believed: rows, bounds, pairs and stationarity are recomputed from the values of the model's variables, and where rows are
 linear and the objective is convex a tree of convex programs bounds the global optimum (`benchmarks.mpec.proved`), unless the published value is reached.
+A `.nl` file is solved by the command `touchstone-mpec` too, as AMPL calls it, and what its `.sol` says, read by Pyomo, is held against that answer.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import importlib.util
 import json
 import math
 import os
+import shutil
 import signal
+import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -40,7 +43,7 @@ REACHED = 1e-4
 # CPU seconds for reading the model and judging the point.
 _BESIDE = 30.0
 _COLUMNS = ("problem", "variables", "rows", "pairs", "status", "objective", "published", "against it", "bound", "class", "primal", "complementarity", "dual",
-            "CPU s", "strategy", "peer's objective", "peer's CPU s", "remark")  # fmt: skip
+            "CPU s", "strategy", "peer's objective", "peer's CPU s", "command", "remark")  # fmt: skip
 _PAGE = ("problem", "pairs", "status", "objective", "published", "against it", "class", "primal, complementarity, dual", "CPU s", "by",
          "CasADi + Ipopt", "its CPU s")  # fmt: skip
 # Times of the faster one at which a performance profile is told.
@@ -95,6 +98,34 @@ def solve_one(model: Any, proof_seconds: float, published: float = math.nan) -> 
     if bound is not None:
         told |= {"bound": bound.bound, "proved": bound.complete}
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in told.items()}
+
+
+# Of AMPL's codes, those of each status from so many to ninety-nine more.
+_CODES = {"solved": 0, "stalled": 100, "infeasible": 200, "diverged": 300, "iteration_limit": 400, "time_limit": 400}
+
+
+def by_command(path: Path, model: Any, status: str, has_point: bool, folder: Path) -> str:
+    """Whether `touchstone-mpec STUB -AMPL` says the same of a `.nl` file, to the last bit of every variable; else by how much it differs.
+
+    model: of that file, with the values of the answer that is compared, if there is one.
+    """
+    import pyomo.environ as pyo
+    from pyomo.opt.plugins.sol import ResultsReader_sol
+
+    stub = folder / f"{path.stem}-command"
+    shutil.copy(path, stub.with_suffix(".nl"))
+    command = [str(Path(sys.executable).with_name("touchstone-mpec")), str(stub), "-AMPL", "relax_integers=1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return f"code {done.returncode}: {(done.stderr.strip().splitlines() or ['no word'])[-1][:160]}"
+    answer = ResultsReader_sol()(str(stub.with_suffix(".sol")), suffixes=[])
+    if int(answer.solver.id) // 100 * 100 != _CODES.get(status, 500):
+        return f"AMPL's code {answer.solver.id}"
+    found = [entry["Value"] for entry in answer.solution(0).variable.values()] if len(answer.solution) else []
+    values = [pyo.value(item) for item in model.component_data_objects(pyo.Var)] if has_point else []
+    if len(found) != len(values):
+        return f"{len(found)} of {len(values)} values"
+    return "equal" if found == values else f"{max(abs(a - b) for a, b in zip(found, values, strict=True)):.1e} away"
 
 
 def solve_by_peer(model: Any) -> dict[str, Any]:
@@ -236,7 +267,7 @@ def _line(row: dict[str, Any], published: float | None) -> tuple[str | float | N
     return (
         row["problem"], row.get("variables"), row.get("rows"), row.get("pairs"), row["status"], row.get("objective"), published,
         _against(row, published), row.get("bound"), row.get("class"), row.get("primal"), row.get("complementarity"), row.get("dual"), row.get("solve_s"), row.get("strategy"),
-        row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason", "infeasible" if "peer_s" in row else None), row.get("peer_s"),
+        row.get("peer_objective") if row.get("peer_feasible") else row.get("peer_reason", "infeasible" if "peer_s" in row else None), row.get("peer_s"), row.get("command"),
         "" if row["status"] == "solved" else row["message"][:160],
     )  # fmt: skip
 
@@ -258,11 +289,16 @@ def _notes(rows: list[dict[str, Any]], published: dict[str, float]) -> list[str]
     verdicts = [_against(row, published[row["problem"]]) for row in compared]
     good = sum(word in ("reached", "better") for word in verdicts)
     proved = sum(word.startswith("proved") for word in verdicts)
+    asked = [row for row in rows if "command" in row]
+    same = [
+        f"the command touchstone-mpec gives the same status and every variable to the last bit: {sum(row['command'] == 'equal' for row in asked)} of {len(asked)}"
+    ]
     false = [row["problem"] for row in rows if row["status"] == "solved" and not (row.get("feasible") and row.get("b_stationary"))]
     return [
         f"published value reached to {REACHED:g} or beaten: {good} of {len(compared)} ({verdicts.count('better')} beaten); published values that no "
         f"point of the file has, by proof: {proved}",
         f"'solved' without a feasible, B-stationary point by the certificate: {len(false)} {', '.join(false)}".rstrip(),
+        *(same if asked else ()),
         f"CPU seconds of all: {sum(row.get('solve_s') or 0.0 for row in rows):.0f}",
     ]
 
@@ -332,4 +368,6 @@ if __name__ == "__main__":
     source, data, target, *limits = sys.argv[1:]
     given = load(Path(source), Path(data) if data else None)
     told = solve_one(given, *map(float, limits)) if limits else solve_by_peer(given)
+    if limits and Path(source).suffix == ".nl":
+        told["command"] = by_command(Path(source), given, told["status"], "objective" in told, Path(target).parent)
     Path(target).write_text(json.dumps(told), encoding="utf-8")

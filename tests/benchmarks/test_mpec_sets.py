@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from pyomo.mpec import Complementarity, complements
 
 from benchmarks.mpec.proved import prove
-from benchmarks.mpec.sets import _profile, command
+from benchmarks.mpec.sets import _profile, by_command, command, load, solve_one
 
 
 def _pairs(sense=pyo.minimize, goals=((1, 2), (3, -1), (2, 2))) -> pyo.ConcreteModel:
@@ -178,3 +178,23 @@ def test_the_profile_counts_who_has_the_better_answer_and_how_soon():
         "75%",
     )
     assert told["casadi_scholtes"]["within 1 times"] == told["casadi_scholtes"]["at all"] == "50%"
+
+
+@pytest.mark.slow
+def test_the_command_is_held_against_the_answer_bit_by_bit(tmp_path):
+    model = pyo.ConcreteModel()
+    model.x = pyo.Var(range(2), initialize=0.3)
+    model.cost = pyo.Objective(expr=(model.x[0] - 1.0) ** 2 + (model.x[1] - 2.0) ** 4)
+    model.row = pyo.Constraint(expr=model.x[0] + 3.0 * model.x[1] <= 2.0)
+    path = tmp_path / "corner.nl"
+    model.write(str(path))
+    read = load(path)
+    assert solve_one(read, 0.0)["status"] == "solved"
+    assert by_command(path, read, "solved", True, tmp_path) == "equal"
+    assert by_command(path, read, "infeasible", True, tmp_path) == "AMPL's code 0"
+    assert by_command(path, read, "solved", False, tmp_path) == "2 of 0 values"
+    last = list(read.component_data_objects(pyo.Var))[1]
+    last.set_value(last.value + 1e-9)
+    assert by_command(path, read, "solved", True, tmp_path) == "1.0e-09 away"
+    path.write_text("no problem")
+    assert by_command(path, read, "solved", True, tmp_path).startswith("code 2: touchstone-mpec: ")
