@@ -6,11 +6,8 @@ true contact law that meets the goal itself.
 
 from __future__ import annotations
 
-import numpy as np
-
 from formulations.method import Clock, Kind, Method, Session, without_inputs
 from formulations.shooting.options import RobustOptions
-from models.codegen.kernel import Kernel
 from models.scene import Scene
 
 
@@ -33,13 +30,9 @@ class Robust(Method[RobustOptions]):
 
     def session(self, scene: Scene, options: RobustOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import quasi_newton
-        from formulations.shooting.worlds import WorldsObjective, WorldsSession
+        from formulations.shooting.worlds import WorldsSession
 
-        def objective(kernel: Kernel, _: float | None, u0: np.ndarray) -> WorldsObjective:
-            return WorldsObjective(kernel, u0, options)
-
-        return WorldsSession(self, scene, options, clock, objective=objective, minimise=quasi_newton)
+        return WorldsSession(self, scene, options, clock)
 
 
 METHOD = Robust()

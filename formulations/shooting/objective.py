@@ -231,7 +231,10 @@ def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pie
 def paper_objective(
     options: WeightOptions, law: ContactLaw, loss: Loss | None = None, noise: Callable[[float], np.ndarray] | None = None
 ) -> Callable[[Kernel, float | None, np.ndarray], Objective]:
-    """Give the objective of a kernel, at an eps and from any first inputs: the paper's loss, or one's own; noise: at an eps, what it is averaged over."""
+    """Give what makes the objective of a kernel at an eps, from any first inputs (steps, nu) [N, N m]: the paper's loss, or one's own.
+
+    noise: at an eps, what it is averaged over (samples, steps, nu) [N, N m]. Raises nothing; what it gives raises what Objective does.
+    """
 
     def objective(kernel: Kernel, eps: float | None, _: np.ndarray) -> Objective:
         return Objective(

@@ -19,8 +19,10 @@ from torch import Tensor
 
 from formulations.finer import scene_of
 from formulations.grids import input_bounds
+from formulations.method import Clock, Method
 from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.options import RobustOptions
+from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.rollout import rollout
 from formulations.shooting.session import ShootingSession
 from formulations.solution import Solution
@@ -42,7 +44,7 @@ def end_limits(scene: Scene) -> list[float | None]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class World:
+class DrawnWorld:
     """A world to plan for: kernel of its parameters; start (2*nq,); gain (nu,) [-], noise (steps, nu) [N, N m] and delay [steps] of the inputs."""
 
     kernel: Kernel
@@ -58,8 +60,8 @@ class World:
         return rollout(self.kernel, driven, self.start).end
 
 
-def drawn(kernel: Kernel, u: np.ndarray, samples: int, seed: int) -> list[World]:
-    """Worlds spread evenly over what may be otherwise (a scrambled Sobol sequence). u (steps, nu): how large inputs without bounds are. Raises ValueError for a negative seed."""
+def drawn(kernel: Kernel, u: np.ndarray, samples: int, seed: int) -> list[DrawnWorld]:
+    """Worlds spread evenly over what may be otherwise: a scrambled Sobol sequence. u (steps, nu) [N, N m]: how large inputs without bounds are. Raises ValueError for a negative seed."""
     from scipy.stats import qmc  # half a second, which other methods need not pay
 
     scene = kernel.scene
@@ -74,7 +76,7 @@ def drawn(kernel: Kernel, u: np.ndarray, samples: int, seed: int) -> list[World]
         values, gains, starts, delay = np.split(point, np.cumsum(parts)[:-1])
         moved = {item.name: item.value + size_of(item) * float(by) for item, by in zip(scene.parameters, values, strict=True)}
         worlds.append(
-            World(
+            DrawnWorld(
                 kernel=Kernel(scene.with_parameters(**moved), kernel.path),
                 start=torch.from_numpy(np.array(scene.task.start) + away * starts),
                 gain=torch.from_numpy(1.0 + GAIN * gains),
@@ -107,6 +109,12 @@ class WorldsObjective(Objective):
 
 class WorldsSession(ShootingSession[RobustOptions]):
     """A session whose worlds are drawn when it is solved: how large inputs without bounds are, the first ones say."""
+
+    def __init__(self, method: Method, scene: Scene, options: RobustOptions, clock: Clock) -> None:
+        def objective(kernel: Kernel, _: float | None, u0: np.ndarray) -> Objective:
+            return WorldsObjective(kernel, u0, options)
+
+        super().__init__(method, scene, options, clock, objective=objective, minimise=minimise)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Descend from the inputs of the warm start, on its own steps where those are finer. Raises TrajectoryError for a plan of another scene or grid."""

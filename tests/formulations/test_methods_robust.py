@@ -10,7 +10,7 @@ from formulations.finer import finer_scene
 from formulations.grids import plan_of
 from formulations.pipelines import load_method
 from formulations.shooting.options import RobustOptions
-from formulations.shooting.worlds import World, WorldsObjective, drawn
+from formulations.shooting.worlds import DrawnWorld, WorldsObjective, drawn
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -56,7 +56,7 @@ def test_the_same_seed_draws_the_same_worlds_and_another_others():
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
 def test_inputs_arrive_late_by_a_part_of_a_step_times_their_gain(delay):
     kernel, u = KERNEL, pushed()
-    world = World(
+    world = DrawnWorld(
         kernel=kernel,
         start=torch.tensor(SCENE.task.start, dtype=torch.float64),
         gain=torch.tensor([1.1, 0.9], dtype=torch.float64),
