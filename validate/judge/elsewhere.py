@@ -115,10 +115,10 @@ class _Matrix:
         tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
         base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
         drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]
-        answer = self._ask(engine, drives)
+        answer, scores = self._scored(engine, drives)
         if answer.came is not Came.DONE:
             return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
-        scores, apart = self._scores(engine, drives, answer.motions), [self._distance(motion.q) for motion in answer.motions]
+        apart = [self._distance(motion.q) for motion in answer.motions]
         words = [found.verdict.value for found in scores]
         levels = tuple(
             EngineLevel(step=level_of(drive, engine), verdict=word, distance=distance)
@@ -150,17 +150,21 @@ class _Matrix:
             return ""
         return f"{size(apart)} at {plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
 
-    def _scores(self, engine: str, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Score]:
-        """Of the motions of these drives, each against the one before it; with feedback where the score of one asks for it."""
-        opened = self._replays(drives, motions)
+    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, list[Score]]:
+        """The motions of these drives, and each scored against the one before it, with feedback where the score of one asks for it; or what an engine that gives none says."""
+        answer = self._ask(engine, drives)
+        if answer.came is not Came.DONE:
+            return answer, []
+        opened = self._replays(drives, answer.motions)
         scores = [score(self.scene, self.plan, item) for item in opened]
-        if self.feedback is not None and any(wants_feedback(item.metrics) for item in scores):
-            asked = [replace(drive, feedback=self.feedback) for drive in drives]
-            answer = self._ask(engine, asked)
-            if answer.came is Came.DONE:
-                tracked = self._replays(asked, answer.motions)
-                scores = [score(self.scene, self.plan, replace(item, tracked=other)) for item, other in zip(opened, tracked, strict=True)]
-        return scores
+        if self.feedback is None or not any(wants_feedback(item.metrics) for item in scores):
+            return answer, scores
+        asked = [replace(drive, feedback=self.feedback) for drive in drives]
+        followed = self._ask(engine, asked)
+        if followed.came is not Came.DONE:
+            return followed, []
+        tracked = self._replays(asked, followed.motions)
+        return answer, [score(self.scene, self.plan, replace(item, tracked=other)) for item, other in zip(opened, tracked, strict=True)]
 
     def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
         """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""
