@@ -17,13 +17,31 @@ from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.elsewhere import EngineVerdict, elsewhere
 from validate.judge.judgement import judge
-from validate.judge.simulator import describe_engine, named_engines
+from validate.judge.simulator import LIMITS, describe_engine, named_engines
 
 PIPELINES = {
     "three_cart": "mpcc", "cart_chain": "mpcc", "two_discs": "mpcc", "two_discs_wall": "mpcc", "hopper": "mpcc", "wall_pendulum": "mpcc",
     "acrobot_limits": "softplus_dc+strict", "cart_pole_walls": "collocation", "transport": "relaxed+strict", "two_finger": "relaxed+strict",
     "two_finger_lift": "relaxed+strict", "hopper_planar": "softplus_dc+strict",
 }  # fmt: skip
+
+
+plans_option = click.option(
+    "--plans", type=click.Path(path_type=Path, file_okay=False), default="runs/verdict_matrix", show_default=True, help="Where plans are kept.",
+)  # fmt: skip
+
+
+def kept_plan(name: str, plans: Path) -> Path | None:
+    """The file of a scene's plan in that folder, found now where there is none; None: its pipeline finds none. Raises TouchstoneError."""
+    file = plans / f"{name}.nc"
+    if not file.is_file():
+        found = ts.solve(name, PIPELINES[name]).trajectory
+        if found is None:
+            click.echo(f"{name}: {PIPELINES[name]} found no plan")
+            return None
+        plans.mkdir(parents=True, exist_ok=True)
+        write_netcdf(file, found, ts.scene(name))
+    return file
 
 
 def as_markdown(engines: Sequence[str], rows: dict[str, tuple[str, str, list[EngineVerdict]]]) -> str:
@@ -56,27 +74,18 @@ def as_markdown(engines: Sequence[str], rows: dict[str, tuple[str, str, list[Eng
 @click.command()
 @click.option("--scene", "scenes", multiple=True, type=click.Choice(list(PIPELINES)), help="Only this scene; may be repeated.")
 @click.option("--engine", "engines", default="all", show_default=True, metavar="NAME,..|all", help="As of `validate replay`.")
+@plans_option
 @click.option(
-    "--plans",
-    type=click.Path(path_type=Path, file_okay=False),
-    default="runs/verdict_matrix",
-    show_default=True,
-    help="Where plans are kept.",
+    "--seconds", type=click.FloatRange(min=1.0), default=LIMITS.seconds, show_default=True, help="For each time that an engine is asked."
 )
-@click.option("--seconds", type=click.FloatRange(min=1.0), default=600.0, show_default=True, help="For each time that an engine is asked.")
 @written_to("--markdown", "markdown", "FILE.md", "the page, as docs/verdict_matrix.md is")
 def command(scenes: tuple[str, ...], engines: str, plans: Path, seconds: float, markdown: Path | None) -> int:
     """What other simulators say of the plan of each scene, and why where they say otherwise."""
     asked, rows = tuple(name for name in named_engines(engines) if name != "fmu"), {}
     for name in scenes or PIPELINES:
-        file = plans / f"{name}.nc"
-        if not file.is_file():
-            found = ts.solve(name, PIPELINES[name]).trajectory
-            if found is None:
-                click.echo(f"{name}: {PIPELINES[name]} found no plan")
-                continue
-            plans.mkdir(parents=True, exist_ok=True)
-            write_netcdf(file, found, ts.scene(name))
+        file = kept_plan(name, plans)
+        if file is None:
+            continue
         judgement = judge(name, file, limits=Limits())
         click.echo(f"{name}: {judgement.verdict.value}")
         found = elsewhere(judgement, asked, limits=Limits(seconds=seconds), jobs=usable_cores(), tell=lambda text: click.echo(f"  {text}"))

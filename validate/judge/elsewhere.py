@@ -76,9 +76,7 @@ def elsewhere(
     judgement: Judgement, engines: Sequence[str], *, limits: Limits = LIMITS, jobs: int = 1, tell: Callable[[str], None] = lambda text: None
 ) -> list[EngineVerdict]:
     """A row for each engine. Raises SceneError for a plan without a scene or a replay, UnknownNameError, MachineError."""
-    if not isinstance(judgement.scene, Scene) or judgement.plan is None or judgement.replay is None or not judgement.replay.ok:
-        raise SceneError("engines: they step scenes, by a plan whose own replay came to its end; this is not one.")
-    matrix = _Matrix(judgement, judgement.scene, limits)
+    matrix = _Matrix(judgement, limits)
 
     def row(engine: str) -> EngineVerdict:
         found = matrix.row(engine)
@@ -89,22 +87,13 @@ def elsewhere(
         return list(pool.map(row, engines))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Found:
-    """A level's motion, its score, and how far it is from ours."""
-
-    score: Score
-    distance: float
-    drive: Drive
-    motion: SimulatedMotion
-
-
 class _Matrix:
     """What is the same for all engines."""
 
-    def __init__(self, judgement: Judgement, scene: Scene, limits: Limits) -> None:
-        assert judgement.plan is not None
-        assert judgement.replay is not None
+    def __init__(self, judgement: Judgement, limits: Limits) -> None:
+        scene = judgement.scene
+        if not isinstance(scene, Scene) or judgement.plan is None or judgement.replay is None or not judgement.replay.ok:
+            raise SceneError("engines: they step scenes, by a plan whose own replay came to its end; this is not one.")
         self.ours, self.plan, self.limits = judgement, judgement.plan, limits
         waived = tuple(Limit(metric=name, value=None, reason=_OF_THE_JUDGE) for name in ("energy_residual_relative", "answer_error"))
         own = tuple(limit for limit in scene.limits if limit.metric not in {item.metric for item in waived})
@@ -120,64 +109,62 @@ class _Matrix:
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
         if engine == REFERENCE:
-            level = EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0)
-            found = {"score": self.ours.score, "levels": (level,), "sentence": "what the others are held against"}
-            return EngineVerdict(engine=engine, came=Came.DONE, agrees=True, **found)
+            levels = (EngineLevel(step=describe_engine(engine).tolerances[-1], verdict=self.ours.verdict.value, distance=0.0),)
+            said = "what the others are held against"
+            return EngineVerdict(engine=engine, came=Came.DONE, agrees=True, score=self.ours.score, levels=levels, sentence=said)
         tolerances = describe_engine(engine).tolerances[1:] or (1.0,) * len(LEVELS)
         base = Drive(scene=self.scene.continuous(), plan=self.plan, start=self.plan.start, rows=ROWS)
         drives = [replace(base, parts=ROWS * parts, tolerance=tolerance) for parts, tolerance in zip(LEVELS, tolerances, strict=True)]
-        answer, found = self._scored(engine, drives)
+        answer, scores = self._scored(engine, drives)
         if answer.came is not Came.DONE:
             return EngineVerdict(engine=engine, came=answer.came, sentence=answer.why.rstrip("."))
+        apart = [self._distance(motion.q) for motion in answer.motions]
+        words = [found.verdict.value for found in scores]
         levels = tuple(
-            EngineLevel(step=level_of(item.drive, engine), verdict=item.score.verdict.value, distance=item.distance) for item in found
+            EngineLevel(step=level_of(drive, engine), verdict=word, distance=distance)
+            for drive, word, distance in zip(drives, words, apart, strict=True)
         )
-        agrees = all(level.verdict == self.ours.verdict.value for level in levels)
-        kind, sentence = (Otherwise.NONE, f"{size(levels[-1].distance)} from ours") if agrees else self._why(engine, found, levels)
+        agreeing = [word == self.ours.verdict.value for word in words]
+        kind, sentence = Otherwise.NONE, f"{size(apart[-1])} from ours"
+        if not all(agreeing):
+            kind, sentence = why(
+                engine, drives, apart, lambda motion: self._distance(motion.q),
+                settled=agreeing[-1], unstable=lambda: self._unstable(answer.motions[-1].q), ask=self._ask,
+            )  # fmt: skip
+            sentence = f"{', '.join(words)}; from ours {sentence}"
         return EngineVerdict(
-            engine=engine, came=Came.DONE, agrees=agrees, score=found[-1].score, levels=levels, kind=kind, sentence=sentence
+            engine=engine, came=Came.DONE, agrees=all(agreeing), score=scores[-1], levels=levels, kind=kind, sentence=sentence
         )
-
-    def _why(self, engine: str, found: list[_Found], levels: tuple[EngineLevel, ...]) -> tuple[Otherwise, str]:
-        """The class of a disagreement, and what was measured."""
-        kind, sentence = why(
-            engine, [item.drive for item in found], [item.distance for item in found], lambda motion: self._distance(motion.q),
-            settled=levels[-1].verdict == self.ours.verdict.value, unstable=lambda: self._unstable(found[-1]), ask=self._ask,
-        )  # fmt: skip
-        return kind, f"{', '.join(level.verdict for level in levels)}; from ours {sentence}"
 
     def _ask(self, engine: str, drives: Sequence[Drive]) -> EngineAnswer:
         return run_engine(engine, drives, limits=self.limits)
 
-    def _unstable(self, found: _Found) -> str:
-        """That our own error growth makes the distance at the end of that where it begins, in words; empty: it does not."""
+    def _unstable(self, q: np.ndarray) -> str:
+        """That our own error growth makes a motion's distance at the end of that where it begins, in words; empty: it does not."""
         growth, plan = self.replay.growth, self.plan
         if growth is None or growth.amplification <= _GROWS:
             return ""
         begin = min(int(np.searchsorted(plan.t, growth.begin)) + 1, plan.steps)
-        apart = self._distance(found.motion.q, slice(begin, begin + 1))
-        if apart * growth.amplification < found.distance / 3.0:
+        apart = self._distance(q, slice(begin, begin + 1))
+        if apart * growth.amplification < self._distance(q) / 3.0:
             return ""
         return f"{size(apart)} at {plan.t[begin]:.2g} s, and from {growth.begin:.2g} s on an error grows {growth.amplification:.2g} times"
 
-    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, list[_Found]]:
-        """All motions of these drives scored, each against the one before it; with feedback where the score of one asks for it."""
+    def _scored(self, engine: str, drives: Sequence[Drive]) -> tuple[EngineAnswer, list[Score]]:
+        """The motions of these drives, and each scored against the one before it, with feedback where the score of one asks for it; or what an engine that gives none says."""
         answer = self._ask(engine, drives)
         if answer.came is not Came.DONE:
             return answer, []
         opened = self._replays(drives, answer.motions)
-        scores, followed = [score(self.scene, self.plan, item) for item in opened], [None] * len(drives)
-        if self.feedback is not None and any(wants_feedback(item.metrics) for item in scores):
-            asked = [replace(drive, feedback=self.feedback) for drive in drives]
-            tracked = self._ask(engine, asked)
-            if tracked.came is Came.DONE:
-                followed = self._replays(asked, tracked.motions)
-        found = []
-        for drive, motion, item, other, alone in zip(drives, answer.motions, opened, followed, scores, strict=True):
-            whole = item if other is None else replace(item, tracked=other)
-            judged = alone if other is None else score(self.scene, self.plan, whole)
-            found.append(_Found(score=judged, distance=self._distance(motion.q), drive=drive, motion=motion))
-        return answer, found
+        scores = [score(self.scene, self.plan, item) for item in opened]
+        if self.feedback is None or not any(wants_feedback(item.metrics) for item in scores):
+            return answer, scores
+        asked = [replace(drive, feedback=self.feedback) for drive in drives]
+        followed = self._ask(engine, asked)
+        if followed.came is not Came.DONE:
+            return followed, []
+        tracked = self._replays(asked, followed.motions)
+        return answer, [score(self.scene, self.plan, replace(item, tracked=other)) for item, other in zip(opened, tracked, strict=True)]
 
     def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
         """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""

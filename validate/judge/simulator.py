@@ -159,10 +159,7 @@ def named_engines(text: str) -> tuple[str, ...]:
 
 
 def load_engine(name: str) -> Callable[[Drive], SimulatedMotion]:
-    """What steps a scene by that engine. Raises UnknownNameError, MachineError where its package is missing."""
-    absent = missing(name)
-    if absent:
-        raise MachineError(f"{absent}.")
+    """What steps a scene by that engine. Raises ImportError where its package is missing."""
     return importlib.import_module(f"validate.judge.engines.{name}").simulate
 
 
@@ -200,13 +197,12 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
         return EngineAnswer(came=Came.FAILED, why=done.sentence)
-    motions = []
-    for number, seconds in enumerate(done.value):
-        q, v, applied = (done.arrays.get(f"{number}_{part}") for part in ("q", "v", "applied"))
-        assert q is not None
-        assert v is not None
-        motions.append(SimulatedMotion(q=q, v=v, applied=applied, seconds=seconds))
-    return EngineAnswer(came=Came.DONE, motions=tuple(motions))
+    found = done.arrays
+    motions = tuple(
+        SimulatedMotion(q=found[f"{number}_q"], v=found[f"{number}_v"], applied=found.get(f"{number}_applied"), seconds=seconds)
+        for number, seconds in enumerate(done.value)
+    )
+    return EngineAnswer(came=Came.DONE, motions=motions)
 
 
 def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], dict[str, np.ndarray]]:
@@ -259,19 +255,18 @@ def stepped(drive: Drive, advance: Callable[[np.ndarray, np.ndarray, int, float]
         Whatever `advance` raises.
     """
     nq, inputs, count = drive.scene.nq, HeldInputs(drive.plan, drive.feedback), drive.parts // drive.rows
+    steps, u = np.diff(drive.plan.t), np.zeros(drive.scene.nu)
     states = np.full((drive.plan.steps * drive.rows + 1, 2 * nq), np.nan)
     states[0] = drive.start
-    began, row = time.process_time(), 0
-    for interval, h in enumerate(np.diff(drive.plan.t)):
-        u = inputs.begin(interval, states[row])
-        for part in range(drive.rows):
-            slope = inputs.slopes[interval]
-            state = np.concatenate(advance(u + slope * (h * part / drive.rows), slope, count, float(h) / drive.parts))
-            if not np.isfinite(state).all():
-                break
-            row += 1
-            states[row] = state
-        if row < (interval + 1) * drive.rows:
+    began = time.process_time()
+    for row in range(len(states) - 1):
+        interval, part = divmod(row, drive.rows)
+        if part == 0:
+            u = inputs.begin(interval, states[row])
+        h, slope = float(steps[interval]), inputs.slopes[interval]
+        state = np.concatenate(advance(u + slope * (h * part / drive.rows), slope, count, h / drive.parts))
+        if not np.isfinite(state).all():
             break
+        states[row + 1] = state
     applied = None if drive.feedback is None else inputs.values
     return SimulatedMotion(q=states[:, :nq], v=states[:, nq:], seconds=time.process_time() - began, applied=applied)

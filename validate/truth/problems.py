@@ -122,7 +122,7 @@ class TruthProblem:
 def problems() -> tuple[TruthProblem, ...]:
     """All problems, by phenomenon."""
     return (
-        *_rebounds(), _collision(), *map(mass_ratio, RATIOS), grazing(1e-4), squeeze(), _dying_bounces(), _stop(),
+        *_rebounds(), _met("two-body collision", "masses 1 and 3", after=0.27, step=0.004, position=1.0), *map(mass_ratio, RATIOS), grazing(1e-4), squeeze(), _dying_bounces(), _stop(),
         *(ramp(mu, share) for mu in (0.2, 0.8) for share in (0.95, 1.05)), creep(0.5), _stick_slip(), _bounces(), *map(stiff, STIFFNESSES), _overlap(),
     )  # fmt: skip
 
@@ -214,10 +214,6 @@ def _met(
 def contact_rate(m1: float, m2: float, k: float) -> float:
     """Of the swing of two bodies [kg] on a spring [N/m]: [rad/s]. Raises ZeroDivisionError without mass."""
     return math.sqrt(k * (m1 + m2) / (m1 * m2))
-
-
-def _collision() -> TruthProblem:
-    return _met("two-body collision", "masses 1 and 3", after=0.27, step=0.004, position=1.0)
 
 
 def mass_ratio(ratio: float) -> TruthProblem:

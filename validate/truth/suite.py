@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -116,15 +115,12 @@ def judged(
     UnknownNameError
         For an engine that there is not.
     """
-    about: dict[str, Any] = {
-        "phenomenon": problem.phenomenon,
-        "problem": problem.name,
-        "source": problem.source,
-        "engine": engine,
-        "came": answer.came.value,
-    }
+    row = EngineRow(
+        phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine, came=answer.came.value,
+        sentence=answer.why.rstrip("."),
+    )  # fmt: skip
     if answer.came is not Came.DONE:
-        return EngineRow(**about, sentence=answer.why.rstrip("."))
+        return row
     energy, adaptive, asked = _energy_of(problem.scene), describe_engine(engine).adaptive, drives(problem, describe_engine(engine))
     told = [_errors(problem, motion, end, energy) for motion in answer.motions]
     worst = [_worst(item, problem) for item in told]
@@ -137,13 +133,12 @@ def judged(
         )
         for drive, item, error, motion in zip(asked, told, errors, answer.motions, strict=True)
     )  # fmt: skip
-    if errors[-1] <= _RIGHT:
-        kind, sentence = "", f"right to {size(errors[-1])}"
-    else:
-        found, sentence = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
-        kind, sentence = found.value, f"{found.value}: {sentence}"
+    kind, sentence = "", f"right to {size(errors[-1])}"
+    if errors[-1] > _RIGHT:
+        found, words = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
+        kind, sentence = found.value, f"{found.value}: {words}"
     order = None if adaptive else observed_order(errors)
-    return EngineRow(**about, sentence=sentence, kind=kind, worst=worst[-1][1], order=order, levels=levels)
+    return replace(row, sentence=sentence, kind=kind, worst=worst[-1][1], order=order, levels=levels)
 
 
 def observed_order(errors: Sequence[float]) -> float | None:

@@ -131,6 +131,18 @@ def test_a_motion_that_leaves_every_bound_is_a_row(thrown: Judgement, planted, m
     assert row.as_json()["levels"][0]["distance"] is None
 
 
+def test_feedback_that_has_no_end_is_a_row_and_no_verdict_without_it(thrown: Judgement, planted, monkeypatch):
+    planted[0] = lambda drive: replace(drive, start=drive.start + np.array([0.0, 8.0 * drive.step]))
+    given = room.run_engine
+
+    def late(name, drives, *, limits=None):
+        return EngineAnswer(came=Came.FAILED, why="it was ended") if drives[0].feedback is not None else given(name, drives)
+
+    monkeypatch.setattr(room, "run_engine", late)
+    (row,) = elsewhere(thrown, ("fmu_everyday",))
+    assert (row.verdict, row.agrees, row.sentence) == ("failed", None, "it was ended")
+
+
 @pytest.mark.slow
 @pytest.mark.process
 def test_what_an_engine_cannot_express_is_a_row_with_the_reason():

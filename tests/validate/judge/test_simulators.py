@@ -15,7 +15,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
 from validate.judge import simulator
 from validate.judge.engines._mechanism import mechanism_of
-from validate.judge.simulator import Came, CannotExpressError, Drive, describe_engine, engine_names, load_engine, run_engine
+from validate.judge.simulator import Came, CannotExpressError, Drive, describe_engine, engine_names, load_engine, named_engines, run_engine
 from validate.truth.problems import ground
 
 # Scenes that MuJoCo is told whole, and how near it comes to our replay at a fiftieth of the task's step [m, rad]: the tip of a cart-pole meets a constraint.
@@ -54,7 +54,7 @@ def test_a_package_that_is_missing_is_said(monkeypatch):
     assert answer.came is Came.MISSING
     assert not unsaid(answer.why, "engine mujoco: … not installed; pip install -e '.[engines]'")
     with pytest.raises(MachineError, match="not installed"):
-        load_engine("mujoco")
+        named_engines("mujoco")
 
 
 def test_what_a_mechanism_is_told_comes_from_the_scene():

@@ -24,13 +24,13 @@ _SYMBOLIC = {name: getattr(drake, name) for name in ("sin", "cos", "sqrt", "exp"
 
 
 class Plant:
-    """A scene in Drake: its diagram and context, and how states and inputs go in and out. Raises CannotExpressError."""
+    """A scene in Drake: its diagram and context, and how states and inputs go in and out; with a time step [s] discrete, by SAP. Raises CannotExpressError."""
 
-    def __init__(self, drive: Drive, *, time_step: float = 0.0, approximation: str = "lagged", linear: bool = False) -> None:
+    def __init__(self, drive: Drive, *, time_step: float = 0.0) -> None:
         mechanism = mechanism_of(drive.scene, weights=True)
         builder, names = drake.DiagramBuilder(), [coordinate.name for coordinate in drive.scene.coordinates]
         config = drake.MultibodyPlantConfig(
-            time_step=time_step, contact_model="point", discrete_contact_approximation=approximation, use_sampled_output_ports=False,
+            time_step=time_step, contact_model="point", discrete_contact_approximation="sap", use_sampled_output_ports=False,
             stiction_tolerance=STICTION * drive.soft, sap_near_rigid_threshold=0.0,
         )  # fmt: skip
         self.plant, graph = drake.AddMultibodyPlant(config, builder)
@@ -38,7 +38,7 @@ class Plant:
             f'<mujoco model="scene"><worldbody>{mechanism.bodies}</worldbody></mujoco>', "xml"
         )
         self.plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -mechanism.gravity])
-        pairs = [self._pads(touch, linear) for touch in mechanism.touches if not touch.stops]
+        pairs = [self._pads(touch, time_step > 0.0) for touch in mechanism.touches if not touch.stops]
         self.plant.Finalize()
         filters = graph.collision_filter_manager()
         filters.Apply(drake.CollisionFilterDeclaration().ExcludeWithin(drake.GeometrySet([pad for pair in pairs for pad in pair])))
@@ -68,7 +68,7 @@ class Plant:
         self.drive_by(np.zeros(drive.scene.nu))
 
     def _pads(self, touch: Touch, linear: bool) -> list[Any]:
-        """The two geometries of a contact."""
+        """The two geometries of a contact, damped as Kelvin and Voigt have it (linear) or Hunt and Crossley."""
         if touch.pads is None:
             raise CannotExpressError(f"contact {touch.name}: {touch.why}")
         if touch.damping and (touch.law is DampingLaw.KELVIN_VOIGT) is not linear:
@@ -95,17 +95,11 @@ class Plant:
 
     def _forces(self, mechanism: Mechanism) -> Any:
         """The smooth forces and the weights on all joints, as a system of state and inputs."""
-        q, v, u = (
-            [drake.Variable(f"{letter}{place}") for place in range(count)]
-            for letter, count in (
-                ("q", self.plant.num_positions()),
-                ("v", self.plant.num_velocities()),
-                ("u", max(1, len(mechanism.symbols[2]))),
-            )
-        )
+        nu = len(mechanism.symbols[2])
+        sizes = {"q": self.plant.num_positions(), "v": self.plant.num_velocities(), "u": max(1, nu)}
+        q, v, u = (drake.MakeVectorVariable(size, letter) for letter, size in sizes.items())
         found = [drake.Expression(0.0)] * len(v)
-        own = [q[place] for place in self._q], [v[place] for place in self._v], u[: len(mechanism.symbols[2])]
-        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC], stops=True)(*own[0], *own[1], *own[2]), strict=True):
+        for place, force in zip(self._v, mechanism.smooth([_SYMBOLIC], stops=True)(*q[self._q], *v[self._v], *u[:nu]), strict=True):
             found[place] = drake.Expression() + force
         for name, weight, _ in mechanism.weights:
             found[self.plant.GetJointByName(name).velocity_start()] = drake.Expression(weight)

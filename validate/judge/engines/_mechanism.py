@@ -127,7 +127,7 @@ def mechanism_of(scene: Scene, *, weights: bool = False) -> Mechanism:
     if tree is not None:
         found = tree(scene)
         return Mechanism(
-            bodies=found.bodies, gravity=found.gravity, joints=np.array(found.joints or np.eye(scene.nq)), forces=tuple(forces), symbols=symbols,
+            bodies=found.bodies, gravity=found.gravity, joints=np.eye(scene.nq) if found.joints is None else found.joints, forces=tuple(forces), symbols=symbols,
             touches=tuple(replace(touch, pads=found.pads.get(touch.name), why="its joints have no stops") for touch in touches), rubs=rubs,
         )  # fmt: skip
     if not (dynamics.structure.constant_mass and dynamics.structure.diagonal_mass):

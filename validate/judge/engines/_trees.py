@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from models.scene import Scene
 
 _TINY, _BALL = 1e-12, 0.1
@@ -23,14 +25,14 @@ class Pad:
     normal: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Tree:
-    """bodies: MJCF; pads by contact; gravity [m/s^2]; joints: rows of q of the joints by that of the scene, empty: the same."""
+    """bodies: MJCF; pads by contact; gravity [m/s^2]; joints: q of the joints = joints @ q of the scene, (nq, nq), None: the same."""
 
     bodies: str
     pads: Mapping[str, tuple[Pad, Pad]] = field(default_factory=dict)
     gravity: float = 0.0
-    joints: tuple[tuple[float, ...], ...] = ()
+    joints: np.ndarray | None = None
 
 
 def _numbers(scene: Scene) -> dict[str, float]:
@@ -53,14 +55,11 @@ def _cart_pole(scene: Scene) -> Tree:
     p = _numbers(scene)
     pole = _body("theta", _point(p["m_p"], p["l"]))
     tip = Pad(body="theta", at=(0.0, 0.0, p["l"]), radius=_BALL)
-    walls = {
-        name: Pad(body="", at=(side * (p["w"] + _BALL), 0.0, 0.0), normal=(-side, 0.0, 0.0))
-        for name, side in (("right", 1.0), ("left", -1.0))
-    }
-    return Tree(
-        bodies=_body("x", _point(p["m_c"], 0.0) + pole, joints='<joint name="x" type="slide" axis="1 0 0"/>'),
-        pads={name: (tip, wall) for name, wall in walls.items()}, gravity=p["g"],
-    )  # fmt: skip
+    pads = {}
+    for name, side in (("right", 1.0), ("left", -1.0)):
+        pads[name] = tip, Pad(body="", at=(side * (p["w"] + _BALL), 0.0, 0.0), normal=(-side, 0.0, 0.0))
+    cart = _body("x", _point(p["m_c"], 0.0) + pole, joints='<joint name="x" type="slide" axis="1 0 0"/>')
+    return Tree(bodies=cart, pads=pads, gravity=p["g"])
 
 
 def _acrobot(scene: Scene) -> Tree:
@@ -88,9 +87,9 @@ def _fingers(scene: Scene) -> Tree:
     found += _body("x", f'<inertial pos="0 0 0" mass="{p["m_d"]!r}" diaginertia="{turning} {turning} {turning}"/>', joints=slides)
     if table is not None:
         pads["table"] = (pads["left"][1], Pad(body="", at=(0.0, 0.0, -table), normal=(0.0, 0.0, 1.0)))
-    joints = [[float(row == column) for column in range(scene.nq)] for row in range(scene.nq)]
-    joints[1][0] = joints[3][2] = -1.0  # the scene's angles are absolute, a hinge's relative
-    return Tree(bodies=found, pads=pads, gravity=p.get("g", 0.0), joints=tuple(map(tuple, joints)))
+    joints = np.eye(scene.nq)
+    joints[1, 0] = joints[3, 2] = -1.0  # the scene's angles are absolute, a hinge's relative
+    return Tree(bodies=found, pads=pads, gravity=p.get("g", 0.0), joints=joints)
 
 
 TREES = {"cart_pole_walls": _cart_pole, "acrobot_limits": _acrobot, "two_finger": _fingers, "two_finger_lift": _fingers}
