@@ -112,13 +112,13 @@ def by_command(path: Path, model: Any, status: str, has_point: bool, folder: Pat
     import pyomo.environ as pyo
     from pyomo.opt.plugins.sol import ResultsReader_sol
 
-    stub = folder / f"{path.stem}-command"
-    shutil.copy(path, stub.with_suffix(".nl"))
-    command = [str(Path(sys.executable).with_name("touchstone-mpec")), str(stub), "-AMPL", "relax_integers=1"]
+    stub = str(folder / f"{path.stem}-command")
+    shutil.copy(path, f"{stub}.nl")
+    command = [str(Path(sys.executable).with_name("touchstone-mpec")), stub, "-AMPL", "relax_integers=1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         return f"code {done.returncode}: {(done.stderr.strip().splitlines() or ['no word'])[-1][:160]}"
-    answer = ResultsReader_sol()(str(stub.with_suffix(".sol")), suffixes=[])
+    answer = ResultsReader_sol()(f"{stub}.sol", suffixes=[])
     if int(answer.solver.id) // 100 * 100 != _CODES.get(status, 500):
         return f"AMPL's code {answer.solver.id}"
     found = [entry["Value"] for entry in answer.solution(0).variable.values()] if len(answer.solution) else []

@@ -186,7 +186,7 @@ def test_the_command_is_held_against_the_answer_bit_by_bit(tmp_path):
     model.x = pyo.Var(range(2), initialize=0.3)
     model.cost = pyo.Objective(expr=(model.x[0] - 1.0) ** 2 + (model.x[1] - 2.0) ** 4)
     model.row = pyo.Constraint(expr=model.x[0] + 3.0 * model.x[1] <= 2.0)
-    path = tmp_path / "corner.nl"
+    path = tmp_path / "ex9.1.1.nl"
     model.write(str(path))
     read = load(path)
     assert solve_one(read, 0.0)["status"] == "solved"
