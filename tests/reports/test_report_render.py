@@ -155,54 +155,59 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
         assert "<" not in data
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"has_plan": False}, {"replay": None},
-        {"has_plan": False, "replay": None, "metrics": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
-        {"history": {"objective": ()}}, {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
-        {"cost": 0.0, "paper": {"cost": 0.0}}, {"cost": -1e300, "paper": {"time": 0.0}}, {"eps": 0.0},
-    ],
-    ids=lambda changes: "-".join(changes),
+# Of a stage, each odd in its way.
+_ODD_DATA = (
+    {"has_plan": False}, {"replay": None},
+    {"has_plan": False, "replay": None, "metrics": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
+    {"history": {"objective": ()}}, {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
+    {"cost": 0.0, "paper": {"cost": 0.0}}, {"cost": -1e300, "paper": {"time": 0.0}}, {"eps": 0.0},
 )  # fmt: skip
-def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path, changes):
-    odd = StageRecord.model_validate(factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump() | changes)
-    run = factory.run("softplus_dc", None, "strict_lcp", stages=(odd,), must_hold=False)
-    _, page = render(factory.store(tmp_path / "odd", [run, factory.runs()[0]]))
-    if not odd.has_plan:
-        assert (not unsaid(page.text, "There is no plan")) != ("No planned trajectory is stored" in page.text)
-    assert "strict_lcp" in page.text
+
+
+@pytest.mark.slow
+def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path):
+    plain = factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump()
+    odd = [StageRecord.model_validate(plain | changes) for changes in _ODD_DATA]
+    runs = [factory.run(f"odd{place}", None, "strict_lcp", stages=(stage,), must_hold=False) for place, stage in enumerate(odd)]
+    write_report(folder := factory.store(tmp_path / "odd", [*runs, factory.runs()[0]]))
+    for run, stage in zip(runs, odd, strict=True):
+        page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
+        assert "softplus_dc" in page.text
+        told = [not unsaid(page.text, words) for words in ("There is no plan", "No planned trajectory is stored")]
+        assert sum(told) == (not stage.has_plan), (run.pipeline, told)
+
+
+# The columns of a file of motion, none where it is missing, or its bytes; and what is said of it.
+_ODD_MOTIONS = (
+    (None, "cannot be read (there is no such file)"), (b"", "cannot be read ("), (b"CDF\x01 an old one", "cannot be read ("), ({}, "stored"),
+    ({"t": ()}, "stored"), ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
+    ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)}, ""),
+    ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,), "pose_angle_1": (0.0,)}, ""),
+    ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)), "gap_left": (0.0, 1.0, 2.0)}, ""),
+)  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["trajectory", "replay"])
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        (None, "cannot be read (there is no such file)"), (b"", "cannot be read ("), (b"CDF\x01 an old one", "cannot be read ("), ({}, "stored"),
-        ({"t": ()}, "stored"), ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
-        ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)}, ""),
-        ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,), "pose_angle_1": (0.0,)}, ""),
-        ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)), "gap_left": (0.0, 1.0, 2.0)}, ""),
-    ],
-    ids=range(9),
-)  # fmt: skip
-def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_path, what, columns, said):
-    run, whole = factory.run("softplus_dc", None, "strict_lcp"), factory.runs()[2]
-    folder = factory.store(tmp_path / "odd", [run, whole])
-    path = folder / "runs" / run.key / f"{what}.nc"
-    path.unlink()
-    if isinstance(columns, bytes):
-        path.write_bytes(columns)
-    elif columns is not None:
-        factory.write_motion(path, columns)
-    _, page = render(folder)
-    assert (
-        f"{what}.nc {said}" in page.text
-        or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}" in page.text
-        or not said
-    )
-    assert "strict_lcp" in page.text
+def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_path, what):
+    runs = [factory.run(f"odd{place}", None, "strict_lcp") for place in range(len(_ODD_MOTIONS))]
+    folder = factory.store(tmp_path / "odd", [*runs, factory.runs()[2]])
+    for run, (columns, _) in zip(runs, _ODD_MOTIONS, strict=True):
+        path = folder / "runs" / run.key / f"{what}.nc"
+        path.unlink()
+        if isinstance(columns, bytes):
+            path.write_bytes(columns)
+        elif columns is not None:
+            factory.write_motion(path, columns)
+    write_report(folder)
+    for run, (_, said) in zip(runs, _ODD_MOTIONS, strict=True):
+        page = Parsed((folder / "pages" / f"{run.key}.html").read_text(encoding="utf-8"))
+        assert (
+            f"{what}.nc {said}" in page.text
+            or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}" in page.text
+            or not said
+        )
+        assert "strict_lcp" in page.text
 
 
 def test_an_empty_campaign_is_a_page_too(factory, tmp_path):

@@ -287,14 +287,12 @@ def probe_points() -> Callable[[Scene], list[tuple[np.ndarray, np.ndarray, np.nd
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """robot(text, *contacts, keyframe=..) reads a robot from a text."""
+    """robot(text, *contacts, keyframe=..) reads a robot from a text; one text has one name, and with that its FMUs are built once."""
     pytest.importorskip("mujoco")
-    folder, count = tmp_path_factory.mktemp("robots"), 0
+    folder, names = tmp_path_factory.mktemp("robots"), {}
 
     def made(text: str, *contacts: str, keyframe: str | None = None, suffix: str = ".xml"):
-        nonlocal count
-        count += 1
-        path = folder / f"robot{count}{suffix}"
+        path = folder / f"robot{names.setdefault(text, len(names))}{suffix}"
         path.write_text(text, encoding="utf-8")
         return read_robot(path, contacts, keyframe)
 

@@ -29,7 +29,7 @@ static int co_simulation(const fmi2CallbackFunctions *callbacks)
 {
     fmi2Component c = fmi2Instantiate("cs", fmi2CoSimulation, GUID, "", callbacks, fmi2False, fmi2False);
     EXPECT(c);
-    EXPECT(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2True, 2.0) == fmi2OK);
+    EXPECT(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2True, STEPS * 0.01) == fmi2OK);
     EXPECT(fmi2EnterInitializationMode(c) == fmi2OK);
     EXPECT(fmi2ExitInitializationMode(c) == fmi2OK);
     fmi2FMUstate state = NULL;
@@ -40,12 +40,12 @@ static int co_simulation(const fmi2CallbackFunctions *callbacks)
     EXPECT(bytes && fmi2SerializeFMUstate(c, state, bytes, size) == fmi2OK);
     EXPECT(fmi2SerializeFMUstate(c, state, bytes, size - 1) == fmi2Error);
     const fmi2ValueReference input = INPUT;
-    for (int n = 0; n < 200; n++) {
+    for (int n = 0; n < STEPS; n++) {
         const fmi2Real push = n / 20 % 2 ? 0.0 : 9.0; /* enough to let friction slip and stick */
         EXPECT(INPUTS == 0 || fmi2SetReal(c, &input, 1, &push) == fmi2OK);
         EXPECT(fmi2DoStep(c, n * 0.01, 0.01, fmi2True) == fmi2OK);
     }
-    EXPECT(fmi2DoStep(c, 2.0, 0.01, fmi2True) == fmi2Error && sentences > 0);
+    EXPECT(fmi2DoStep(c, STEPS * 0.01, 0.01, fmi2True) == fmi2Error && sentences > 0);
     fmi2Real all[VARIABLES];
     fmi2ValueReference references[VARIABLES + 1];
     for (unsigned i = 0; i <= VARIABLES; i++) references[i] = i;
@@ -71,7 +71,7 @@ static int model_exchange(const fmi2CallbackFunctions *callbacks)
     EXPECT(fmi2SetupExperiment(c, fmi2True, 1e-6, 0.0, fmi2False, 0.0) == fmi2OK);
     EXPECT(fmi2EnterInitializationMode(c) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
     fmi2Real x[STATES], dx[STATES], gaps[INDICATORS + 1];
-    for (int n = 0; n < 300; n++) {
+    for (int n = 0; n < STEPS; n++) {
         fmi2EventInfo info;
         EXPECT(fmi2NewDiscreteStates(c, &info) == fmi2OK);
         EXPECT(fmi2EnterContinuousTimeMode(c) == fmi2OK);

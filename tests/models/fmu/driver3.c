@@ -47,7 +47,7 @@ static int co_simulation(fmi3Boolean event_mode)
     const fmi3ValueReference input = INPUT;
     c = fmi3InstantiateCoSimulation("cs", GUID, "", fmi3False, fmi3True, event_mode, event_mode, &input, INPUTS > 0, &c, logger, update);
     EXPECT(c);
-    EXPECT(fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3True, 2.0) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
+    EXPECT(fmi3EnterInitializationMode(c, fmi3False, 0.0, 0.0, fmi3True, STEPS * 0.01) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
     fmi3Boolean event, terminate, early, flags[5];
     fmi3Float64 reached = 0.0, next;
     if (event_mode) {
@@ -61,7 +61,7 @@ static int co_simulation(fmi3Boolean event_mode)
     fmi3Byte *bytes = malloc(size);
     EXPECT(bytes && fmi3SerializeFMUState(c, state, bytes, size) == fmi3OK);
     EXPECT(fmi3SerializeFMUState(c, state, bytes, size - 1) == fmi3Error);
-    for (int n = 1; n <= 200;) {
+    for (int n = 1; n <= STEPS;) {
         EXPECT(fmi3DoStep(c, reached, n * 0.01 - reached, fmi3True, &event, &terminate, &early, &reached) == fmi3OK && !terminate);
         if (event) {
             EXPECT(event_mode && fmi3EnterEventMode(c) == fmi3OK);
@@ -70,9 +70,9 @@ static int co_simulation(fmi3Boolean event_mode)
         }
         if (!early) n++;
     }
-    EXPECT(updates >= 200);
-    EXPECT(fmi3DoStep(c, 2.0, 0.01, fmi3True, &event, &terminate, &early, &reached) == fmi3Error && sentences > 0);
-    EXPECT(fmi3DoStep(c, 2.0, 0.01, fmi3True, NULL, NULL, NULL, NULL) == fmi3Error);
+    EXPECT(updates >= STEPS);
+    EXPECT(fmi3DoStep(c, STEPS * 0.01, 0.01, fmi3True, &event, &terminate, &early, &reached) == fmi3Error && sentences > 0);
+    EXPECT(fmi3DoStep(c, STEPS * 0.01, 0.01, fmi3True, NULL, NULL, NULL, NULL) == fmi3Error);
     fmi3Float64 all[VARIABLES];
     fmi3ValueReference references[VARIABLES + 1];
     for (unsigned i = 0; i <= VARIABLES; i++) references[i] = i;
@@ -102,7 +102,7 @@ static int model_exchange(void)
     EXPECT(fmi3GetNumberOfEventIndicators(c, &indicators) == fmi3OK && indicators == INDICATORS);
     fmi3Float64 x[STATES], dx[STATES], gaps[INDICATORS + 1], next;
     fmi3Boolean flags[5];
-    for (int n = 0; n < 300; n++) {
+    for (int n = 0; n < STEPS; n++) {
         EXPECT(fmi3UpdateDiscreteStates(c, flags, flags + 1, flags + 2, flags + 3, flags + 4, &next) == fmi3OK);
         EXPECT(fmi3EnterContinuousTimeMode(c) == fmi3OK);
         EXPECT(fmi3GetContinuousStates(c, x, STATES) == fmi3OK && fmi3GetContinuousStateDerivatives(c, dx, STATES) == fmi3OK);

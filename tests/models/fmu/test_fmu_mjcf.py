@@ -195,13 +195,10 @@ def test_without_gravity_nothing_presses(robot):
 def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
     """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s. MuJoCo's smallest coefficient is 1e-5."""
     with instance(robot(BLOCK)) as fmu:
-        fmu.begin()
-        fmu.step(0.001, 2000)  # it settles
-        with pytest.raises(FMICallException):
-            fmu.set(v_x=2.0)  # a state is set at the start alone
-    with instance(robot(BLOCK)) as fmu:
         fmu.begin(v_x=2.0, friction_scale=scale, q_z=-1e-4)
         fmu.step(0.001, 200)
+        with pytest.raises(FMICallException):
+            fmu.set(v_x=2.0)  # a state is set at the start alone
         assert fmu.get("v_x")[0] == pytest.approx(2.0 - max(scale * 0.5, 1e-5) * 9.81 * 0.2, abs=2e-2 * scale + 1e-8)
 
 
@@ -389,7 +386,7 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
 
     with unpacked(read_package(build_fmu(scene, results=False))) as package:
         own = Slave(package, "CS")
-        truth = motion(own.begin(internal_step=1e-5, **starts), ("u1", "u3"), ("q1", "q2", "q3"))
+        truth = motion(own.begin(internal_step=1e-4, **starts), ("u1", "u3"), ("q1", "q2", "q3"))
         own.fmu.unload()
     assert (truth[:, 1] - truth[:, 0]).min() < 0.45 < 0.6 < (truth[:, 1] - truth[:, 0]).max()
     errors = {}

@@ -240,13 +240,6 @@ def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
 
 
 @pytest.mark.slow
-def test_quick_says_what_it_left_out(cli, tmp_path):
-    done = cli("all", *FAKES, "--quick", "--out", str(tmp_path), "-k", "good")
-    assert "three_cart x only_good" in next(line for line in done.stdout.splitlines() if line.startswith("left out by --quick: "))
-    assert "1 to run" in done.stderr
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plugin", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
 )

@@ -27,8 +27,8 @@ _COMMANDS = {
     "an FMU": ("fmu", "three_cart", "-o", "{out}/three_cart.fmu"),
 }  # fmt: skip
 _SCENE = "bouncing_mass"
-# Every second request: in the store each one is refused by test_store_faults.py.
-_EACH = {"a campaign": 2, "a report": 2}
+# Every fourth request: in the store each one is refused by test_store_faults.py.
+_EACH = {"a campaign": 4, "a report": 4}
 # The same for what lies elsewhere, and for answers that cost more to write: (words, what is in the environment, which requests are refused).
 # {made} has what the command is given. Of files that are unpacked, all are written alike.
 _ELSEWHERE = {

@@ -71,7 +71,10 @@ def truth(
         left, x = float(h), np.array([x[0], x[1], 0.0, 1.0])
         while left > 0.0:
             A, looks = flow(push, closed), np.linspace(0.0, left, 400)[1:]
-            turned = [pressed(expm(A * look) @ x) > 0.0 for look in looks] if x[0] + abs(x[1]) * left > WALL - 0.1 else []
+            turned, ahead, on = [], x, expm(A * looks[0])
+            for _ in looks if x[0] + abs(x[1]) * left > WALL - 0.1 else ():
+                ahead = on @ ahead
+                turned.append(pressed(ahead) > 0.0)
             first = next((place for place, now in enumerate(turned) if now != closed), None)
             if first is None:
                 x, left = expm(A * left) @ x, 0.0

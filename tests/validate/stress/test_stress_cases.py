@@ -24,10 +24,10 @@ from validate.tasks.task import task_to_json
 NAMES = case_names()
 # What is made shorter here; a campaign runs all of it.
 CHEAP: dict[str, dict[str, object]] = {
-    "h01_stiffness": {"STIFFNESSES": (1.0, 1e2, 1e4, 1e5, 1e6), "SWEPT": 2},
+    "h01_stiffness": {"STIFFNESSES": (1.0, 1e4, 1e6), "SWEPT": 2},
     "h02_restitution": {"SWEEP": (0.5, 1.2)},
-    "h03_mass_ratio": {"RATIOS": (1e-4, 1e4), "PLANNED": (1e-2, 1e-1, 1e1)},
-    "h07_unstable": {"ITERATIONS": 60},
+    "h03_mass_ratio": {"RATIOS": (1e-4, 1e4), "PLANNED": (1e-1, 1e1)},
+    "h07_unstable": {"ITERATIONS": 20},
     "h08_long_horizon": {
         "LENGTHS": (500, 2000),
         "MODEL_LENGTHS": (50, 100),
@@ -173,9 +173,8 @@ def test_they_are_used_again(campaign, cli):
     assert "2 stored, 0 to run" in again.stderr
 
 
-@pytest.mark.slow
-def test_a_quick_campaign_says_that_it_leaves_cases_out(cli, tmp_path):
-    done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(tmp_path))
+def test_a_quick_campaign_says_that_it_leaves_cases_out(campaign, cli):
+    done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(campaign[0]))
     assert "left out by --quick: stress case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout
 
 

@@ -83,12 +83,12 @@ def scene_map() -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_the_fmu_of_a_scene_fares_as_the_scene_does(judged: Judgement, tmp_path: Path, version: str):
+def test_the_fmu_of_a_scene_fares_as_the_scene_does(judged: Judgement, tmp_path: Path):
+    """As FMI 3.0 has it; the cart of the other tests is one of 2.0."""
     assert judged.plan is not None
     write_csv(tmp_path / "plan.csv", judged.plan, SCENE)
     (tmp_path / "map.toml").write_text(scene_map(), encoding="utf-8")
-    wired = wire_fmu(build_fmu(SCENE, version=version, results=False), tmp_path / "plan.csv", map_path=tmp_path / "map.toml")
+    wired = wire_fmu(build_fmu(SCENE, version="3.0", results=False), tmp_path / "plan.csv", map_path=tmp_path / "map.toml")
     seen: list[str] = []
 
     def enough(text: str) -> None:
@@ -109,7 +109,7 @@ def test_the_fmu_of_a_scene_fares_as_the_scene_does(judged: Judgement, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinds", [EXCHANGE, COSIMULATION, EXCHANGE + COSIMULATION])
+@pytest.mark.parametrize("kinds", [COSIMULATION, EXCHANGE + COSIMULATION])
 def test_first_failures_are_those_of_the_closed_form(free: Callable[..., WiredFmu], kinds: str):
     wired = free(kinds=kinds, more="[uncertainty]\n'body.mass' = 0.2\n[accuracy]\nposition = 1e-6\n")
     found = robustness(wired, samples=10, kinds=["body.mass", "gain", "start of x"])
@@ -135,7 +135,7 @@ def test_first_failures_are_those_of_the_closed_form(free: Callable[..., WiredFm
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("mode", "word"), [("segfault", "crashed"), ("abort", "aborted"), ("exit", "no_result"), ("fatal", "fatal"), ("nan", "not_a_number")]
+    ("mode", "word"), [("segfault", "crashed"), ("exit", "no_result"), ("fatal", "fatal"), ("nan", "not_a_number")]
 )
 def test_what_goes_wrong_in_a_world_costs_that_world(free: Callable[..., WiredFmu], mode: str, word: str):
     found = robustness(free(mode), samples=10, kinds=["parameters"], tell=only_worlds)
