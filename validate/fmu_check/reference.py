@@ -11,6 +11,7 @@ import contextlib
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,33 +53,44 @@ _TEXT = 5e-6
 _ANOTHER = 0.1
 
 
+def _is_on_lines(item: FmuVariable) -> bool:
+    return item.is_float and item.variability == "continuous"
+
+
+def _on_lines(block: Block) -> np.ndarray:
+    return block.each(_is_on_lines) > 0.0
+
+
 @dataclass(frozen=True)
 class Signals:
-    """Inputs over time: floating-point ones on straight lines between the times, others as they were last. values: of each variable (rows, entries) [its unit]."""
+    """Inputs over time: floating-point ones on straight lines between the times, others as they were last. values: (rows, entries) [its unit]."""
 
     times: np.ndarray
-    variables: list[FmuVariable]
-    values: list[np.ndarray]
+    variables: Block
+    values: np.ndarray
+
+    @cached_property
+    def on_lines(self) -> np.ndarray:
+        """(entries,) [-], whether it moves between the times. Raises nothing."""
+        return _on_lines(self.variables)
 
     def at(self, time: float, *, early: bool = False) -> np.ndarray:
         """(entries,) [unit of each variable], at a time where a value jumps the later one, or the `early` one. Raises nothing."""
-        last = max(int(np.searchsorted(self.times, time, side="left" if early else "right")) - 1, 0)
+        last = max(int(self.times.searchsorted(time, side="left" if early else "right")) - 1, 0)
         after = min(last + 1, len(self.times) - 1)
         length = self.times[after] - self.times[last]
         share = (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
-        rows = [
-            value[last] + (share * (value[after] - value[last]) if item.is_float and item.variability == "continuous" else 0.0)
-            for item, value in zip(self.variables, self.values, strict=True)
-        ]
-        return np.concatenate(rows) if rows else np.empty(0)
+        begin = self.values[last]
+        return np.where(self.on_lines, begin + share * (self.values[after] - begin), begin)
+
+    def lines(self) -> Signals:
+        """Those alone that move between the times. Raises nothing."""
+        return Signals(self.times, Block(filter(_is_on_lines, self.variables)), self.values[:, self.on_lines])
 
     def jumps(self) -> np.ndarray:
         """(n,) times [s] at which a value jumps: there twice, or of a variable that does not move between. Raises nothing."""
-        found = set(self.times[1:][np.diff(self.times) == 0.0].tolist())
-        for item, value in zip(self.variables, self.values, strict=True):
-            if not (item.is_float and item.variability == "continuous"):
-                found.update(self.times[1:][(np.diff(value, axis=0) != 0.0).any(axis=1)].tolist())
-        return np.array(sorted(found))
+        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.on_lines], axis=0) != 0.0).any(axis=1)
+        return np.unique(self.times[1:][jumps])
 
 
 @dataclass(frozen=True)
@@ -98,12 +110,12 @@ class ErrorBounded:
 def signals_of(subject: Subject, where: str, table: Table | None) -> Signals:
     """Inputs from a table. Raises FmuError for what is no input, or has another size."""
     if table is None:
-        return Signals(np.zeros(1), [], [])
-    variables = [named(subject, where, name, column) for name, column in table.columns.items()]
+        return Signals(np.zeros(1), Block(), np.empty((1, 0)))
+    variables = Block(named(subject, where, name, column) for name, column in table.columns.items())
     for item in variables:
         if item.causality != "input":
             raise FmuError(f"{where}: {item.name!r} is no input, but {item.causality}; leave the column out.")
-    return Signals(table.times, variables, list(table.columns.values()))
+    return Signals(table.times, variables, np.hstack([np.empty((len(table.times), 0)), *table.columns.values()]))
 
 
 def no_variable(subject: Subject, where: str, name: str) -> FmuError:
@@ -122,7 +134,7 @@ def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVar
     return item
 
 
-def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: list[FmuVariable]) -> ErrorBounded:
+def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watched: Block) -> ErrorBounded:
     """Values and error bars at some times.
 
     Parameters
@@ -156,9 +168,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
         if _same([run.rows for run in runs]):
             runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
-        moves = (np.ptp(runs[-1].rows, axis=0) != 0.0) & [
-            item.is_float and item.variability == "continuous" for item in watched for _ in range(item.size)
-        ]
+        moves = (np.ptp(runs[-1].rows, axis=0) != 0.0) & _on_lines(watched)
         if _same([run.rows for run in runs]) and moves.any():
             raise FmuError(
                 "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
@@ -210,21 +220,17 @@ def _nearby(rows: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEARBY + 1, axis=0).max(axis=-1)
 
 
-def _exchanged(
-    subject: Subject, times: np.ndarray, signals: Signals, watched: list[FmuVariable], rtol: float, method: tuple[int, int]
-) -> _Run:
+def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: Block, rtol: float, method: tuple[int, int]) -> _Run:
     """By CVODE."""
     with CheckedInstance(subject, "ME", "reference") as instance:
-        moving = [place for place, item in enumerate(signals.variables) if item.is_float and item.variability == "continuous"]
-        lines = Signals(signals.times, [signals.variables[place] for place in moving], [signals.values[place] for place in moving])
-
+        lines = signals.lines()
         begun = [subject.start_time]  # times at which inputs have jumped
 
         def drive(time: float) -> None:
             instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
-        instance.begin(during=(Block(signals.variables), np.concatenate([np.empty(0), *(value[0] for value in signals.values)])))
-        mover = Exchange(instance, rtol, method, drive if moving else None)
+        instance.begin(during=(signals.variables, signals.values[0]))
+        mover = Exchange(instance, rtol, method, drive if lines.variables else None)
         mover.record.most = _EVENTS
 
         def jump(time: float) -> None:
@@ -255,13 +261,11 @@ def _exchanged(
         return _Run(np.array(rows), np.array(before), np.array([event[0] for event in mover.record.events]))
 
 
-def _stepped(
-    subject: Subject, times: np.ndarray, signals: Signals, watched: list[FmuVariable], parts: int, tolerance: float | None
-) -> _Run:
+def _stepped(subject: Subject, times: np.ndarray, signals: Signals, watched: Block, parts: int, tolerance: float | None) -> _Run:
     """By communication steps: the inputs of the middle of each during it, those of its end after it."""
     with CheckedInstance(subject, "CS", "reference") as instance:
         instance.tolerance = tolerance
-        instance.begin(during=(Block(signals.variables), np.concatenate([np.empty(0), *(value[0] for value in signals.values)])))
+        instance.begin(during=(signals.variables, signals.values[0]))
         time, rows, before = subject.start_time, [], []
         for goal in times:
             count = max(1, round((goal - time) / subject.step)) * parts if goal > time else 0
@@ -304,7 +308,7 @@ def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tup
         else None
     )
     signals = signals_of(subject, request["input_file"], table)
-    watched = list(dict.fromkeys([*subject.outputs, *subject.states]))
+    watched = Block(dict.fromkeys([*subject.outputs, *subject.states]))
     if not watched:
         raise FmuError("it has neither outputs nor states that are numbers: there is nothing to write.")
     with _in_words():
@@ -361,7 +365,7 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
         if name.strip() not in others and name.strip() not in subject.by_name:
             raise no_variable(subject, where, name.strip())
     table = read_table(where, text, others)
-    watched = [named(subject, where, name, column) for name, column in table.columns.items()]
+    watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
     settings = result.read_settings()
     claims = read_table(result.error.name, read_text(result.error)) if result.error else None
     inputs = (
@@ -383,12 +387,12 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     except FmuError as error:
         return not_offered, f"{where}: it cannot be tried: {error}"
     theirs = np.hstack(list(table.columns.values()))[:rows]
-    size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * Block(watched).scales)
+    size = np.maximum(np.abs(found.values).max(axis=0), 1e-3 * watched.scales)
     apart = _apart(watched, theirs, found, table.times[:rows])
     stated = np.hstack(list(claims.columns.values()))[:rows] if claims else (settings["RelTol"] if settings else subject.tolerance) * size
     excess = apart - stated - found.bars - _TEXT * np.minimum(size, np.abs(theirs)) * (claims is None and settings is None)
     row, column = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess / size, np.inf))), excess.shape)
-    names, worst = Block(watched).names, apart / size
+    names, worst = watched.names, apart / size
     shown = f"{where}: {len(names)} values at {rows} times, off by up to {np.nanmax(worst):.2g} of their size"
     claim = "its error bars" if claims else f"the tolerance {settings['RelTol'] if settings else subject.tolerance:g}"
     if not excess[row, column] > 0.0 and np.isfinite(excess[row, column]):
@@ -414,10 +418,10 @@ def _affordable(subject: Subject, kind: str, times: np.ndarray) -> int:
     return int(np.searchsorted(times[:most], subject.ends.get(kind, np.inf)))
 
 
-def _apart(watched: list[FmuVariable], theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
+def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
     """(rows, entries) how far stored values are off [unit of each]. At an event either value counts, and those between; of what is not continuous, the neighbours'."""
     apart = np.abs(theirs - found.values)
-    discrete = np.array([not (item.is_float and item.variability == "continuous") for item in watched for _ in range(item.size)])
+    discrete = ~_on_lines(watched)
     for row in range(len(times)):
         first, last = max(row - 1, 0), min(row + 1, len(times) - 1)
         eventful = ((found.events >= times[first]) & (found.events <= times[last])).any()
@@ -428,7 +432,7 @@ def _apart(watched: list[FmuVariable], theirs: np.ndarray, found: ErrorBounded, 
     return apart
 
 
-def _again(subject: Subject, watched: list[FmuVariable], times: np.ndarray, inputs: Signals, theirs: np.ndarray, size: np.ndarray) -> str:
+def _again(subject: Subject, watched: Block, times: np.ndarray, inputs: Signals, theirs: np.ndarray, size: np.ndarray) -> str:
     """Why a result that is far off is wrong: plain Co-Simulation does not give it either; empty if it does."""
     if "CS" not in subject.types:
         return "nothing of it is what the FMU gives"

@@ -20,7 +20,7 @@ BINARIES = {"2.0": "linux64", "3.0": "x86_64-linux"}
 
 both = pytest.mark.parametrize("version", STANDARDS)
 # Neither contacts nor inputs; contacts of bodies; a mass matrix that couples.
-each_kind = pytest.mark.parametrize("any_scene", ("oscillator", "three_cart", "two_link_arm"), indirect=True)
+each_kind = pytest.mark.parametrize("any_scene", ["oscillator", "three_cart", "two_link_arm"], indirect=True)
 
 
 def run(command, **options):

@@ -117,11 +117,10 @@ def _ours(
             values = instance.get(watched)
         return subject.time(steps), values, _SAME_STEPS * np.maximum(np.abs(values), watched.scales)
     variables, values = given
-    parts = [part[np.newaxis] for part in np.split(values, variables.ends[1:-1])] if variables else []
-    signals = Signals(np.array([subject.start_time]), list(variables), parts)
+    signals = Signals(np.array([subject.start_time]), variables, values[np.newaxis])
 
     def solved(end: float) -> ErrorBounded:
-        return solve(subject, kind, np.array([subject.start_time, end]), signals, list(watched))
+        return solve(subject, kind, np.array([subject.start_time, end]), signals, watched)
 
     found = solved(end := subject.time(steps))
     if before_events and (later := found.events[found.events > subject.start_time]).size:

@@ -134,9 +134,7 @@ def test_first_failures_are_those_of_the_closed_form(free: Callable[..., WiredFm
 
 @pytest.mark.slow
 @pytest.mark.process
-@pytest.mark.parametrize(
-    ("mode", "word"), [("segfault", "crashed"), ("exit", "no_result"), ("fatal", "fatal"), ("nan", "not_a_number")]
-)
+@pytest.mark.parametrize(("mode", "word"), [("segfault", "crashed"), ("exit", "no_result"), ("fatal", "fatal"), ("nan", "not_a_number")])
 def test_what_goes_wrong_in_a_world_costs_that_world(free: Callable[..., WiredFmu], mode: str, word: str):
     found = robustness(free(mode), samples=10, kinds=["parameters"], tell=only_worlds)
     heavy = found.points[:, 0] * 0.1 + MASS >= 2.02
