@@ -13,6 +13,7 @@ import ast
 import importlib.machinery
 import sys
 import sysconfig
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,6 +27,7 @@ from models.errors import SceneError, UnknownNameError
 
 _Said = TypeVar("_Said")
 _OURS = ("models", "formulations", "validate", "reports")
+_PARSING = threading.Lock()  # before Python 3.11.8 two threads that parse spoil each other's count of depth (CPython issue 106905)
 
 
 class Afresh(importlib.machinery.SourceFileLoader):
@@ -111,7 +113,8 @@ def declared(path: Path, name: str, kind: type[_Said]) -> _Said:
     begin = text.find(f"\n{name} = {kind.__name__}(")
     if begin >= 0:
         # All of a file is not parsed: that took a sixth of `list`.
-        node = ast.parse(text[begin:]).body[0]
+        with _PARSING:
+            node = ast.parse(text[begin:]).body[0]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
             return kind(**{word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg})
     raise UnknownNameError(f"{path.name}: it must define {name} = {kind.__name__}(...) with literals.")

@@ -1,6 +1,9 @@
 """Modules beside a scene's file: found from everywhere, read afresh, and their content decides the keys wherever the scene's expressions do not show it."""
 
+import gc
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,7 @@ from models.codegen.text_cache import cached_text
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene.text import equations_text, scene_text
+from validate.judge.simulator import describe_engine
 
 SCENES = Path(__file__).parents[1] / "scenes"
 # A function of somebody's own: SymPy writes its name alone.
@@ -115,3 +119,21 @@ def test_a_scene_that_loads_itself_says_so(tmp_path: Path):
     with pytest.raises(SceneError, match=r"it loads itself \(one.py -> two.py -> one.py\)"):
         load_scene(str(tmp_path / "one.py"))
     assert load_scene("three_cart").name == "three_cart"
+
+
+def test_threads_may_ask_at_once_what_files_declare():
+    """Python before 3.11.8 loses count of depth where one thread parses while another does, which it lets it in a collection of garbage."""
+
+    def give_way(phase: str, info: dict[str, int]) -> None:
+        time.sleep(0)
+
+    usual = gc.get_threshold()
+    gc.callbacks.append(give_way)
+    gc.set_threshold(5)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            said = list(pool.map(describe_engine, ["fmu", "mujoco"] * 500))
+    finally:
+        gc.set_threshold(*usual)
+        gc.callbacks.remove(give_way)
+    assert said == [describe_engine("fmu"), describe_engine("mujoco")] * 500
