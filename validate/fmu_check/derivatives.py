@@ -346,7 +346,9 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
     names = point.names()
     point.back()
     base = point.evaluate(point.x)
-    same = {item.name: {other.name for other in point.knowns if other.reference == item.reference} for item in point.knowns}
+    same: dict[int, set[str]] = {}  # names of one value
+    for item in point.knowns:
+        same.setdefault(item.reference, set()).add(item.name)
     for place, known in point.entries():
         moved = point.x.copy()
         moved[place] += 1e-2 * max(point.sizes()[place], abs(moved[place])) * (-1.0 if moved[place] >= known.upper else 1.0)
@@ -356,7 +358,7 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
             point.back()
             continue  # outside what the model accepts
         for row, name in enumerate(names):
-            if name not in declared or declared[name].keys() & (same[known.name] | {known.name}) or name == known.name:
+            if name not in declared or declared[name].keys() & same[known.reference] or name == known.name:
                 continue
             looked += 1
             if abs(values[row] - base[row]) > _CHANGED * max(abs(base[row]), abs(values[row])):

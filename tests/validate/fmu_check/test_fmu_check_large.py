@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from edited_fmu import edited
 from shell_fmu import FOREIGN, PARAMETER, build_shell
 
 from validate.fmi.instance import CLASSES
@@ -29,6 +30,19 @@ def test_start_values_of_many_parameters_are_drawn(tmp_path: Path, wrong: bool):
     assert f"drawn from {COUNT + 5}" in obeyed.sentence
     assert stored.status is (Status.FAILED if wrong else Status.PASSED)
     assert ("pipe[9000].k is 0 in the binary, 1" in stored.sentence) is wrong
+
+
+@pytest.mark.slow
+def test_dependencies_of_an_fmu_with_very_many_parameters_are_looked_at_one_by_one(tmp_path: Path):
+    """60 of 100,000 parameters are moved; to compare each with each other one, ten thousand million times, is over in no limit."""
+    ball, many = FOREIGN[0], 100_000
+    more = tuple((f"p{number}", PARAMETER, 'start="0"') for number in range(many))
+    model = replace(ball, macros=ball.macros.replace("#define NR 7", f"#define NR {7 + many}"), reals=ball.reals + more)
+    unknown = '<InitialUnknowns><Unknown index="3"'
+    path = edited(build_shell(model, tmp_path), tmp_path / "edited.fmu", lambda text: text.replace(unknown, f'{unknown} dependencies="4"'))
+    report = check_fmu(path, names=["dependencies are complete"], seconds=120.0)
+    told = [(row.type, row.status) for row in report.rows if row.name.startswith("dependencies")]
+    assert told == [("ME", Status.PASSED), ("CS", Status.PASSED)], report.rows
 
 
 def variables(*kinds: tuple[str, str | None, tuple[int, ...]]) -> Block:
