@@ -4,6 +4,7 @@ import gc
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,9 @@ from models.catalog import load_scene
 from models.codegen.emit import emit_model
 from models.codegen.text_cache import cached_text
 from models.errors import SceneError
+from models.loading import declared
 from models.scene import Scene
 from models.scene.text import equations_text, scene_text
-from validate.judge.simulator import describe_engine
 
 SCENES = Path(__file__).parents[1] / "scenes"
 # A function of somebody's own: SymPy writes its name alone.
@@ -121,19 +122,29 @@ def test_a_scene_that_loads_itself_says_so(tmp_path: Path):
     assert load_scene("three_cart").name == "three_cart"
 
 
-def test_threads_may_ask_at_once_what_files_declare():
-    """Python before 3.11.8 loses count of depth where one thread parses while another does, which it lets it in a collection of garbage."""
+@dataclass(frozen=True)
+class Said:
+    """What a file declares of itself."""
+
+    words: tuple[tuple[str, int], ...]
+
+
+def test_threads_may_ask_at_once_what_files_declare(tmp_path: Path):
+    """Before Python 3.11.8 the parser loses count of depth where another thread gets its turn in a collection of garbage, and parses too."""
+    words = {name: tuple((f"{name}{number}", number) for number in range(size)) for name, size in (("one", 30), ("two", 100))}
+    for name in words:
+        (tmp_path / f"{name}.py").write_text(f"\nSAID = Said(words={words[name]!r})\n", encoding="utf-8")
 
     def give_way(phase: str, info: dict[str, int]) -> None:
-        time.sleep(0)
+        time.sleep(1e-4)
 
     usual = gc.get_threshold()
     gc.callbacks.append(give_way)
     gc.set_threshold(5)
     try:
         with ThreadPoolExecutor(8) as pool:
-            said = list(pool.map(describe_engine, ["fmu", "mujoco"] * 500))
+            said = list(pool.map(lambda name: declared(tmp_path / f"{name}.py", "SAID", Said).words, [*words] * 400))
     finally:
         gc.set_threshold(*usual)
         gc.callbacks.remove(give_way)
-    assert said == [describe_engine("fmu"), describe_engine("mujoco")] * 500
+    assert said == [*words.values()] * 400

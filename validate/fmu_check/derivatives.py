@@ -342,18 +342,17 @@ def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
 
 def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
     """Add to `wrong` what changes undeclared; the number of pairs looked at."""
-    looked, names = 0, point.names()
+    looked, names, drawn = 0, point.names(), point.entries()
     point.back()
     base = point.evaluate(point.x)
-    same: dict[int, set[str]] = {}  # names of one value
-    for item in point.knowns:
-        same.setdefault(item.reference, set()).add(item.name)
-    declares = np.array([name in declared for name in names], dtype=bool)
-    of: dict[str, list[int]] = {}  # known -> rows of what declares it, and of itself
+    asked = np.array([name in declared for name in names], dtype=bool)
+    # For each value that is moved, the rows that must stay: of what declares none of its names, and is none of them.
+    independent = {known.reference: asked.copy() for _, known in drawn}
+    reference = {item.name: item.reference for item in point.knowns if item.reference in independent}
     for row, name in enumerate(names):
-        for known in {name, *declared.get(name, ())}:
-            of.setdefault(known, []).append(row)
-    for place, known in point.entries():
+        for other in reference.keys() & {name, *declared.get(name, ())}:
+            independent[reference[other]][row] = False
+    for place, known in drawn:
         moved = point.x.copy()
         moved[place] += 1e-2 * max(point.sizes()[place], abs(moved[place])) * (-1.0 if moved[place] >= known.upper else 1.0)
         try:
@@ -361,14 +360,11 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
         except FMICallException:
             point.back()
             continue  # outside what the model accepts
-        independent = declares.copy()
-        for name in same[known.reference]:
-            independent[of.get(name, [])] = False
-        looked += int(independent.sum())
+        looked += int(independent[known.reference].sum())
         changed = np.abs(values - base) > _CHANGED * np.maximum(np.abs(base), np.abs(values))
         wrong.extend(
             f"{names[row]} changes with {known.name} {point.where}, but does not declare that it depends on it"
-            for row in np.flatnonzero(independent & changed)
+            for row in np.flatnonzero(independent[known.reference] & changed)
         )
         point.back()
     return looked
