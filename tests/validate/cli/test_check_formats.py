@@ -6,6 +6,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from junitparser import JUnitXml
+from sarif_pydantic import Sarif
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -138,3 +140,16 @@ def _doubled(folder: Path) -> Path:
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
         archive.writestr("modelDescription.xml", archive.read("modelDescription.xml"))
     return path
+
+
+def test_readers_of_other_people_find_the_same(report: CheckReport, tmp_path: Path):
+    (tmp_path / "check.xml").write_bytes(junit([(report, 2.5)]))
+    (suite,) = JUnitXml.fromfile(str(tmp_path / "check.xml"))
+    assert (suite.tests, suite.failures, suite.skipped, suite.errors, suite.time) == (6, 2, 2, 0, 2.5)
+    assert [case.name for case in suite if case.is_failure] == ["start values are the XML's (ME)", "runs repeat (CS)"]
+    log = Sarif.model_validate_json(sarif([report]))  # the types, names and words of SARIF 2.1.0
+    (run,) = log.runs
+    assert log.version == "2.1.0"
+    assert [(item.rule_id, item.level.value) for item in run.results] == [
+        ("start-values-are-the-xmls", "error"), ("runs-repeat", "warning"), ("set-state-restores", "error"), ("time-after-a-step", "note"),
+    ]  # fmt: skip
