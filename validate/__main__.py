@@ -21,12 +21,14 @@ def main(module: str = "validate.cli.group") -> None:
     codes: list[int] = []
     atexit.register(_leave, codes)
     try:
-        import touchstone  # noqa: F401 - says what else is called like one of our packages
+        import touchstone  # says what else is called like one of our packages
     except ImportError as clash:
         sys.exit(_refused(str(clash)))
     try:
-        from validate.cli.group import run
-
+        try:
+            from validate.cli.group import run
+        except ModuleNotFoundError as missing:
+            sys.exit(_refused(f"error: {touchstone.not_installed(missing)}"))
         code = run(sys.argv[1:], importlib.import_module(module).group, _typed(module))
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written and told, and the exit code stays what it is
     except KeyboardInterrupt:  # before there was anything that hears it

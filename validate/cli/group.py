@@ -15,6 +15,7 @@ from typing import Any
 
 import click
 
+import touchstone
 from models.errors import MachineError, TouchstoneError, did_you_mean
 from validate.cli.table import say
 
@@ -159,6 +160,8 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
             return _say(why, MachineError.exit_code)
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in touchstone.PACKAGES:
+            return _say(touchstone.not_installed(error), 2)
         return _say(_unexpected(error), 1)
     return code if isinstance(code, int) else 0
 

@@ -218,6 +218,17 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
     assert "Traceback" in shown.stderr
 
 
+@pytest.mark.parametrize("missing", ["click", "numpy"])
+def test_a_python_without_what_touchstone_needs_says_so(tmp_path, missing):
+    program = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['validate', 'all']; from validate.__main__ import main; main()"
+    done = subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[3], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    told = " ".join(done.stderr.split())
+    assert told.startswith(f"error: {missing}, which touchstone needs, is not installed in ")
+    assert "README.md" in told
+    assert "pip install -e ." in told
+
+
 @pytest.mark.slow
 def test_a_scene_of_ones_own_by_path(cli, tmp_path):
     source = Path(__file__).parents[2] / "scenes" / "oscillator.py"
