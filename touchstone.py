@@ -66,13 +66,13 @@ __all__ = [
     "scenes",
     "solve",
 ]
-PACKAGES = ("models", "formulations", "validate", "reports")
+_PACKAGES = ("models", "formulations", "validate", "reports")
 
 
 def name_clash() -> str | None:
     """Why touchstone cannot run beside what else is called like one of its packages, and how to go on; None where nothing is."""
     home = Path(__file__).resolve().parent
-    for name in PACKAGES:
+    for name in _PACKAGES:
         found = sys.modules.get(name) or find_spec(name)
         where = next(iter(getattr(found, "__path__", None) or getattr(found, "submodule_search_locations", None) or ()), None)
         place = where or getattr(found, "__file__", None) or getattr(found, "origin", None)
@@ -85,11 +85,14 @@ def name_clash() -> str | None:
     return None
 
 
-def not_installed(missing: ModuleNotFoundError) -> str:
-    """What to do about a package that this Python does not have, in a sentence: most often it is not that of the environment."""
+def not_installed(error: Exception) -> str | None:
+    """What to do where a package that touchstone needs is not in this Python: most often it is not that of the environment; None for any other error."""
+    package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if not package or find_spec(package) is not None:
+        return None
     return (
-        f"{(missing.name or str(missing)).partition('.')[0]}, which touchstone needs, is not installed in {sys.executable}: activate the environment that "
-        "README.md makes (. .venv/bin/activate), or install touchstone into this one (pip install -e . in the checkout)."
+        f"{package}, which touchstone needs, is not installed in {sys.executable}: activate the environment that README.md makes (. .venv/bin/activate), "
+        "or install touchstone into this one (pip install -e . in the checkout)."
     )
 
 

@@ -27,9 +27,13 @@ def main(module: str = "validate.cli.group") -> None:
     try:
         try:
             from validate.cli.group import run
-        except ModuleNotFoundError as missing:
-            sys.exit(_refused(f"error: {touchstone.not_installed(missing)}"))
-        code = run(sys.argv[1:], importlib.import_module(module).group, _typed(module))
+
+            group = importlib.import_module(module).group
+        except ModuleNotFoundError as error:
+            if (why := touchstone.not_installed(error)) is None:
+                raise
+            sys.exit(_refused(f"error: {why}", 3))
+        code = run(sys.argv[1:], group, _typed(module))
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is written and told, and the exit code stays what it is
     except KeyboardInterrupt:  # before there was anything that hears it
         code = 130
@@ -43,9 +47,9 @@ def _typed(module: str) -> str:
     return name if name != "__main__.py" else f"{sys.orig_argv[0]} -m {module.partition('.')[0]}"
 
 
-def _refused(sentence: str) -> int:
+def _refused(sentence: str, code: int = 2) -> int:
     print(sentence, file=sys.stderr)
-    return 2
+    return code
 
 
 def _leave(codes: list[int]) -> None:

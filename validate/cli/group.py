@@ -160,8 +160,8 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
             return _say(why, MachineError.exit_code)
-        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] not in touchstone.PACKAGES:
-            return _say(touchstone.not_installed(error), 2)
+        if (missing := touchstone.not_installed(error)) is not None:
+            return _say(missing, MachineError.exit_code)
         return _say(_unexpected(error), 1)
     return code if isinstance(code, int) else 0
 

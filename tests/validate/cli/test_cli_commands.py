@@ -218,11 +218,13 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
     assert "Traceback" in shown.stderr
 
 
-@pytest.mark.parametrize("missing", ["click", "numpy"])
-def test_a_python_without_what_touchstone_needs_says_so(tmp_path, missing):
-    program = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['validate', 'all']; from validate.__main__ import main; main()"
+@pytest.mark.parametrize(
+    ("missing", "group"), [("click", "validate.cli.group"), ("numpy", "validate.cli.group"), ("click", "benchmarks.commands")]
+)
+def test_a_python_without_what_touchstone_needs_says_so(missing, group):
+    program = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['it', 'all']; from validate.__main__ import main; main({group!r})"
     done = subprocess.run([sys.executable, "-c", program], cwd=Path(__file__).parents[3], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.returncode, done.stdout) == (3, "")
     told = " ".join(done.stderr.split())
     assert told.startswith(f"error: {missing}, which touchstone needs, is not installed in ")
     assert "README.md" in told
