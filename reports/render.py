@@ -39,6 +39,7 @@ from reports.pages import (
     run,
     runs,
     scene,
+    simulators,
     stress_cases,
     sweeps,
     table1,
@@ -64,6 +65,7 @@ _OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.
 _OTHERS = {
     "runs": (runs.build,),
     "robustness": (robustness.build,),
+    "simulators": (simulators.build,),
     "sweeps": (sweeps.build,),
     "stress-cases": (stress_cases.build,),
     "fmus": (fmus.build,),
@@ -170,7 +172,7 @@ def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, A
     """
     report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
-    others = [Section("engines", "What other simulators say", "engines.html", {"rows": engines})] if engines else []
+    others = simulators.of_plan(engines)
     return page(Templates(), [run.build(report, record), *others], title=title, lead=record.scene.title, again="")
 
 

@@ -150,7 +150,7 @@ def _speed(report: Report) -> Plot | None:
 def _strip(report: Report) -> tuple[Strip, str, RunRecord] | None:
     """Of the paper's scene, else of the first that has one: its cheapest plan that holds."""
     for name in dict.fromkeys((PAPER_SCENE, *(scene.name for scene in report.scenes))):
-        for run, _ in report.cheapest(name):
+        for run, _ in report.stored.cheapest(name):
             drawn = strip(run.scene, report.plan(run, run.stages[-1]))
             if drawn is not None:
                 return drawn, report.link(run), run
@@ -171,6 +171,6 @@ def _scene(report: Report, scene: SceneRecord) -> SceneLink:
     mine = [run for run in report.stored.runs if run.scene.name == scene.name]
     asked = [run for run in mine if run.verdict not in NOT_ASKED]
     holding = [run for run in asked if run.verdict in HOLD]
-    best = next(iter(report.cheapest(scene.name)), None)
+    best = next(iter(report.stored.cheapest(scene.name)), None)
     said = f"{best[0].pipeline}, cost {cost(best[1])}" if best else ""
     return SceneLink(scene, report.scene_link(scene), len(holding), len(asked), said)

@@ -57,7 +57,9 @@ def motion(report: Report, scene: SceneRecord) -> Section | None:
 
 def _shown(report: Report, scene: SceneRecord) -> Shown | None:
     """The cheapest plan that holds; else the one whose replay stays nearest to it; None where no motion is stored."""
-    found = [(run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in report.cheapest(scene.name)]
+    found = [
+        (run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in report.stored.cheapest(scene.name)
+    ]
     others = [row for row in report.rows_of_scene(scene) if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None]
     for row in sorted(others, key=lambda row: row.metric("replay_error") or 0.0):
         said = "No plan holds; nearest to its replay stays" if scene.inputs else "Its free motion and the replay of it:"

@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from reports.records.load import Stored
-from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
+from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of, scenes_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
@@ -49,11 +49,6 @@ class Report:
     def rows_of_scene(self, scene: SceneRecord) -> list[Row]:
         """The rows of one scene."""
         return [row for row in self.rows if row.run.scene.name == scene.name]
-
-    def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
-        """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
-        priced = [(run, run.cost) for run in self.stored.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
-        return sorted(((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1])
 
     def anchor(self, run: RunRecord) -> str:
         """Where the run stands on a page that has all of them."""

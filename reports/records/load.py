@@ -14,7 +14,8 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
-from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
+from reports.records.record import HOLD, SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
+from reports.records.simulators_record import SIMULATORS, SimulatorsRecord
 from reports.wording import clean
 
 # A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
@@ -53,7 +54,7 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    checks: what is no scene x pipeline; parts: of each run, the records of its parts.
+    checks: what is no scene x pipeline; parts: of each run, the records of its parts; simulators: what others say of plans, where they were asked.
     """
 
     folder: str
@@ -64,6 +65,12 @@ class Stored:
     foreign: int
     checks: tuple[CheckRecord, ...] = ()
     parts: tuple[tuple[RunRecord, ...], ...] = ()
+    simulators: SimulatorsRecord | None = None
+
+    def cheapest(self, scene: str) -> list[tuple[RunRecord, float]]:
+        """The runs on a scene whose plan holds, each with its cost, the cheapest first."""
+        priced = [(run, run.cost) for run in self.runs if run.scene.name == scene and run.verdict in HOLD and run.stages]
+        return sorted(((run, price) for run, price in priced if price is not None), key=lambda pair: pair[1])
 
 
 def load(folder: Path) -> Stored:
@@ -72,6 +79,9 @@ def load(folder: Path) -> Stored:
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
     campaign = read_record(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
+    simulators = None
+    if (folder / SIMULATORS).exists():
+        simulators = read_record(folder / SIMULATORS, folder, SimulatorsRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | CheckRecord] = {}
     for path in record_files(folder):
         run = read_record(path, folder, record_of, unreadable)
@@ -86,7 +96,7 @@ def load(folder: Path) -> Stored:
         runs, checks = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
-        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, checks, grouped(runs))
+        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, checks, grouped(runs), simulators)
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
     # What another version left here is of another campaign: this one lists what it has run itself.
@@ -103,6 +113,7 @@ def load(folder: Path) -> Stored:
         foreign=len(set(found) - set(keys)) + len(earlier),
         checks=checks,
         parts=grouped(runs),
+        simulators=simulators,
     )
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import click
 
 from models.catalog import load_scene
-from models.trajectory_netcdf import read_netcdf
-from reports.records.record import RunRecord, stage_files
+from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import check_fmu_options, fmu_options, scenes, write, written_to
@@ -21,6 +20,8 @@ from validate.execution.isolated import Limits
 from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.stored import CampaignError
+from validate.tasks.shown import robustness_page
+from validate.tasks.simulators import stored_plan
 
 
 @click.command(
@@ -99,8 +100,6 @@ def command(
     if csv_file is not None:
         write(csv_file, _worlds(found))
     if html_file is not None:
-        from validate.tasks.shown import robustness_page
-
         write(html_file, robustness_page(found, record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
@@ -117,12 +116,9 @@ def _plan_of(plan: str, scene: str | None, folder: Path) -> tuple[Any, Any, str]
         subject = load_scene(scene)
         return subject, as_trajectory(plan, subject), Path(plan).name
     found, record = find_run(plan, folder)
-    last = record.stages[-1] if isinstance(record, RunRecord) and record.stages else None
-    if not isinstance(record, RunRecord) or last is None or not last.has_plan:
-        raise CampaignError(f"{plan}: this run left no plan, so there is nothing to try.")
-    subject = load_scene(scene or record.scene.name)
-    stored = found / "runs" / record.key / stage_files(last.index, len(record.stages))["trajectory"]
-    return subject, read_netcdf(stored, subject), record.title
+    if not isinstance(record, RunRecord):
+        raise CampaignError(f"{plan}: this is a check and no run, so it left no plan to try.")
+    return *stored_plan(found, record, scene), record.title
 
 
 def _worlds(found: Robustness) -> str:
