@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from reports.records.simulators_record import SIMULATORS
+
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -52,6 +54,7 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
     (folder / "runs" / "cut-1").mkdir()
     (folder / "runs" / "cut-1" / "record.json").write_text(records[0].model_dump_json()[:3000])
+    (folder / SIMULATORS).write_text(factory.simulators(records[0].key).model_dump_json())
     return folder
 
 
@@ -62,6 +65,7 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     campaign = factory.campaign(records, title=factory.HOSTILE, command=factory.HOSTILE, left_out=(factory.HOSTILE,), quick=True)
     campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
     folder = factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)
+    (folder / SIMULATORS).write_text(factory.simulators(records[1].key, factory.HOSTILE).model_dump_json())
     return folder
 
 

@@ -30,6 +30,7 @@ from reports.records.record import (
     ViolationPoint,
     stage_files,
 )
+from reports.records.simulators_record import EngineRow, SimulatorsRecord
 from reports.traces import Motion, Trace, read_motion
 
 STEP, STEPS, STIFFNESS, DAMPING, LENGTH = 0.01, 500, 30.0, 2.0, 0.5
@@ -282,6 +283,15 @@ def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
         "keys": tuple(record.key for record in records), "violation": violation(), "provenance": provenance(),
     }  # fmt: skip
     return CampaignRecord.model_validate(values | changes)
+
+
+def simulators(run: str, words: str = "a word") -> SimulatorsRecord:
+    """Two engines asked of a run's plan: one agrees, one does not."""
+    rows = (
+        EngineRow(engine=words, verdict="holds", agrees=True, kind="", sentence=words),
+        EngineRow(engine="other", verdict=words, agrees=False, kind=words, sentence=words),
+    )
+    return SimulatorsRecord(engines={words: words, "other": words}, plans={run: rows})
 
 
 def store(folder: Path, records: list[RunRecord], record: CampaignRecord | None = None) -> Path:

@@ -39,7 +39,7 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
             target = (path.parent / unquote(address)).resolve() if address else path
             assert not anchor or anchor in anchors[target], (path, address, anchor)
             assert target in texts
-    assert len(texts) == 1 + 3 + 1 + 11, "the report, runs, errata and provenance, a scene, and the runs"
+    assert len(texts) == 1 + 4 + 1 + 11, "the report, runs, simulators, errata and provenance, a scene, and the runs"
 
 
 @pytest.mark.slow
