@@ -37,6 +37,7 @@ def test_all_ways_through_a_stage_end_at_the_same_answer(stage: str, tmp_path: P
     assert values == pytest.approx(dict.fromkeys(values, values[OURS]), rel=loose)
 
 
+@pytest.mark.slow
 def test_the_hand_written_adjoint_is_the_derivative_of_its_loss(tmp_path: Path):
     """Central differences of the PyTorch loop's loss; the C code knows only its own."""
     torch = pytest.importorskip("torch")

@@ -139,6 +139,7 @@ def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
         assert solved(load_method(name), scene, first(other, scene).trajectory).trajectory is not None, other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_it_refuses_a_plan_that_does_not_fit(name: str) -> None:
     scene = scene_for(name)

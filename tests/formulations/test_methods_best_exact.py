@@ -52,6 +52,7 @@ def test_all_ways_are_told_and_the_cheapest_is_kept():
     assert found.seconds.wall > 0.0
 
 
+@pytest.mark.slow
 def test_a_walk_without_a_plan_is_not_followed(monkeypatch: pytest.MonkeyPatch):
     """Relaxed contact that has no plan at its loosest eps is not tried at a tighter one; the ways by softplus contact are left."""
     from formulations.methods.relaxed_lcp import RelaxedLCPSession

@@ -69,6 +69,7 @@ def test_with_search_it_reaches_the_best_known_plan(best: Solution) -> None:
     assert best.residuals["windows_tried"] > 16
 
 
+@pytest.mark.slow
 def test_a_plan_of_its_own_is_left_as_it_is(best: Solution) -> None:
     """The modes of a plan given are tried first: no homotopy, no better neighbour."""
     again = solved(warm_start=best.trajectory)
@@ -125,6 +126,7 @@ def test_a_row_of_carts_is_searched_around_other_modes(seed: int, first: float, 
         assert cost < told <= first
 
 
+@pytest.mark.slow
 def test_two_contacts_are_searched_around_one_source() -> None:
     assert solved(SMALL).iterations == solved(SMALL, search=False).iterations
 
@@ -167,6 +169,7 @@ def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
     assert certify_solution(scene, solution) is solution, "and nothing is certified twice"
 
 
+@pytest.mark.slow
 def test_a_search_without_time_still_switches_the_pairs_of_the_wrong_sign() -> None:
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
     solution = solved(scene, search_share=0.0)
@@ -232,6 +235,7 @@ def test_a_ball_around_the_goal_makes_it_cheaper(best: Solution) -> None:
     assert solution.cost < best.cost
 
 
+@pytest.mark.slow
 def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
     alone, several = solved(SMALL), solved(SMALL, starts=4, seed=3)
     check(several, SMALL)

@@ -19,6 +19,8 @@ from models.contact_law import worst_case_violation
 from models.scene import Scene
 from models.trajectory import Trajectory
 
+pytestmark = pytest.mark.slow
+
 SCENE = load_scene("three_cart")
 TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
 METHODS = ("softplus_dc", "relaxed_lcp", "strict_lcp")
@@ -80,7 +82,6 @@ def strict_rows(softplus_rows: list[Solution], relaxed_rows: list[Solution]) -> 
     return {name: chain("strict_lcp", (None,), warm_start=start)[0] for name, start in starts.items()}
 
 
-@pytest.mark.slow
 def test_softplus_rows_are_those_of_the_paper(softplus_rows: list[Solution]) -> None:
     """Table I prints two digits of the cost; the three further figures were measured on this formulation (0.01, 0.1 %, 0.002)."""
     rows = ((197.863, 2445.90, 0.449), (261.228, 625.14, 0.265), (339.524, 239.53, 0.119))
@@ -94,7 +95,6 @@ def test_softplus_rows_are_those_of_the_paper(softplus_rows: list[Solution]) -> 
         assert solution.residuals["contact_law"] <= 1e-8
 
 
-@pytest.mark.slow
 def test_relaxed_rows_tighten(relaxed_rows: list[Solution]) -> None:
     for solution, eps in zip(relaxed_rows, (1e-2, 1e-3, 1e-4), strict=True):
         assert solution.outcome is Outcome.SOLVED
@@ -107,7 +107,6 @@ def test_relaxed_rows_tighten(relaxed_rows: list[Solution]) -> None:
     assert costs == sorted(costs)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("start", ["cold", "softplus_dc", "softplus_gd", "relaxed_lcp"])
 def test_strict_rows_hold(strict_rows: dict[str, Solution], start: str) -> None:
     solution = strict_rows[start]
@@ -156,7 +155,6 @@ def test_a_strict_attack_cut_off_still_has_its_modes_solved() -> None:
     assert physics(cut, SMALL) <= 1e-9
 
 
-@pytest.mark.slow
 def test_a_strict_attack_may_do_so_much_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counted in iterations times unknowns: cut off there, as by its option, and its modes tried."""
     monkeypatch.setattr(strict_lcp, "_ATTACK", Work(40.5 * size_on_paper(SMALL, ContactFormulation.COMPLEMENTARITY).unknowns, 1))
@@ -189,7 +187,6 @@ def test_a_tightened_session_finds_what_a_fresh_one_finds() -> None:
     assert tightened.cost == pytest.approx(fresh.cost, rel=1e-7)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("contact", "shift"), [(0, -2), (0, 2), (1, -1), (1, 1)])
 def test_wrong_modes_are_switched_by_their_multipliers(contact: int, shift: int) -> None:
     """A contact closed too early or too late costs; the multiplier of the force held at zero says so, and its mode is switched back."""

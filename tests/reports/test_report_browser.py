@@ -12,6 +12,8 @@ from wording import unsaid
 from reports.records.check_record import CheckRecord
 from reports.render import PAGES, write_report, write_single
 
+pytestmark = pytest.mark.slow
+
 # Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for small text.
 _CONTRAST = 4.5
 
@@ -50,7 +52,6 @@ def desk(chromium, page_file):
     return chromium.open(page_file)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (390, False)], ids=["light", "dark", "telephone"])
 def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, width, dark):
     page = chromium.open(page_file, width=width, dark=dark)
@@ -65,7 +66,6 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
 
 
-@pytest.mark.slow
 def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
     """The efforts of a scene with four inputs are wider than the screen."""
     page = chromium.open(page_file, width=390)
@@ -75,7 +75,6 @@ def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_all_text_has_contrast(chromium, page_file, dark):
     page = chromium.open(page_file, dark=dark)
@@ -135,7 +134,6 @@ def test_points_of_the_front_tell_their_stage_on_focus(desk):
     assert desk.evaluate("document.querySelector('#front-1 .fig output').textContent").startswith("strict_lcp: cost 496.63")
 
 
-@pytest.mark.slow
 def test_the_filter_follows_the_address(chromium, page_file):
     page = chromium.open(page_file, fragment="#runs?crashed")
     assert page.evaluate(
@@ -147,7 +145,6 @@ def test_the_filter_follows_the_address(chromium, page_file):
     assert page.messages == []
 
 
-@pytest.mark.slow
 def test_the_player_moves(chromium, run_file):
     desk = chromium.open(run_file)
     inside = "document.querySelector('[data-player]')"
@@ -157,7 +154,6 @@ def test_the_player_moves(chromium, run_file):
     assert desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()") != before
 
 
-@pytest.mark.slow
 def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
     page = chromium.open(write_single(hostile_folder))
     assert page.messages == []
@@ -167,7 +163,6 @@ def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
     assert page.evaluate("document.querySelectorAll('script:not([type])').length") == 1
 
 
-@pytest.mark.slow
 def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
     page = chromium.open(page_file, script=False)
     assert page.messages == []
@@ -175,7 +170,6 @@ def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
     assert len(pdf) > 50_000
 
 
-@pytest.mark.slow
 def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     """What the picture writes on a body or beside it, at any time: nothing on something else, and nothing left out."""
     run = factory.run("strict", None, "strict_lcp")
@@ -205,7 +199,6 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     assert pairs == [[3] * 11, []]
 
 
-@pytest.mark.slow
 def test_every_table_is_saved_as_csv(chromium, page_file):
     """The file's text as the button makes it, numbers as a program reads them."""
     page = chromium.open(page_file)
@@ -242,7 +235,6 @@ def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
     assert opened == [False, True]
 
 
-@pytest.mark.slow
 def test_a_player_in_a_closed_run_is_there_when_it_is_opened(chromium, page_file):
     page = chromium.open(page_file)
     drawn = "document.querySelector('#run-2 [data-player] output').textContent"
@@ -306,7 +298,6 @@ def many_file(many):
     return write_report(many)
 
 
-@pytest.mark.slow
 def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
     page = chromium.open(many_file, width=_PAPER)
     page.call("Emulation.setEmulatedMedia", media="print")
@@ -318,7 +309,6 @@ def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
     assert past == [2 * 17, 0]
 
 
-@pytest.mark.slow
 def test_one_word_opens_for_paper_what_is_closed_but_the_runs(chromium, many):
     """Motion, stages and log of hundreds of runs would be a thousand pages; a run that is open is printed whole."""
     page = chromium.open(write_single(many))
@@ -358,7 +348,6 @@ def _settled(page, expression: str):
     return page.evaluate(f"new Promise((done) => setTimeout(done, 100)).then(() => ({expression}))")
 
 
-@pytest.mark.slow
 def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, run_file, page_file):
     for path in (run_file, pages[0], page_file):
         page = chromium.open(path, script=False)
@@ -392,7 +381,6 @@ def test_the_player_is_stepped_on_its_button_and_told_once(chromium, run_file):
     assert page.evaluate("document.querySelector('[data-player] output').ariaLive") == "off"
 
 
-@pytest.mark.slow
 def test_the_address_and_what_is_shown_agree_on_the_way_back(chromium, page_file):
     page = chromium.open(page_file, fragment="#runs?violates")
     page.evaluate("document.querySelector('nav a[href=\"#runs\"]').click()")
@@ -406,7 +394,6 @@ def test_the_address_and_what_is_shown_agree_on_the_way_back(chromium, page_file
     assert page.messages == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "fragment",
     [
@@ -443,7 +430,6 @@ def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
     assert _settled(page, f"{first}.open") is True
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (375, True)])
 def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
     """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: a page of each kind, and on a telephone at night all in one file, with everything open."""

@@ -8,6 +8,8 @@ import pytest
 
 from reports.render import write_single
 
+pytestmark = pytest.mark.slow
+
 # Presses every button of the page: what it calls each file, and its text.
 _SAVED = """(async () => {
   document.querySelectorAll("details").forEach((item) => { item.open = true; });
@@ -31,7 +33,6 @@ def tables(chromium, page_file):
     return _saved(chromium.open(page_file))
 
 
-@pytest.mark.slow
 def test_every_file_has_one_head_and_rows_of_its_length(tables):
     assert len(tables) > 50
     for name, rows in tables.items():
@@ -55,7 +56,6 @@ def test_units_and_second_numbers_have_columns_of_their_own(tables):
     assert {row[against] for row in named} == {"", "✓ within"}
 
 
-@pytest.mark.slow
 def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
@@ -86,7 +86,6 @@ def test_tables_without_heads_are_saved_with_one(tables):
     assert all(float(value) >= 0 for _, value in seconds[1:] if value)
 
 
-@pytest.mark.slow
 def test_nothing_that_a_spreadsheet_would_run_is_saved(chromium, hostile_folder, factory, tmp_path):
     run = factory.run("=cmd|'/C calc'!A0", None, "strict_lcp", scene=factory.scene('@SUM(1+1)"\n,x'))
     pages = [hostile_folder, factory.store(tmp_path / "formula", [run])]

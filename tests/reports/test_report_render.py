@@ -215,6 +215,7 @@ def test_an_empty_campaign_is_a_page_too(factory, tmp_path):
     assert "No run is stored here yet" in page.text
 
 
+@pytest.mark.slow
 def test_pages_of_long_motions_stay_small(factory, tmp_path):
     """Of ten thousand times a page shows as many as can be seen."""
     run = factory.runs()[2]

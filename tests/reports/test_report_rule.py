@@ -60,6 +60,7 @@ def test_a_scene_that_asks_for_nothing_needs_no_plan_that_holds(factory):
     )
 
 
+@pytest.mark.slow
 def test_the_report_says_the_rule_and_its_verdict_in_these_words(factory, tmp_path):
     good = words_of(factory.store(tmp_path / "good", [factory.run("strict", None, "strict_lcp")]))
     assert "All required checks passed." in good

@@ -13,6 +13,8 @@ from reports.pages.section import run_page
 from reports.records.record import RunRecord
 from reports.traces import read_motion
 
+pytestmark = pytest.mark.slow
+
 CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 
 
@@ -29,7 +31,6 @@ def _rows(folder) -> list[dict[str, str]]:
     return list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
 
 
-@pytest.mark.slow
 def test_results_are_equal_to_the_bit_apart_from_times(twice):
     (first, second), _ = twice
     rows = [
@@ -47,7 +48,6 @@ def test_the_papers_costs_come_out(twice):
     assert _rows(first)[-1]["physics"] == "0.0"
 
 
-@pytest.mark.slow
 def test_the_second_run_finds_the_first(twice, cli):
     (first, _), _ = twice
     again = cli(*CHOICE, "--out", str(first))
@@ -81,7 +81,6 @@ def test_the_folder_holds_everything(twice):
     assert (first / "pages" / run_page(record)).stat().st_size > 100_000
 
 
-@pytest.mark.slow
 def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):
     (first, _), _ = twice
     (stored,) = first.glob("runs/*/trajectory.nc")
@@ -92,7 +91,6 @@ def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):
     assert "holds" in done.stdout.splitlines()[-1]
 
 
-@pytest.mark.slow
 def test_an_fmu_is_exported(cli, tmp_path):
     done = cli("fmu", "three_cart", "-o", str(tmp_path / "three_cart.fmu"))
     assert done.returncode == 0, done.stderr

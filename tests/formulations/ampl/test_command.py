@@ -115,6 +115,7 @@ def solve(stub: Path) -> tuple[float, list[float]]:
     return (x[0] - 1) ** 2 + (x[1] - 2) ** 2 + (x[2] + 1) ** 2 + (x[3] - 3) ** 2, duals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sides", "bounds", "start", "d"),
     [(1, "2 0.5", 1.0, 0.5), (2, "1 8", -3.0, -3.0), (3, "0 0.5 8", 1.0, 0.5), (3, "0 -9 1.5", -3.0, -3.0), (0, "3", 0.5, 0.5)],
@@ -148,6 +149,7 @@ def test_the_multiplier_of_the_variables_side_is_a_suffix_that_pyomo_reads(stub,
     assert duals[3] == 0.0
 
 
+@pytest.mark.slow
 def test_an_infeasible_problem_says_so_in_its_code(stub):
     path = stub(c=7.0, a=40.0, bounds="0 0.5 1")
     assert main([str(path), "-AMPL"]) == 0

@@ -34,6 +34,7 @@ def solved(scene: Scene, **options: object) -> Solution:
         return session.solve(eps=None, warm_start=None, time_limit=120.0)
 
 
+@pytest.mark.slow
 def test_without_throws_nothing_is_done() -> None:
     solution = solved(WALL, throw_work=0.0)
     assert solution.cost == pytest.approx(IDLE, rel=1e-6)

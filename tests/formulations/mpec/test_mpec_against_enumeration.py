@@ -67,6 +67,7 @@ def test_what_is_called_solved_is_certified(strategy):
         assert certify(m).holds  # again, from the loaded values alone
 
 
+@pytest.mark.slow
 def test_a_plan_through_contact():
     """Three carts, 40 steps of 0.125 s: complementarity exact, strongly stationary, the model unchanged."""
     m = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, steps=40, step=0.125)

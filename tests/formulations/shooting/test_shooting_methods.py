@@ -113,6 +113,7 @@ def test_other_tasks_end_at_rest_and_nearer_to_the_goal(name: str, eps: float | 
     assert np.linalg.norm(solution.history["gradient_norm"][-1]) < 1e-2 * solution.history["gradient_norm"][0]
 
 
+@pytest.mark.slow
 def test_jumping_across_a_kink_is_not_called_solved():
     """Ten times stiffer contact, the same step: the loss settles above its minimum, and a smaller step gets further down."""
     stiff = SCENE.with_parameters(k=300.0)
@@ -198,6 +199,7 @@ def test_cold_relu_row():
     assert "no contact" not in solution.message  # it gets into contact by overshooting, after some iterations
 
 
+@pytest.mark.slow
 def test_relu_row_after_softplus_collocation():
     """The warm start is softplus collocation at 1e-3, 1e-5, 1e-7, each from the one before."""
     plan = None

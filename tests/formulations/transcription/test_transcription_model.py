@@ -244,6 +244,7 @@ def test_examples_in_docstrings(module: str) -> None:
     assert results.failed == 0
 
 
+@pytest.mark.slow
 def test_importing_formulations_and_its_methods_costs_neither_pyomo_nor_torch() -> None:
     code = (
         "import sys, formulations, formulations.pipelines as c; [c.load_method(n) for n in c.method_names()];"

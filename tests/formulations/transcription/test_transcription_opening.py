@@ -20,6 +20,8 @@ from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from tests.formulations.transcription.rollouts import rolled_out
 
+pytestmark = pytest.mark.slow
+
 EPS = 1e-3
 
 
@@ -36,7 +38,6 @@ def test_multipliers_that_run_away_stop_a_cold_start():
     assert monitor.has_lost_goal
 
 
-@pytest.mark.slow
 def test_a_goal_that_is_let_go_is_still_drawn_to():
     """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
     scene = load_scene("three_cart")
@@ -96,7 +97,6 @@ def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
     assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7 + 7), "directly, and half way"
 
 
-@pytest.mark.slow
 def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch):
     """Three carts from 1e-2 to 1e-7: about 200 iterations directly, 10 and 9 by the geometric mean of the two."""
     scene = load_scene("three_cart")
@@ -150,7 +150,6 @@ def test_out_of_reach_is_said_once():
     assert second.iterations == 0
 
 
-@pytest.mark.slow
 def test_one_eps_is_one_law_everywhere():
     """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""
     scene = replace(load_scene("two_finger_lift"), length=0.1).with_task(steps=6)
@@ -178,7 +177,6 @@ def hopper() -> Solution:
     return cold("hopper", 1e-2)
 
 
-@pytest.mark.slow
 def test_the_plan_is_one_at_the_eps_asked_for(hopper: Solution):
     assert hopper.outcome is Outcome.SOLVED
     assert "It began softer, at eps = 0.1" in hopper.message
@@ -194,7 +192,6 @@ def test_all_iterations_are_told(hopper: Solution):
     assert hopper.seconds.wall >= hopper.seconds.linear_algebra > 0.0
 
 
-@pytest.mark.slow
 def test_the_multipliers_of_the_plan_are_there_for_the_next_stage(hopper: Solution):
     with load_method("relaxed_lcp").open(load_scene("hopper")) as session:
         first = session.solve(eps=1e-2, warm_start=None, time_limit=300.0)
@@ -203,14 +200,12 @@ def test_the_multipliers_of_the_plan_are_there_for_the_next_stage(hopper: Soluti
     assert second.iterations < 100
 
 
-@pytest.mark.slow
 def test_what_is_quick_begins_where_it_was_asked_to():
     found = cold("acrobot_limits", 1e-2)
     assert found.outcome is Outcome.SOLVED
     assert "softer" not in found.message
 
 
-@pytest.mark.slow
 def test_no_more_iterations_than_allowed():
     for most in (40, 170, 200):
         found = cold("hopper", 1e-2, max_iterations=most)
@@ -219,7 +214,6 @@ def test_no_more_iterations_than_allowed():
         assert ("softer" in found.message) == (most > 150), "with nothing left there is no other start, and what was found is kept"
 
 
-@pytest.mark.slow
 def test_from_a_small_eps_it_comes_back_through_all_between():
     found = cold("hopper", 1e-3)
     assert found.outcome is Outcome.SOLVED

@@ -48,6 +48,7 @@ def test_it_goes_from_the_first_eps_to_the_last(name: str, steps):
     assert len(solution.history["objective"]) == len(solution.history["mu"]) >= solution.iterations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_a_first_eps_that_is_no_larger_changes_nothing(name: str, steps):
     plain, same = solved(name), solved(name, first_eps=LAST[name])
@@ -77,6 +78,7 @@ def test_cheap_steps_grow_and_failed_ones_shrink(monkeypatch: pytest.MonkeyPatch
     assert max(before / after for before, after in pairwise(asked)) <= 3.0
 
 
+@pytest.mark.slow
 def test_a_walk_that_ends_early_hands_on_its_last_plan(monkeypatch: pytest.MonkeyPatch):
     solve = Stage.solve
 

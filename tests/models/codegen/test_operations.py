@@ -74,6 +74,7 @@ def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operatio
     assert count_operations(text) == {"f": expected}
 
 
+@pytest.mark.slow
 def test_squared_factors_are_computed_once():
     """Of two fingers: eight sines and cosines and two roots for both gaps."""
     assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Operations(add=17, multiply=13, call=10)

@@ -79,6 +79,7 @@ def states(scene: Scene) -> list[str]:
     return [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_order_four_through_stick_and_slip(scene: Scene) -> None:
     times = np.arange(101) * 0.01

@@ -87,6 +87,7 @@ def test_rows_of_an_engine_that_is_asked_again_take_the_place_of_the_old():
     assert found.plans["two-mpcc"] == RECORD.plans["two-mpcc"]
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_told_and_the_rest_is_shown(tmp_path: Path):
     factory.store(tmp_path, list(factory.runs()))
     whole = render(tmp_path)

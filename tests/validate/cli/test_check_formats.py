@@ -91,6 +91,7 @@ def test_markdown_puts_failures_first_and_no_mark_of_a_sentence_works(report: Ch
     assert "ed7002b439e9ac845f22357d822bac1444730fbdb6016d3ec9432297b9ec9f73" in text  # SHA-256 of the file's seven bytes
 
 
+@pytest.mark.slow
 def test_a_waiver_turns_a_failure_and_nothing_else(tmp_path: Path, cli):
     path = _doubled(tmp_path)
     alone = ("--only", "archive", "--only", "description is valid")
@@ -127,6 +128,7 @@ def test_an_entry_that_is_there_twice_stops_no_other_check(tmp_path: Path):
     assert "2 times" in rows[0].sentence
 
 
+@pytest.mark.slow
 def test_rows_are_as_wide_as_the_terminal_or_as_they_like(tmp_path: Path, cli):
     alone = ("check", str(_doubled(tmp_path)), "--only", "archive")
     narrow, wide = (cli(*alone, *more, COLUMNS="40").stdout.splitlines()[0] for more in ((), ("--wide",)))

@@ -117,6 +117,7 @@ def test_a_plan_that_drives_no_input_is_judged_by_what_the_fmu_does_alone(comman
     assert not unsaid(told["why"], "by its inputs", "departs from the plan by 0.302")
 
 
+@pytest.mark.slow
 def test_equal_names_need_no_map(command: Command, folder: Path):
     (folder / "own.fmu").write_bytes(build_fmu(load_scene("three_cart")).read_bytes())
     rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 1.0, -1.0] for n in range(6)]
@@ -316,6 +317,7 @@ def test_html_of_somebodys_fmu_shows_what_the_map_names(command: Command, folder
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_html_draws_nothing_of_a_plan_that_it_does_not_say(command: Command, folder: Path):
     inputs = "t,u1,u3\n" + "\n".join(f"{0.01 * n},0.1,-0.1" for n in range(501))
     command(write(folder / "inputs.csv", inputs), "--scene", "three_cart", "--html", "inputs.html")

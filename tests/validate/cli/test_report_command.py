@@ -10,6 +10,8 @@ from wording import unsaid
 
 from validate.cli.report import command
 
+pytestmark = pytest.mark.slow
+
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 NAMES = ("report.html", "results.csv", "violation.csv")
 
@@ -38,7 +40,6 @@ def _texts(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in NAMES}
 
 
-@pytest.mark.slow
 def test_the_same_files_whatever_happened_to_them(folder: Path):
     tables = {name: text for name, text in _texts(folder).items() if name != "report.html"}  # the fakes' own report is none
     _report(folder)
@@ -80,7 +81,6 @@ def test_runs_of_a_campaign_whose_own_record_is_damaged_are_shown_all_the_same(f
     assert refused.exit_code != 0, "there is nothing to show"
 
 
-@pytest.mark.slow
 def test_a_record_that_is_gone_is_told(folder: Path):
     _report(folder)
     shutil.rmtree(next(folder.glob("runs/*")))
@@ -90,7 +90,6 @@ def test_a_record_that_is_gone_is_told(folder: Path):
     assert "1 of 2 runs have no readable record" in _report(folder).stderr
 
 
-@pytest.mark.slow
 def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli):
     before = {path: path.read_bytes() for path in ran.rglob("*") if path.is_file() and path.suffix not in {".csv"}}
     done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")

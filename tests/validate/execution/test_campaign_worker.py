@@ -19,7 +19,7 @@ from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.execution.process import interrupts_wait
 from validate.store.store import Store
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.process, pytest.mark.slow]
 
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 KEPT = {"task.json", "log.txt", "record.json", "files.json"}
@@ -38,7 +38,6 @@ def misbehaved(cli, tmp_path_factory):
     return out, done
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pipeline", "outcome", "words"),
     [
@@ -70,7 +69,6 @@ def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):
     assert "Traceback" not in done.stdout + done.stderr
 
 
-@pytest.mark.slow
 def test_stages_after_a_failed_one_are_rows_too(cli, tmp_path):
     cli("all", *FAKES, "--out", str(tmp_path), "-k", "broken_chain")
     record = _records(tmp_path)["broken_chain"]
@@ -129,7 +127,6 @@ def test_a_chain_starts_each_stage_from_the_plan_before(misbehaved):
     assert not _records(misbehaved[0])["soft_alone"].must_hold
 
 
-@pytest.mark.slow
 def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
     done = cli("all", *FAKES, "--out", str(tmp_path), "-j", "2", "-k", "only_hang or only_family", "--time-limit", "4")
     records = _records(tmp_path)
@@ -140,7 +137,6 @@ def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(record.key for record in records.values())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending):
     arguments = ("all", *FAKES, "--out", str(tmp_path), "-j", "1", "-k", "only_good or only_family")
@@ -158,7 +154,6 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     assert "1 stored, 0 to run" in again.stderr
 
 
-@pytest.mark.slow
 def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
     """Nobody has heard of the cell by then."""
     commit, heard = Store.commit, PlainNarrator()
@@ -178,7 +173,6 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
     assert unfinished(tmp_path) == []
 
 
-@pytest.mark.slow
 def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
     command = [sys.executable, "-m", "validate", "all", *FAKES, "--out", str(tmp_path), "-k", "only_good"]
     with subprocess.Popen(
@@ -223,7 +217,6 @@ class _Interrupting(PlainNarrator):
         self._ctrl_c()
 
 
-@pytest.mark.slow
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
     settings = CampaignSettings(out=tmp_path, plugin=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible", jobs=1)

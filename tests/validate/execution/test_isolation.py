@@ -238,6 +238,7 @@ def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, ow
     assert list(own_place.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")
 def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
@@ -259,6 +260,7 @@ def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own
     assert list(own_place.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_one_child_answers_many_calls_until_one_ends_it(own_place: Path):
     with closing(IsolatedCalls(Limits(seconds=1.0), "model.fmu")) as calls:
 

@@ -182,6 +182,7 @@ def test_a_page_that_cannot_be_written_is_one_sentence(tmp_path: Path, sound_con
         assert str(tmp_path / "taken") in done.stderr
 
 
+@pytest.mark.slow
 def test_command_needs_neither_solver_nor_torch(cli_environment):
     import subprocess
     import sys

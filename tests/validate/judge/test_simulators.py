@@ -124,6 +124,7 @@ def test_friction_on_a_band_follows_what_presses_it():
     assert fine < coarse / 10.0
 
 
+@pytest.mark.slow
 def test_mujoco_says_what_it_cannot_express():
     pytest.importorskip("mujoco")
     answer = run_engine("mujoco", [drive("damped_collision", 1)])

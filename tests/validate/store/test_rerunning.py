@@ -15,6 +15,8 @@ from validate.plan.selection import matches
 from validate.store.provenance import command_line
 from validate.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
@@ -33,7 +35,6 @@ def names(out: Path) -> list[str]:
     return sorted(json.loads(path.read_text())["pipeline"] for path in out.glob("runs/*/record.json"))
 
 
-@pytest.mark.slow
 def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
     done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
     plan = json.loads(done.stdout)
@@ -44,7 +45,6 @@ def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
     assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
 
 
-@pytest.mark.slow
 def test_last_failed_of_what_did_not_fail(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-k", "only_good")
     assert done.returncode == 2
@@ -59,7 +59,6 @@ class _Stopped(PlainNarrator):
         raise KeyboardInterrupt
 
 
-@pytest.mark.slow
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
@@ -84,7 +83,6 @@ def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch,
     assert all(entry.stored for entry in with_stored(chosen, store, settings))
 
 
-@pytest.mark.slow
 def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x", "-j", "1")
     assert done.stderr.splitlines()[0] == "1 stored, 2 to run, 2 of them again"
@@ -93,7 +91,6 @@ def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
     assert {run["why"] for run in plan["runs"]} == {"", "stored, but it crashed"}
 
 
-@pytest.mark.slow
 def test_stop_at_the_first_failure(cli, tmp_path):
     done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x", "-j", "1")
     assert done.returncode == 1
@@ -102,7 +99,6 @@ def test_stop_at_the_first_failure(cli, tmp_path):
     assert done.stdout.splitlines()[-1].endswith(" -x -j 1"), "the command as it was typed"
 
 
-@pytest.mark.slow
 def test_a_crash_is_tried_again(cli, tmp_path):
     done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_good", "--retry", "2")
     assert done.returncode == 1
@@ -110,7 +106,6 @@ def test_a_crash_is_tried_again(cli, tmp_path):
     assert names(tmp_path) == ["only_exit_seven", "only_good"]
 
 
-@pytest.mark.slow
 def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
     done = cli("show", "three_cart x only_good", "--in", str(ran))
     assert done.returncode == 0, done.stderr

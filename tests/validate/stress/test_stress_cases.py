@@ -158,6 +158,7 @@ def test_the_cases_are_run_and_pass(campaign):
     assert all(record["passed"] and record["figures"] for record in records)
 
 
+@pytest.mark.slow
 def test_the_report_has_their_rows(campaign):
     text = (campaign[0] / "pages" / "stress-cases.html").read_text(encoding="utf-8")
     assert 'id="stress-cases"' in text
@@ -173,6 +174,7 @@ def test_they_are_used_again(campaign, cli):
     assert "2 stored, 0 to run" in again.stderr
 
 
+@pytest.mark.slow
 def test_a_quick_campaign_says_that_it_leaves_cases_out(campaign, cli):
     done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(campaign[0]))
     assert "left out by --quick: stress case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout

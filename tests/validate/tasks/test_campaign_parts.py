@@ -71,6 +71,7 @@ def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) 
     assert of_one == ("three_cart x softplus_gd+strict",)
 
 
+@pytest.mark.slow
 def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_path) -> None:
     entries, left_out = select(CampaignSettings(out=tmp_path, quick=True))
     scenes = {name: load_scene(name) for name in scene_names()}

@@ -24,6 +24,8 @@ from validate.tasks.fmu_checks import VERSIONS, check
 from validate.tasks.plugins import DEFAULT
 from validate.tasks.task import CheckTask, SceneReference, task_from_json, task_to_json
 
+pytestmark = pytest.mark.slow
+
 # The time limit is for the one that hangs, beside which the others run.
 FAKES = ("--plugin", "check_fakes:PLUGIN", "--scene", "three_cart", "-k", "only_good or asked", "--time-limit", "12")
 
@@ -46,7 +48,6 @@ def asked(cli, tmp_path_factory):
     return out, notes, cli("all", *FAKES, "--out", str(out), "-j", "2", NOTED=str(notes))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("says", "outcome", "passed", "words"),
     [
@@ -79,7 +80,6 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert not list(out.glob("runs/.partial-*"))
 
 
-@pytest.mark.slow
 def test_what_answered_is_stored_and_what_crashed_is_asked_again(asked, cli):
     out, notes, _ = asked
     before = _noted(notes)
@@ -150,7 +150,6 @@ def test_every_scene_in_every_version_is_checked_and_quick_says_what_it_leaves_o
     assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} checks"
 
 
-@pytest.mark.slow
 def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     command = ("all", "--scene", "bouncing_mass", "-k", "fmi2", "--out", str(tmp_path))
     done = cli(*command)
@@ -170,7 +169,6 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert [item["passed"] for item in json.loads(again.stdout)["checks"]] == [True]
 
 
-@pytest.mark.slow
 def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
     sound = models.fmu.build_fmu(load_scene("bouncing_mass"), "2.0")
 

@@ -16,6 +16,8 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
 from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
 
+pytestmark = pytest.mark.slow
+
 FAKES = ("--scene", "three_cart", "--plugin", "leg_fakes:SHARING")
 # How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.
 ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 2, "cold": 1}
@@ -92,7 +94,6 @@ def test_the_key_of_a_leg_is_of_all_that_decides_it():
     assert _path("lbfgs")[0][2] != _path("randomised_smoothing")[0][2]
 
 
-@pytest.mark.slow
 def test_a_leg_runs_once(whole):
     assert _counted(whole.counts) == ONCE, whole.done.stderr
     records = _records(whole.out)
@@ -104,7 +105,6 @@ def test_a_leg_runs_once(whole):
     assert [stage.shared_from for stage in records["late+two"].stages] == ["", ""]
 
 
-@pytest.mark.slow
 def test_fresh_takes_nothing_over(whole, fakes):
     shutil.copytree(whole.out, whole.out.with_name("anew"))
     again = fakes("anew", "--fresh", ONLY="begin+one begin+two")
@@ -112,7 +112,6 @@ def test_fresh_takes_nothing_over(whole, fakes):
     assert _untimed(again.out) == _untimed(whole.out)
 
 
-@pytest.mark.slow
 def test_a_session_that_leaves_its_plan_is_the_beginning_of_another(whole, lost):
     """The stage in the midst and the cold one are one and the same, whichever ran first, and what follows starts from its plan."""
     for ran, owner in ((whole, "cold"), (lost, "begin+cold+two")):
@@ -177,7 +176,6 @@ def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
         assert own <= spent + 1e-3  # the profile is of what ran here, and of nothing else
 
 
-@pytest.mark.slow
 def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
     names = ["begin+one shorter late+one", "begin+tune+two"]
     apart = [fakes(f"apart{number}", ONLY=only) for number, only in enumerate(names)]
@@ -187,7 +185,6 @@ def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
     assert all(row in together for row in rows)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["relaxing", "two"])
 def test_killed_in_between_and_resumed(whole, fakes, method):
     """In the midst of a leg, and in one that comes after it, which then starts from files.
@@ -206,7 +203,6 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in _records(again.out).values()}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
 def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
     shutil.copytree(whole.out / "legs", tmp_path / "legs")
@@ -243,7 +239,6 @@ def test_legs_of_a_run_are_read_up_to_the_first_that_is_not_whole(whole, tmp_pat
     assert [leg.key for leg in legs_in(tmp_path, legs)] == keys[:1]
 
 
-@pytest.mark.slow
 def test_plans_of_legs_lie_in_the_run(whole):
     scene = load_scene("three_cart")
     for name in ("begin+one", "begin+two", "begin"):

@@ -135,6 +135,7 @@ def test_plans_are_those_of_a_mass_made_of_the_time_step() -> None:
         assert pytest.approx(lines[1].A, rel=1e-12, abs=1e-12) == lines[0].A
 
 
+@pytest.mark.slow
 def test_the_pyomo_model_is_that_of_a_mass_made_of_the_time_step() -> None:
     values: list[list[float]] = []
     for of in (with_a_mass(0.02), scene()):
@@ -182,6 +183,7 @@ def test_the_grid_of_a_plan_and_the_step_of_the_task_change_nothing_that_is_judg
         assert other.error.lag.position == pytest.approx(plain.error.lag.position, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_all_work_goes_into_drag_friction_and_the_spring() -> None:
     found = replayed(100)
     assert found.input_work is not None

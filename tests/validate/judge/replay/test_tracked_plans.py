@@ -31,6 +31,8 @@ from validate.tasks.leg import Planned
 from validate.tasks.records import Judged, stage_record
 from validate.tasks.scene_record import scene_record
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
@@ -63,7 +65,6 @@ def above(told: Score) -> set[str]:
     return {metric.name for metric in told.metrics if metric.ok is False}
 
 
-@pytest.mark.slow
 def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
     told = score(scene, plans["exact"], exact)
     assert (told.verdict, told.judged) == (Verdict.HOLDS_WITH_FEEDBACK, "feedback"), told.why
@@ -82,7 +83,6 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     assert np.abs(exact.tracked.applied).max() <= 4.0  # type: ignore[arg-type] - of a type that was checked or made so above
 
 
-@pytest.mark.slow
 def test_feedback_is_tried_by_the_judge_itself(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
     told = judge(scene, plans["exact"])
     assert told.verdict is Verdict.HOLDS_WITH_FEEDBACK
@@ -90,7 +90,6 @@ def test_feedback_is_tried_by_the_judge_itself(scene: Scene, plans: dict[str, Tr
     assert told.replay.tracked.q.tobytes() == exact.tracked.q.tobytes()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("limit", "verdict"), [(0.1, Verdict.VIOLATES), (0.2, Verdict.HOLDS_WITH_FEEDBACK)])
 def test_only_a_consistent_motion_is_followed(scene: Scene, plans: dict[str, Trajectory], limit: float, verdict: Verdict):
     """Undeclared, its step of 10 ms leaves a force of 14 % of the impact's open: whether that is consistent the limit says."""
@@ -102,7 +101,6 @@ def test_only_a_consistent_motion_is_followed(scene: Scene, plans: dict[str, Tra
     assert (told.replay.tracked is not None) is (verdict is Verdict.HOLDS_WITH_FEEDBACK)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("tells", [True, False])
 @pytest.mark.parametrize("declares", [True, False])
 def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, plans, tells, declares):
@@ -129,7 +127,6 @@ def test_feedback_that_arrives_by_planning_anew_does_not_hold(scene, plans, exac
     assert {metric for metric in above(told) if metric.startswith(("feedback", "tracked"))} == {name}
 
 
-@pytest.mark.slow
 def test_the_command_shows_both_and_keeps_the_gains(scene, plans, tmp_path, capsys):
     write_csv(tmp_path / "plan.csv", plans["exact"], scene)
     arguments = ["replay", str(tmp_path / "plan.csv"), "--scene", scene.name, "--track"]
@@ -149,7 +146,6 @@ def test_the_command_shows_both_and_keeps_the_gains(scene, plans, tmp_path, caps
     assert abs(told["growth"]["rate"] - 3.67) < math.log(2.0) / 2.0
 
 
-@pytest.mark.slow
 def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajectory], exact: Replay, tmp_path: Path):
     """The record of a stage: which replay is judged, growth, effort, the tracked motion with the inputs as applied; the last columns of results.csv."""
     plan, method = plans["exact"], load_method("strict_lcp")
@@ -184,7 +180,6 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
     assert [row[name] for name in last[:2]] == ["feedback", told.value("tracked_replay_terminal_error")]
 
 
-@pytest.mark.slow
 def test_a_scene_without_inputs_cannot_be_tracked(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "plan.csv").write_text("t,q,v\n0,1,0\n0.01,1,0\n", encoding="utf-8")
     code = run(["replay", str(tmp_path / "plan.csv"), "--scene", "bouncing_mass", "--track"])

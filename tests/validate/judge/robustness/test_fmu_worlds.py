@@ -164,6 +164,7 @@ def test_who_takes_no_uneven_steps_gets_a_delay_as_the_mean_of_a_step(free: Call
     assert late.ratio < 1.0  # the command is the same all the way
 
 
+@pytest.mark.slow
 def test_by_its_own_step_it_is_tried_so_and_checked_with_a_quarter(free: Callable[..., WiredFmu]):
     wired = free(own_step=True)
     with FmuArena.of(wired, asked_limits(wired.judge().score)) as arena:

@@ -101,6 +101,7 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
     assert not by_name["d", 1].same_modes, "moved the other way as far, the carts do not meet"
 
 
+@pytest.mark.slow
 def test_what_was_tried_before_ctrl_c_is_kept(judged: Judgement):
     said: list[str] = []
 

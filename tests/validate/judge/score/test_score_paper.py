@@ -14,6 +14,8 @@ from validate.judge.replay.run import replay
 from validate.judge.score import Question, Score, Verdict, score
 from validate.judge.score.table import TABLE
 
+pytestmark = pytest.mark.slow
+
 STEPS = 500
 
 
@@ -45,7 +47,6 @@ def scores(scene: Scene, plans: dict[str, Trajectory]) -> dict[str, Score]:
     return {name: score(scene, plan, None if name.startswith("softplus_gd") else replay(scene, fmu, plan)) for name, plan in plans.items()}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "physics", "miss"),
     [("softplus_dc 0.001", 2445.90, 0.449), ("softplus_dc 1e-05", 625.14, 0.265), ("softplus_dc 1e-07", 239.53, 0.119)],
@@ -143,7 +144,6 @@ def test_every_metric_has_unit_and_meaning_and_every_limit_a_reason(scene: Scene
     assert own == {limit.metric for limit in scene.limits}
 
 
-@pytest.mark.slow
 def test_the_same_plans_undeclared_are_judged_by_their_motion_alone(scene: Scene, plans: dict[str, Trajectory], scores: dict[str, Score]):
     """Who leaves out the declaration is not asked for a defect, but no relaxed plan gets through, and no exact one is lost."""
     fmu = build_fmu(scene)
