@@ -53,6 +53,8 @@ def ask_simulators(folder: Path, stored: Stored, engines: Sequence[str], tell: C
     scenes = dict.fromkeys(run.scene.name for run in stored.runs)
     best = [priced[0][0] for scene in scenes if (priced := stored.cheapest(scene))]
     earlier = stored.simulators or SimulatorsRecord()
+    if not best:
+        tell("no plan of this campaign holds at a known cost, so no simulator was asked")
     kept = {run.key: rows for run in best if (rows := earlier.plans.get(run.key))}
     found = SimulatorsRecord(engines={**earlier.engines, **named}, plans=kept)
     for run in best:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wording import unsaid
 
-from reports.records.load import load
+from reports.records.load import Stored, load
 from reports.records.record import RunRecord
 from reports.records.simulators_record import SIMULATORS
 from validate.store.stored import CampaignError
-from validate.tasks.simulators import stored_plan
+from validate.tasks.simulators import ask_simulators, stored_plan
 
 pytestmark = pytest.mark.slow
 
@@ -106,3 +107,10 @@ def test_a_plan_that_is_gone_is_told_and_the_report_is_written(ran: Path, cli):
     assert done.returncode == 0
     assert "no simulator was asked" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_where_no_plan_holds_that_is_said(tmp_path: Path):
+    said: list[str] = []
+    found = ask_simulators(tmp_path, Stored("x", None, (), (), (), 0), ("fmu",), said.append)
+    assert (found.plans, len(said)) == ({}, 1)
+    assert not unsaid(said[0], "no plan … holds … no simulator was asked")
