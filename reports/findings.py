@@ -17,6 +17,8 @@ from reports.wording import count, error, listing, number, seconds, unit
 NOT_ASKED = ("not applicable", "consistent")
 # A pipeline is recommended by its medians only where it holds on so many scenes.
 ENOUGH = 3
+# Up to which ratio a cost is called the best: what is called the same decides nothing.
+_BEST = 1.005
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,13 @@ class Standing:
     def rank(self) -> tuple[float, float, float]:
         """The better the smaller: scenes on which it holds, then cost, then time."""
         unknown = float("inf")
-        return -self.holds, unknown if self.ratio is None else self.ratio, unknown if self.cpu is None else self.cpu
+        ratio = unknown if self.ratio is None else 1.0 if self.is_best else self.ratio
+        return -self.holds, ratio, unknown if self.cpu is None else self.cpu
+
+    @property
+    def is_best(self) -> bool:
+        """Whether its cost is called the best."""
+        return self.ratio is not None and self.ratio < _BEST
 
 
 def three_findings(runs: Sequence[RunRecord]) -> tuple[str, ...]:
@@ -121,5 +129,5 @@ def _first(ranked: Sequence[Standing]) -> str:
 def _standing(standing: Standing) -> str:
     said = f"holds on {standing.holds} of {count(standing.able, 'scene')}"
     if standing.ratio is not None:
-        said += ", at the best cost" if standing.ratio < 1.005 else f", {number(standing.ratio, 3)} times the best cost"
+        said += ", at the best cost" if standing.is_best else f", {number(standing.ratio, 3)} times the best cost"
     return said + (f", {seconds(standing.cpu)} CPU s" if standing.cpu is not None else "")

@@ -70,6 +70,15 @@ def test_pipelines_that_are_equal_are_named_together(factory):
     assert first == "Try first one or other: holds on 1 of 1 scene, at the best cost, 2.00 CPU s."
 
 
+@pytest.mark.parametrize(("price", "first"), [(100.4, "quick"), (100.6, "slow")])
+def test_costs_that_are_both_called_the_best_leave_it_to_time(factory, price: float, first: str):
+    runs = [ended(factory, "bank", "slow", "holds", 100.0, 90.0), ended(factory, "bank", "quick", "holds", price, 9.0)]
+    assert standings(runs)[0].pipeline == first
+    *_, said = three_findings(runs)
+    assert not unsaid(said, f"Try first {first}: … at the best cost")
+    assert ("Fastest" in said) == (first == "slow")
+
+
 def test_no_plan_that_holds_is_said_and_nothing_of_nothing(factory):
     *_, first = three_findings([ended(factory, "bank", "a", "violates"), ended(factory, "hill", "a", "no plan", None)])
     assert first == "No pipeline found a plan that holds."
