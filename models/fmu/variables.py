@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import sympy as sp
 
@@ -148,20 +149,15 @@ def variable_names(scene: Scene) -> VariableNames:
     def names(kind: VariableKind) -> tuple[str, ...]:
         return tuple(variable.name for variable in table if variable.kind is kind)
 
+    forces, kinds = names(VariableKind.FORCE), VariableKind
+    several = {
+        "q": kinds.POSITION, "v": kinds.VELOCITY, "der_q": kinds.POSITION_RATE, "der_v": kinds.VELOCITY_RATE, "u": kinds.INPUT, "gap": kinds.GAP,
+        "slip": kinds.SLIP, "parameters": kinds.PARAMETER,
+    }  # fmt: skip
     single = ("kinetic_energy", "potential_energy", "contact_energy", "input_power", "dissipated_power", "internal_step", "integrator")
-    return VariableNames(
-        q=names(VariableKind.POSITION),
-        v=names(VariableKind.VELOCITY),
-        der_q=names(VariableKind.POSITION_RATE),
-        der_v=names(VariableKind.VELOCITY_RATE),
-        u=names(VariableKind.INPUT),
-        lam=names(VariableKind.FORCE)[: scene.nc],
-        gap=names(VariableKind.GAP),
-        friction=names(VariableKind.FORCE)[scene.nc :],
-        slip=names(VariableKind.SLIP),
-        parameters=names(VariableKind.PARAMETER),
-        **{name: next(iter(names(VariableKind[name.upper()])), None) for name in single},  # pyright: ignore[reportArgumentType] - three always are
-    )
+    found: dict[str, Any] = {name: names(kind) for name, kind in several.items()}
+    found |= {name: next(iter(names(kinds[name.upper()])), None) for name in single}
+    return VariableNames(lam=forces[: scene.nc], friction=forces[scene.nc :], **found)
 
 
 def variable_table(scene: Scene) -> tuple[Variable, ...]:
