@@ -26,7 +26,7 @@ _MEASURED = {
     "proof": ("proof", "What can be proved about contact plans, and how soon."),
     "rigid-limit": ("rigid_limit", "Optima through soft contact against those of rigid bodies."),
     "unstable-starts": ("unstable_starts", "How many starts of an unstable scene are balanced."),
-    "cosim": ("cosim.study", "What it costs to split a scene into FMUs."),
+    "cosim": ("cosim.command", "What it costs to split a scene into FMUs."),
 }
 # What tries the judge, the readers and the campaigns, or looks at a campaign.
 _TRIALS = {
