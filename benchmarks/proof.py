@@ -59,25 +59,19 @@ def local(scene: Scene) -> Solution | None:
     return min(found, key=lambda solution: solution.cost or 0.0, default=None)
 
 
+def _row(scene: str, steps: int, start: Solution | None, **found: Any) -> dict[str, Any]:
+    """What is found of a scene, beside the local methods' best plan."""
+    return {"scene": scene, "T": steps, "local": None if start is None else start.cost, **found}
+
+
 def proved(name: str, steps: int, seconds: float) -> dict[str, Any]:
     scene = on_grid(name, steps)
     start = local(scene)
     proof = prove(scene, incumbent=None if start is None else start.trajectory, time_limit=seconds)
-    return {
-        "scene": name,
-        "T": steps,
-        "given_s": seconds,
-        "local": None if start is None else start.cost,
-        "cost": proof.cost,
-        "bound": proof.bound,
-        "gap": proof.gap,
-        "wall_s": proof.seconds,
-        "cpu_s": proof.cpu,
-        "nodes": proof.nodes,
-        "open": f"{proof.binaries}/{proof.pairs}",
-        "status": proof.status.name,
-        "solver": proof.solver,
-    }
+    return _row(
+        name, steps, start, given_s=seconds, cost=proof.cost, bound=proof.bound, gap=proof.gap, wall_s=proof.seconds, cpu_s=proof.cpu, nodes=proof.nodes,
+        open=f"{proof.binaries}/{proof.pairs}", status=proof.status.name, solver=proof.solver,
+    )  # fmt: skip
 
 
 def relaxed(name: str) -> dict[str, Any]:
@@ -89,19 +83,11 @@ def relaxed(name: str) -> dict[str, Any]:
     linear = linear_scene(scene)
     bounds = physical_bounds(scene, linear, float("inf") if cost is None else cost * (1.0 + 1e-5))
     bound = relaxed_bound(linear, bounds.lower, bounds.upper, bounds.ceiling)
-    return {
-        "scene": name,
-        "T": scene.task.steps,
-        "local": cost,
-        "cost": cost,
-        "bound": bound,
-        "gap": None if cost is None else (cost - bound) / cost,
-        "wall_s": perf_counter() - begin,
-        "cpu_s": process_time() - cpu,
-        "nodes": 0,
-        "open": f"{int((~bounds.decided[1:]).sum())}/{bounds.decided[1:].size}",
-        "status": "RELAXED",
-    }
+    return _row(
+        name, scene.task.steps, start, cost=cost, bound=bound, gap=None if cost is None else (cost - bound) / cost,
+        wall_s=perf_counter() - begin, cpu_s=process_time() - cpu, nodes=0,
+        open=f"{int((~bounds.decided[1:]).sum())}/{bounds.decided[1:].size}", status="RELAXED",
+    )  # fmt: skip
 
 
 def by_disjunction(steps: int, seconds: float) -> dict[str, Any]:
@@ -120,20 +106,11 @@ def by_disjunction(steps: int, seconds: float) -> dict[str, Any]:
     pyo.TransformationFactory("gdp.bigm").apply_to(model, bigM={None: 2.0 * largest})
     result = scip(model, seconds)
     cost, bound = result.incumbent_objective, min(float(result.objective_bound), bounds.ceiling)
-    return {
-        "scene": "three_cart, disjunction",
-        "T": steps,
-        "given_s": seconds,
-        "local": None if start is None else start.cost,
-        "cost": cost,
-        "bound": bound,
-        "gap": None if cost is None else (cost - bound) / cost,
-        "wall_s": perf_counter() - begin,
-        "cpu_s": process_time() - cpu,
-        "nodes": int(result.extra_info["NNodes"]),
-        "open": f"{2 * int((~bounds.decided[1:]).sum())}/{2 * bounds.decided[1:].size}",
-        "status": result.termination_condition.name,
-    }
+    return _row(
+        "three_cart, disjunction", steps, start, given_s=seconds, cost=cost, bound=bound, gap=None if cost is None else (cost - bound) / cost,
+        wall_s=perf_counter() - begin, cpu_s=process_time() - cpu, nodes=int(result.extra_info["NNodes"]), open=f"{2 * int((~bounds.decided[1:]).sum())}/{2 * bounds.decided[1:].size}",
+        status=result.termination_condition.name,
+    )  # fmt: skip
 
 
 @click.command()

@@ -12,7 +12,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,23 +22,6 @@ from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from models.trajectory_netcdf import read_netcdf
 from validate.store.disk import write_durably
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One stage before and after."""
-
-    scene: str
-    pipeline: str
-    stage: int
-    method: str
-    kind: str
-    eps: float | None
-    outcome: str
-    before: str
-    after: str
-    why: str
-    metrics: dict[str, Any]
 
 
 def stages(folder: Path, scenes: tuple[str, ...]) -> Iterator[tuple[dict[str, Any], dict[str, Any], Path]]:
@@ -85,28 +67,17 @@ def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, 
         answers = dict(zip(first.values(), pool.map(judged, [scene for scene, _ in first], first.values()), strict=True))
     rows = []
     for record, stage, plan in found:
-        after, why, metrics = answers[first[contents[plan]]]
-        rows.append(
-            Row(
-                scene=record["scene"]["name"],
-                pipeline=record["pipeline"],
-                stage=stage["index"],
-                method=stage["method"],
-                kind=stage["kind"],
-                eps=stage["eps"],
-                outcome=stage["outcome"],
-                before=stage["verdict"],
-                after=after,
-                why=why,
-                metrics=metrics,
-            )
-        )
+        of_stage = {name: stage[name] for name in ("method", "kind", "eps", "outcome")}
+        judgement = dict(zip(("after", "why", "metrics"), answers[first[contents[plan]]], strict=True))
+        where = {"scene": record["scene"]["name"], "pipeline": record["pipeline"], "stage": stage["index"]}
+        rows.append({**where, **of_stage, "before": stage["verdict"], **judgement})
     for row in rows:
-        if everything or row.before != row.after:
-            eps = "" if row.eps is None else f" {row.eps:g}"
-            click.echo(f"{row.scene} | {row.pipeline} {row.stage} | {row.method}{eps} | {row.before} -> {row.after} | {row.why}")
-    for (kind, before, after), count in sorted(Counter((row.kind, row.before, row.after) for row in rows).items()):
+        if everything or row["before"] != row["after"]:
+            eps = "" if row["eps"] is None else f" {row['eps']:g}"
+            told = f"{row['scene']} | {row['pipeline']} {row['stage']} | {row['method']}{eps}"
+            click.echo(f"{told} | {row['before']} -> {row['after']} | {row['why']}")
+    for (kind, before, after), count in sorted(Counter((row["kind"], row["before"], row["after"]) for row in rows).items()):
         click.echo(f"{count:5d}  {kind:9s} {before} -> {after}")
     if file is not None:
-        write_durably(file, json.dumps([asdict(row) for row in rows], indent=0))
+        write_durably(file, json.dumps(rows, indent=0))
     return 0

@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from benchmarks.measure import Size, Work, sample, slope
 from benchmarks.options import POSITIVE, out_option
 from benchmarks.results import store
+from benchmarks.suite.carts import push, pushed_plan, scene_of
 from validate.store.disk import temporary_folder
 
 SIZES = tuple(
@@ -40,16 +42,12 @@ def _solved(method: str, scene: Any, eps: float | None, warm: Any = None, **opti
 
 
 def softplus_dc(size: Size, folder: Path) -> Work:
-    from benchmarks.suite.carts import scene_of
-
     scene = scene_of(size)
     _solved("softplus_dc", scene_of(Size(3, 5)), 1e-1)  # imports, compilation
     return lambda: _solved("softplus_dc", scene, 1e-3)[1]
 
 
 def mpec_step(size: Size, folder: Path) -> Work:
-    from benchmarks.suite.carts import scene_of
-
     scene = scene_of(size)
     warm, _ = _solved("softplus_dc", scene, 1e-3)
     _solved("relaxed_lcp", scene_of(Size(3, 5)), 1e-1)
@@ -57,17 +55,12 @@ def mpec_step(size: Size, folder: Path) -> Work:
 
 
 def mpcc(size: Size, folder: Path) -> Work:
-    from benchmarks.suite.carts import scene_of
-
     scene = scene_of(size)
     _solved("mpcc", scene_of(Size(3, 50)), None, search_windows=0)
     return lambda: _solved("mpcc", scene, None, search_windows=0)[1]
 
 
 def gd_iteration(size: Size, folder: Path) -> Work:
-    import numpy as np
-
-    from benchmarks.suite.carts import push, scene_of
     from models.codegen.kernel import load_kernel
 
     scene, u = scene_of(size), push(size.steps)
@@ -84,7 +77,6 @@ def gd_iteration(size: Size, folder: Path) -> Work:
 
 
 def replay(size: Size, folder: Path) -> Work:
-    from benchmarks.suite.carts import pushed_plan, scene_of
     from models.fmu import build_fmu
     from validate.judge.replay.run import replay as replayed
 
@@ -118,13 +110,9 @@ def exponents(rows: list[dict[str, Any]]) -> dict[str, float | None]:
 @click.command()
 @click.option("--stage", "stages", type=click.Choice(list(STAGES)), multiple=True, help="Only this stage; may be repeated.")
 @click.option(
-    "--largest",
-    type=click.IntRange(min=min(size.n * size.steps for size in SIZES)),
-    default=60_000,
-    show_default=True,
-    metavar="NT",
+    "--largest", type=click.IntRange(min=min(size.n * size.steps for size in SIZES)), default=60_000, show_default=True, metavar="NT",
     help="Leave out sizes with a larger n T.",
-)
+)  # fmt: skip
 @click.option("--limit", type=POSITIVE, default=900.0, show_default=True, metavar="SECONDS", help="For one process.")
 @out_option
 def command(stages: tuple[str, ...], largest: int, limit: float, out: Path) -> int:

@@ -44,8 +44,7 @@ def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
     from models.loading import Afresh, loading
     from models.scene import Scene
-    from models.scene.checks import check_expressions
-    from models.scene.step_dependence import step_problem
+    from models.scene.checks import check_expressions, step_problem
     from models.scene.text import scene_text
 
     path = scene_path(reference)

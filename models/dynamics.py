@@ -188,31 +188,13 @@ def _build(scene: Scene) -> Dynamics:
     passive = forces.subs(dict.fromkeys(u, 0))
     velocity = sp.Matrix(v)
     return Dynamics(
-        scene=scene,
-        q=q,
-        v=v,
-        u=u,
-        lam=lam,
-        f=f,
-        p=p,
-        mass_matrix=mass,
-        tau=tau,
-        penetration=phi,
-        stiffness=stiffness,
-        damping=damping,
-        push=push,
-        gap_jacobian=jacobian,
-        slip=slip,
-        friction_limit=sp.Matrix(scene.nf, 1, limit),
-        slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq),
-        kinetic_energy=kinetic,
-        potential_energy=potential,
-        input_power=sp.expand((velocity.T * (forces - passive))[0]),
-        dissipated_power=sp.expand(-(velocity.T * passive)[0]),
-        running_cost=sp.sympify(scene.task.running_cost),
-        final_cost=sp.sympify(scene.task.final_cost),
+        scene=scene, q=q, v=v, u=u, lam=lam, f=f, p=p, mass_matrix=mass, tau=tau, penetration=phi, stiffness=stiffness, damping=damping, push=push,
+        gap_jacobian=jacobian, slip=slip, friction_limit=sp.Matrix(scene.nf, 1, limit),
+        slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq), kinetic_energy=kinetic, potential_energy=potential,
+        input_power=sp.expand((velocity.T * (forces - passive))[0]), dissipated_power=sp.expand(-(velocity.T * passive)[0]),
+        running_cost=sp.sympify(scene.task.running_cost), final_cost=sp.sympify(scene.task.final_cost),
         structure=_structure(scene, mass, tau, phi, gravity, passive, slip, q, v, u),
-    )
+    )  # fmt: skip
 
 
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:

@@ -12,7 +12,7 @@ import numpy as np
 import sympy as sp
 
 from models.dynamics import derive
-from models.netcdf import Column
+from models.netcdf import Column, as_columns
 from models.scene import Scene
 
 
@@ -47,7 +47,7 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     moving = {coordinate.symbol for coordinate in scene.coordinates}
     return [
         column if expression.free_symbols & moving else replace(column, dimension="once", values=column.values[:1])
-        for column, expression in zip(_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True)
+        for column, expression in zip(as_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True)
     ]
 
 
@@ -72,7 +72,7 @@ def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
         For another number of coordinates.
     """
     named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
-    return _columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
+    return as_columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
 
 
 def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
@@ -121,10 +121,3 @@ def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndar
     numbers = [sp.sympify(expression).subs(scene.parameter_values) for expression in expressions]
     values = sp.lambdify(symbols, numbers, modules=[np], cse=True)(*q.T)
     return np.column_stack([np.broadcast_to(value, len(q)) for value in values]).astype(float)
-
-
-def _columns(named: list[tuple[str, str, str]], values: np.ndarray, dimension: str) -> list[Column]:
-    return [
-        Column(name=name, dimension=dimension, values=values[:, index], unit=unit, description=text)
-        for index, (name, unit, text) in enumerate(named)
-    ]

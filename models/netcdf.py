@@ -32,6 +32,34 @@ class Column:
     description: str = ""
 
 
+def as_columns(named: Iterable[tuple[str, str, str]], values: np.ndarray, dimension: str) -> list[Column]:
+    """The columns of an array.
+
+    Parameters
+    ----------
+    named
+        Name, unit and description of each.
+    values
+        (n, columns), each in its own unit [SI].
+    dimension
+        Along which they lie.
+
+    Returns
+    -------
+    list[Column]
+        One (n,) for each name.
+
+    Raises
+    ------
+    ValueError
+        For another number of columns than names.
+    """
+    return [
+        Column(name=name, dimension=dimension, values=column, unit=unit, description=text)
+        for (name, unit, text), column in zip(named, values.T, strict=True)
+    ]
+
+
 def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str, str | int | float]) -> None:
     """Write atomically. Raises MachineError where the folder cannot be written."""
     columns = tuple(columns)

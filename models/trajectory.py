@@ -20,7 +20,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -77,35 +77,6 @@ def _as_groups(value: Any) -> frozenset[str]:
     if unknown or isinstance(value, str):
         raise TrajectoryError(f"plan: missing is {value!r}, but must be a set of {', '.join(map(repr, GROUPS))}, or empty.")
     return frozenset(names)
-
-
-class HasMotion(Protocol):
-    """A motion to be drawn beside a plan, as a replay has it."""
-
-    @property
-    def t(self) -> np.ndarray:
-        """Times (n,) [s]."""
-        ...
-
-    @property
-    def q(self) -> np.ndarray:
-        """Positions (n, nq) [m, rad]."""
-        ...
-
-    @property
-    def v(self) -> np.ndarray:
-        """Velocities (n, nq) [m/s, rad/s]."""
-        ...
-
-    @property
-    def lam(self) -> np.ndarray:
-        """Contact forces (n, contacts) [N]."""
-        ...
-
-    @property
-    def friction(self) -> np.ndarray:
-        """Friction forces (n, frictions) [N]."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,13 +218,13 @@ class Trajectory:
         values = np.hstack([self.t[:, None], self.q, self.v, np.vstack([np.hstack([self.u, self.lam]), last])])
         return data_frame(dict(zip(["t", *names["q"], *names["v"], *names["u"], *names["lam"]], values.T, strict=True)))
 
-    def plot(self, scene: Scene, motion: HasMotion | None = None) -> np.ndarray:
+    def plot(self, scene: Scene, motion: Any = None) -> np.ndarray:
         """Draw positions, velocities, forces and inputs over time, a panel for each that the plan says; with matplotlib.
 
         Parameters
         ----------
         motion
-            What the plan is drawn beside, as its replay; the plan is dotted then.
+            What the plan is drawn beside: its replay, or anything else with t (n,) [s], q, v, lam and friction (n, ..); the plan is dotted then.
 
         Returns
         -------
@@ -321,14 +292,23 @@ def uniform_grid(step: float, steps: int) -> np.ndarray:
     return step * np.arange(steps + 1)
 
 
+def columns_of(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
+    """(name, unit, description) of the columns of q, v, u, lam in files."""
+    return {
+        "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
+        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
+        "u": [(item.name, item.unit, item.description) for item in scene.inputs],
+        "lam": [
+            (item.force_name, "N", f"{kind} force, {item.description or item.name}")
+            for kind, items in (("contact", scene.contacts), ("friction", scene.frictions))
+            for item in items
+        ],
+    }
+
+
 def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Names of the columns of q, v, u, lam in files and FMUs."""
-    return {
-        "q": tuple(coordinate.name for coordinate in scene.coordinates),
-        "v": tuple(coordinate.velocity_name for coordinate in scene.coordinates),
-        "u": tuple(item.name for item in scene.inputs),
-        "lam": scene.force_names,
-    }
+    return {group: tuple(name for name, _, _ in rows) for group, rows in columns_of(scene).items()}
 
 
 def _grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -524,12 +504,8 @@ def _meant(column: str, known: list[str]) -> str:
 
 def _units(scene: Scene) -> dict[str, str]:
     """Column -> the unit it is in."""
-    return {
-        "t": "s",
-        **{item.name: item.unit for item in (*scene.coordinates, *scene.inputs)},
-        **{item.velocity_name: item.velocity_unit for item in scene.coordinates},
-        **dict.fromkeys(scene.force_names, "N"),
-    }
+    columns = columns_of(scene)
+    return {"t": "s", **{name: unit for group in ("q", "u", "v", "lam") for name, unit, _ in columns[group]}}
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:

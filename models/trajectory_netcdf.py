@@ -15,34 +15,12 @@ import numpy as np
 
 from models.errors import TrajectoryError
 from models.kinematics import gap_columns, pose_columns
-from models.netcdf import Column, numbers, read_columns, write_columns
+from models.netcdf import Column, as_columns, numbers, read_columns, write_columns
 from models.scene import Scene
 from models.schemes import Scheme
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold, Trajectory, columns_of
 
 _CONTENT = "touchstone plan"
-
-
-def _columns(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
-    """(name, unit, description) of the columns of q, v, u, lam."""
-    return {
-        "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
-        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
-        "u": [(item.name, item.unit, item.description) for item in scene.inputs],
-        "lam": [
-            (item.force_name, "N", f"{kind} force, {item.description or item.name}")
-            for kind, items in (("contact", scene.contacts), ("friction", scene.frictions))
-            for item in items
-        ],
-    }
-
-
-def _gain_columns(scene: Scene) -> list[tuple[str, str]]:
-    """(name, unit) of the columns of gains, input by input."""
-    states = _columns(scene)
-    return [
-        (f"gain_{item.name}_{name}", f"({item.unit})/({unit})") for item in scene.inputs for name, unit, _ in (*states["q"], *states["v"])
-    ]
 
 
 def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.ndarray | None = None) -> None:
@@ -62,23 +40,19 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
     """
     trajectory.check_fits(scene)
     columns = [Column(name="t", dimension="node", values=trajectory.t, unit="s", description="time")]
-    for field, group in _columns(scene).items():
-        array = getattr(trajectory, field)
-        dimension = "node" if field in ("q", "v") else "step"
-        columns += [
-            Column(name=name, dimension=dimension, values=array[:, index], unit=unit, description=text)
-            for index, (name, unit, text) in enumerate(group)
-        ]
+    groups = columns_of(scene)
+    for field, group in groups.items():
+        columns += as_columns(group, getattr(trajectory, field), "node" if field in ("q", "v") else "step")
     columns += [*gap_columns(scene, trajectory.q, "node"), *pose_columns(scene, trajectory.q, "node")]
     if gains is not None:
         expected = (trajectory.steps, scene.nu, 2 * scene.nq)
         if gains.shape != expected:
             raise TrajectoryError(f"file {path}: the tracking gains have shape {gains.shape}, but {expected} is needed.")
-        flat = gains.reshape(trajectory.steps, -1)
-        columns += [
-            Column(name=name, dimension="step", values=flat[:, index], unit=unit, description="tracking gain")
-            for index, (name, unit) in enumerate(_gain_columns(scene))
+        states = [*groups["q"], *groups["v"]]
+        named = [
+            (f"gain_{item.name}_{name}", f"({item.unit})/({unit})", "tracking gain") for item in scene.inputs for name, unit, _ in states
         ]
+        columns += as_columns(named, gains.reshape(trajectory.steps, -1), "step")
     write_columns(
         path,
         columns,
@@ -103,7 +77,7 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
     hold, scheme = Hold(attributes["hold"]), Scheme(attributes["scheme"]) if "scheme" in attributes else None
     t = numbers(path, columns, "t", "s")
     arrays = {}
-    for field, group in _columns(scene).items():
+    for field, group in columns_of(scene).items():
         size = len(t) if field in ("q", "v") else max(len(t) - 1, 0)
         stacked = [numbers(path, columns, name, unit, size) for name, unit, _ in group]
         arrays[field] = np.column_stack(stacked) if stacked else np.zeros((size, 0))

@@ -82,7 +82,7 @@ def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:
 def on_macmpec(peer: str, name: str, result: Path) -> dict[str, Any]:
     from formulations.mpec import load, solve_mpec
 
-    builder, optimum = macmpec()[name]
+    builder, optimum = PROBLEMS[name]
     model = builder()
     if peer not in PEERS:
         load(solve_mpec(model))
@@ -111,11 +111,6 @@ def certified(model: Any) -> dict[str, Any]:
         "cost": cost, "residual": max(certificate.primal, certificate.complementarity), "b_stationary": certificate.b_stationary,
         "letter": certificate.stationarity.letter,
     }  # fmt: skip
-
-
-def macmpec() -> dict[str, tuple[Any, float]]:
-    """name -> (builder, published optimum) of every problem."""
-    return {builder.__name__: (builder, optimum) for builder, optimum, _ in PROBLEMS}
 
 
 def main(peer: str, problem: str, seed: str, result: str) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from types import SimpleNamespace
 
 from benchmarks.records import AnyRecord, CosimCase, CosimMaster, CosimRecord
 from reports.pages.section import Section
@@ -30,16 +30,6 @@ CRITERION = 0.1
 _USEFUL, _SMALLEST = 0.01, 1e-13
 
 
-@dataclass(frozen=True)
-class View:
-    """Plots of one case, each with the sentence that says what to conclude; failed: (master, reason)."""
-
-    case: CosimCase
-    plots: list[tuple[Plot, str]]
-    momentum: str
-    failed: list[tuple[str, str]]
-
-
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no case was cut."""
     cases = [case for record in records if isinstance(record, CosimRecord) for case in record.cases]
@@ -59,7 +49,7 @@ def _look(name: str) -> tuple[str, str, str]:
     return _MASTERS.get(name, (clean(name), "c0", "circle"))
 
 
-def _view(case: CosimCase) -> View:
+def _view(case: CosimCase) -> SimpleNamespace:
     masters = [master for master in case.masters if master.rows]
     drift = max(abs(row.momentum_error) for master in masters for row in master.rows)
     largest = max(abs(row.energy_error) for master in masters for row in master.rows)
@@ -68,7 +58,8 @@ def _view(case: CosimCase) -> View:
         "it shows nothing. Check the energy."
     )
     failed = [(words_of(master), master.failed) for master in case.masters if master.failed]
-    return View(case, [_against_step(case, masters), _against_time(case, masters)], momentum, failed)
+    plots = [_against_step(case, masters), _against_time(case, masters)]
+    return SimpleNamespace(case=case, plots=plots, momentum=momentum, failed=failed)
 
 
 def _size(value: float) -> float:

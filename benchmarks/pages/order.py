@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, OrderAnswer, OrderChoice, OrderRecord, OrderRow, OrderScene
@@ -19,17 +19,6 @@ _NAMES = {
 }
 
 
-@dataclass(frozen=True)
-class View:
-    """The plots of one scene, a sentence for each target, one on the orders, and the grids without a plan."""
-
-    scene: OrderScene
-    plots: list[Plot]
-    answers: list[str]
-    orders: str
-    failed: str
-
-
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no scene was measured."""
     views = [_view(scene) for record in records if isinstance(record, OrderRecord) for scene in record.scenes]
@@ -41,7 +30,7 @@ def scheme_name(name: str) -> str:
     return _NAMES.get(name, spaced(name))
 
 
-def _view(scene: OrderScene) -> View:
+def _view(scene: OrderScene) -> SimpleNamespace:
     plots = [
         _plot(scene, "Replay error over CPU time", ("CPU time", "s"), lambda row: row.cpu_s, lambda row: row.replay_error, "replay error"),
         _plot(scene, "Replay error over the step", ("step h", "s"), lambda row: row.h, lambda row: row.replay_error, "replay error"),
@@ -51,12 +40,12 @@ def _view(scene: OrderScene) -> View:
     ]
     known = [f"{scheme_name(name)} {order:.1f}" for name, order in scene.orders.items() if order is not None]
     failed = [f"{scheme_name(row.scheme)} with {row.steps} steps ({spaced(row.outcome)})" for row in scene.rows if row.outcome != "solved"]
-    return View(
-        scene,
-        [plot for plot in plots if plot is not None],
-        [_sentence(answer, scene.unit) for answer in scene.answers],
-        f"Order of the replay error in h, fitted over all grids: {listing(known)}." if known else "Too few grids for an order.",
-        f"Without a plan that was solved: {listing(failed)}." if failed else "",
+    return SimpleNamespace(
+        scene=scene,
+        plots=[plot for plot in plots if plot is not None],
+        answers=[_sentence(answer, scene.unit) for answer in scene.answers],
+        orders=f"Order of the replay error in h, fitted over all grids: {listing(known)}." if known else "Too few grids for an order.",
+        failed=f"Without a plan that was solved: {listing(failed)}." if failed else "",
     )
 
 

@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ReplaySpeedRecord, SpeedRow, SpeedScene
 from reports.pages.section import Section
-from reports.plots import Plot
 from reports.wording import error, listing, number, small, spaced
 
 # Errors that a reader may want [m]: what judges a plan, and what judges the replay itself.
 _GOALS = (1e-3, 1e-6, 1e-9)
 # Below this an error is rounding; drawn at the edge.
 _SMALLEST = 1e-16
-
-
-@dataclass(frozen=True)
-class View:
-    """One scene: its plot, the sentence that says what to conclude, and rows without a point."""
-
-    scene: SpeedScene
-    plot: Plot
-    sentence: str
-    lost: list[SpeedRow]
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
@@ -45,7 +34,7 @@ def _name(kind: str) -> str:
     return spaced(kind.removesuffix(", rtol"))
 
 
-def _view(scene: SpeedScene) -> View:
+def _view(scene: SpeedScene) -> SimpleNamespace:
     known = [(row, row.error_m) for row in scene.sweep if row.error_m is not None]
     series = {
         _name(kind): [
@@ -59,7 +48,8 @@ def _view(scene: SpeedScene) -> View:
     plot = chart(title, ("largest position error", "m"), ("CPU time of a replay", "s"), series, lines=True)
     assert plot is not None, "build leaves out a scene without a point"
     plot.words = "Further left is more exact, further down is faster; each point is one replay."
-    return View(scene, plot, _sentence(scene, known), [row for row in scene.sweep if row.error_m is None])
+    lost = [row for row in scene.sweep if row.error_m is None]
+    return SimpleNamespace(scene=scene, plot=plot, sentence=_sentence(scene, known), lost=lost)
 
 
 def _sentence(scene: SpeedScene, known: list[tuple[SpeedRow, float]]) -> str:

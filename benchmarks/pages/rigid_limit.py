@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 from benchmarks.records import AnyRecord, RigidLimitCase, RigidLimitRecord, StiffnessRow
 from reports.pages.section import Section
@@ -12,15 +12,6 @@ from reports.wording import number
 
 # A plan this near to the rigid optimum is said to have reached it, as a share of that optimum.
 _NEAR = 0.01
-
-
-@dataclass(frozen=True)
-class View:
-    """One case: its plot and the sentence that says what to conclude."""
-
-    case: RigidLimitCase
-    plot: Plot
-    sentence: str
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
@@ -41,7 +32,7 @@ def _solved(case: RigidLimitCase) -> list[tuple[StiffnessRow, float]]:
     return sorted(((row, row.cost) for row in case.rows if row.cost is not None), key=lambda pair: pair[0].k)
 
 
-def _view(case: RigidLimitCase) -> View:
+def _view(case: RigidLimitCase) -> SimpleNamespace:
     solved = _solved(case)
     replayed = [(row, row.replayed_cost) for row, _ in solved if row.replayed_cost is not None]
     band = [case.rigid * (1 - _NEAR), case.rigid * (1 + _NEAR)]
@@ -67,7 +58,7 @@ def _view(case: RigidLimitCase) -> View:
     for value, words in zip(band, ("1 % below", "1 % above"), strict=True):
         plot.level(value, words)
     plot.words = "Each point is the cheapest plan found at one stiffness; the level is the optimum of rigid bodies, from its closed form."
-    return View(case, plot, _sentence(case, solved))
+    return SimpleNamespace(case=case, plot=plot, sentence=_sentence(case, solved))
 
 
 def _sentence(case: RigidLimitCase, solved: list[tuple[StiffnessRow, float]]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ScalingRecord, ScalingRow, ScalingStage
@@ -17,27 +17,19 @@ _LINEAR = {"time": 1.15, "memory": 1.05}
 _LEAST_MEMORY = 1.0
 
 
-@dataclass(frozen=True)
-class View:
-    """The plots of one benchmark file and its sentences."""
-
-    plots: list[Plot]
-    sentences: list[str]
-    stages: tuple[ScalingStage, ...]
-
-
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where nothing was measured."""
     views = [_view(record) for record in records if isinstance(record, ScalingRecord)]
     return Section("scaling", "Growth with size", "scaling.html", {"views": views}) if views else None
 
 
-def _view(record: ScalingRecord) -> View:
+def _view(record: ScalingRecord) -> SimpleNamespace:
     time = _plot(record, "CPU time over n T", "CPU time", "s", lambda row: row.cpu_s)
     memory = _plot(
         record, "Memory over n T", "memory", "MiB", lambda row: row.memory_mib if (row.memory_mib or 0) >= _LEAST_MEMORY else None
     )
-    return View([plot for plot in (time, memory) if plot is not None], [_sentence(stage) for stage in record.stages], record.stages)
+    sentences = [_sentence(stage) for stage in record.stages]
+    return SimpleNamespace(plots=[plot for plot in (time, memory) if plot is not None], sentences=sentences, stages=record.stages)
 
 
 def _plot(record: ScalingRecord, title: str, what: str, unit: str, value: Callable[[ScalingRow], float | None]) -> Plot | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, SuiteFigure, SuiteRecord, SuiteRow, middle, spread
@@ -20,65 +20,39 @@ _ONCE, _EACH = ("pyomo_build", "translate"), ("evaluate", "linear_algebra")
 _OF_CHAIN = ("chain_against_casadi", "chain_against_drake", "pyomo_share")
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A figure: measured, range and target in words; profile: of a missed one, what its time was spent on."""
-
-    figure: SuiteFigure
-    size: str
-    measured: str
-    span: str
-    target: str
-    sign: Sign
-    profile: str
-
-
-@dataclass(frozen=True)
-class Line:
-    """A row of the table of stages. factor: its time by ours, of a peer."""
-
-    row: SuiteRow
-    seconds: float | None
-    spread: float | None
-    memory: float | None
-    factor: str
-
-
-@dataclass(frozen=True)
-class View:
-    """One file of the suite."""
-
-    record: SuiteRecord
-    figures: list[Shown]
-    lines: list[Line]
-    plot: Plot | None
-    sentence: str
-    busy: str
-
-
 def build(records: Sequence[AnyRecord]) -> Section | None:
     """The section, or None where no suite ran."""
     views = [_view(record) for record in records if isinstance(record, SuiteRecord)]
     return Section("suite", "Speed, side by side", "suite.html", {"views": views}) if views else None
 
 
-def _view(record: SuiteRecord) -> View:
+def _view(record: SuiteRecord) -> SimpleNamespace:
+    """One file of the suite; a line is a row of the table of stages, with its time by ours, of a peer."""
     figures = [_shown(figure, record) for figure in record.figures]
     ours = {(row.stage, row.n, row.steps): middle(row.cpu_s) for row in record.rows if row.by == OURS}
     lines = [
-        Line(row, middle(row.cpu_s), spread(row.cpu_s), middle(row.memory_mib), _factor(row, ours.get((row.stage, row.n, row.steps))))
+        SimpleNamespace(
+            row=row, seconds=middle(row.cpu_s), spread=spread(row.cpu_s), memory=middle(row.memory_mib),
+            factor=_factor(row, ours.get((row.stage, row.n, row.steps))),
+        )
         for row in record.rows
-    ]
-    return View(record, figures, lines, _plot(record.rows), _sentence(record), _busy(record))
+    ]  # fmt: skip
+    return SimpleNamespace(
+        record=record, figures=figures, lines=lines, plot=_plot(record.rows), sentence=_sentence(record), busy=_busy(record)
+    )
 
 
-def _shown(figure: SuiteFigure, record: SuiteRecord) -> Shown:
+def _shown(figure: SuiteFigure, record: SuiteRecord) -> SimpleNamespace:
+    """A figure: measured, range and target in words; profile: of a missed one, what its time was spent on."""
     sign = UNJUDGED if figure.met is None else MET if figure.met else MISSED
     low, high = (min(figure.samples), max(figure.samples)) if figure.samples else (None, None)
     size = f"n\u00a0=\u00a0{figure.n}" + (f", T\u00a0=\u00a0{figure.steps}" if figure.steps else "") if figure.n else ""
     span = f"{number(low, 3)} – {number(high, 3)}" if number(low, 3) != number(high, 3) else ""
     profile = _profile(figure, record.rows) if figure.met is False else ""
-    return Shown(figure, size, number(figure.measured, 3), span, f"{number(figure.target, 3)} {figure.unit}".strip(), sign, profile)
+    return SimpleNamespace(
+        figure=figure, size=size, measured=number(figure.measured, 3), span=span, target=f"{number(figure.target, 3)} {figure.unit}".strip(),
+        sign=sign, profile=profile,
+    )  # fmt: skip
 
 
 def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:

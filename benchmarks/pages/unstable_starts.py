@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import median
+from types import SimpleNamespace
 
 from benchmarks.records import AnyRecord, BalanceRecord, BalanceStart
 from reports.pages.section import Section
@@ -13,17 +13,6 @@ from reports.wording import error, number
 
 # Style, marker and words of a start: balanced without a wall, by a wall, not balanced.
 _FREE, _WALL, _LOST = ("c0", "circle", "balanced without a wall"), ("c5", "square", "balanced by a wall"), ("c3", "diamond", "not balanced")
-
-
-@dataclass(frozen=True)
-class View:
-    """What the section shows of one record; lost: (number, start) of those that do not hold."""
-
-    record: BalanceRecord
-    keys: list[Key]
-    plots: list[Plot]
-    sentence: str
-    lost: list[tuple[int, BalanceStart]]
 
 
 def build(records: Sequence[AnyRecord]) -> Section | None:
@@ -38,10 +27,10 @@ def _look(start: BalanceStart) -> tuple[str, str, str]:
     return _WALL if start.wall_impulse > 0.0 else _FREE
 
 
-def _view(record: BalanceRecord) -> View:
+def _view(record: BalanceRecord) -> SimpleNamespace:
     keys = [Key(style, words, marker) for style, marker, words in (_FREE, _WALL, _LOST)]
     lost = [(number, start) for number, start in enumerate(record.starts, start=1) if not start.balanced]
-    return View(record, keys, [_starts(record), _ends(record)], _sentence(record), lost)
+    return SimpleNamespace(record=record, keys=keys, plots=[_starts(record), _ends(record)], sentence=_sentence(record), lost=lost)
 
 
 def _tip(place: int, start: BalanceStart) -> str:

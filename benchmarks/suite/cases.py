@@ -66,6 +66,10 @@ def _ours(stage: str, title: str, function: str, **more: object) -> Case:
     return Case(stage=stage, title=title, function=f"{_STAGES}:{function}", **more)  # type: ignore[arg-type] - of a type that was checked or made so above
 
 
+def _peer(stage: str, title: str, by: str, function: str, **more: object) -> Case:
+    return Case(stage=stage, title=title, by=by, function=function, **more)  # type: ignore[arg-type] - as above
+
+
 def _strict(by: str, function: str, **needs: str) -> Case:
     return Case(
         stage="strict_contact", title=_STRICT_TITLE, by=by, function=f"benchmarks.mpec.process:{function}", needs=needs, only=_STRICT,
@@ -80,43 +84,21 @@ CASES: tuple[Case, ...] = (
     _ours("translate", "Pyomo model to Ipopt's functions", "translate"),
     _ours("evaluate", "Functions and derivatives of one iteration", "evaluate"),
     _ours("linear_algebra", "The rest of an iteration of Ipopt", "linear_algebra", once=True),
-    Case(
-        stage="linear_algebra",
-        title="The same with the MUMPS of the wheel",
-        by="mumps",
-        function=f"{_STAGES}:with_mumps",
-        once=True,
-    ),
+    _peer("linear_algebra", "The same with the MUMPS of the wheel", "mumps", f"{_STAGES}:with_mumps", once=True),
     _ours("softplus_chain", "Softplus collocation at three eps, from Scene to plans", "softplus_chain", once=True),
-    Case(stage="softplus_chain", title="The same by hand", by="casadi", function=f"{_PEERS}.casadi_chain:chain", once=True, needs=_CASADI),
-    Case(
-        stage="softplus_chain",
-        title="The same with SNOPT",
-        by="drake_snopt",
-        function=f"{_PEERS}.drake_snopt:chain",
-        once=True,
-        needs=_DRAKE,
-        largest=2000,
-    ),
+    _peer("softplus_chain", "The same by hand", "casadi", f"{_PEERS}.casadi_chain:chain", once=True, needs=_CASADI),
+    _peer("softplus_chain", "The same with SNOPT", "drake_snopt", f"{_PEERS}.drake_snopt:chain", once=True, needs=_DRAKE, largest=2000),
     _ours("cold_step", "The last eps, from Scene to plan, cold", "cold_step", once=True),
-    Case(stage="cold_step", title="The same by hand", by="casadi", function=f"{_PEERS}.casadi_chain:cold_step", once=True, needs=_CASADI),
+    _peer("cold_step", "The same by hand", "casadi", f"{_PEERS}.casadi_chain:cold_step", once=True, needs=_CASADI),
     _ours("eps_step", "The last eps from the one before, session open", "eps_step", once=True),
     _ours("gd_iteration", "One iteration of gradient descent through contact", "gd_iteration"),
     _ours("gd_kernel", "Its compiled part: rollout and adjoint", "gd_kernel"),
-    Case(
-        stage="gd_iteration",
-        title="The paper's loop in PyTorch",
-        by="pytorch_loop",
-        function=f"{_PEERS}.torch_loop:iteration",
-        largest=60_000,
-    ),
-    Case(
-        stage="gd_iteration", title="An adjoint of this scene by hand in C", by="hand_written_c", function=f"{_PEERS}.c_adjoint:iteration"
-    ),
+    _peer("gd_iteration", "The paper's loop in PyTorch", "pytorch_loop", f"{_PEERS}.torch_loop:iteration", largest=60_000),
+    _peer("gd_iteration", "An adjoint of this scene by hand in C", "hand_written_c", f"{_PEERS}.c_adjoint:iteration"),
     _ours("fmu_build", "Scene to FMU 2.0, nothing cached", "fmu_build", once=True),
     _ours("cs_replay", "One Co-Simulation of a plan", "cs_replay"),
     _ours("cs_calls", "Its calls, with one internal step each", "cs_calls"),
-    Case(stage="cs_replay", title="FMPy's simulate_fmu", by="fmpy", function=f"{_PEERS}.fmpy_replay:simulate"),
+    _peer("cs_replay", "FMPy's simulate_fmu", "fmpy", f"{_PEERS}.fmpy_replay:simulate"),
     _ours("replay", "The whole replay with its error estimate", "whole_replay"),
     _ours("list", "python -m validate list", "list_command", sized=False),
     _ours("report", "python -m validate report", "report_command", sized=False, once=True, of_campaign=True),

@@ -19,68 +19,39 @@ _LEAST_MEMORY = 1.0
 _SIZES_FOR_GROWTH = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Ratio:
     """CPU time of the stages `over`, added up, by that of `under`."""
 
     name: str
     what: str
+    target: float
     over: tuple[_Key, ...]
     under: _Key
-    target: float
 
 
+_CHAIN = "softplus chain of three eps, from Scene to plans, against"
 RATIOS = (
-    Ratio(
-        name="chain_against_casadi",
-        what="softplus chain of three eps, from Scene to plans, against CasADi and Ipopt by hand",
-        over=(("softplus_chain", OURS),),
-        under=("softplus_chain", "casadi"),
-        target=0.8,
+    Ratio("chain_against_casadi", f"{_CHAIN} CasADi and Ipopt by hand", 0.8, (("softplus_chain", OURS),), ("softplus_chain", "casadi")),
+    Ratio("chain_against_drake", f"{_CHAIN} Drake and SNOPT", 1 / 20, (("softplus_chain", OURS),), ("softplus_chain", "drake_snopt")),
+    Ratio(  # torch.optim and a loss of one's own are kept; the rest is compiled
+        "gd_against_pytorch", "iteration of gradient descent against the paper's PyTorch loop", 1 / 150,
+        (("gd_iteration", OURS),), ("gd_iteration", "pytorch_loop"),
     ),
     Ratio(
-        name="chain_against_drake",
-        what="softplus chain of three eps, from Scene to plans, against Drake and SNOPT",
-        over=(("softplus_chain", OURS),),
-        under=("softplus_chain", "drake_snopt"),
-        target=1 / 20,
+        "gd_against_c", "compiled rollout and adjoint against an iteration of this scene by hand in C", 1.5,
+        (("gd_kernel", OURS),), ("gd_iteration", "hand_written_c"),
     ),
     Ratio(
-        name="gd_against_pytorch",
-        what="iteration of gradient descent against the paper's PyTorch loop",
-        over=(("gd_iteration", OURS),),
-        under=("gd_iteration", "pytorch_loop"),
-        target=1 / 150,  # torch.optim and a loss of one's own are kept; the rest is compiled
+        "pyomo_share", "Pyomo build and translation as a share of the softplus chain", 0.5,
+        (("pyomo_build", OURS), ("translate", OURS)), ("softplus_chain", OURS),
     ),
+    Ratio("eps_step", "a step of eps against building and solving cold", 1 / 5, (("eps_step", OURS),), ("cold_step", OURS)),
     Ratio(
-        name="gd_against_c",
-        what="compiled rollout and adjoint against an iteration of this scene by hand in C",
-        over=(("gd_kernel", OURS),),
-        under=("gd_iteration", "hand_written_c"),
-        target=1.5,
+        "replay_against_fmpy", "one Co-Simulation against FMPy's simulate_fmu, same FMU and step", 1 / 3,
+        (("cs_replay", OURS),), ("cs_replay", "fmpy"),
     ),
-    Ratio(
-        name="pyomo_share",
-        what="Pyomo build and translation as a share of the softplus chain",
-        over=(("pyomo_build", OURS), ("translate", OURS)),
-        under=("softplus_chain", OURS),
-        target=0.5,
-    ),
-    Ratio(
-        name="eps_step",
-        what="a step of eps against building and solving cold",
-        over=(("eps_step", OURS),),
-        under=("cold_step", OURS),
-        target=1 / 5,
-    ),
-    Ratio(
-        name="replay_against_fmpy",
-        what="one Co-Simulation against FMPy's simulate_fmu, same FMU and step",
-        over=(("cs_replay", OURS),),
-        under=("cs_replay", "fmpy"),
-        target=1 / 3,
-    ),
-)
+)  # fmt: skip
 # stage -> (target [s], what)
 SECONDS = {
     "list": (0.5, "listing: python -m validate list"),
@@ -159,13 +130,9 @@ def _growth(kind: str, target: float, what: str, rows: Sequence[SuiteRow]) -> li
         return []
     _, stage, n, exponents, first = worst
     why = f"the steepest is {stage}" + (f"; cut off in some size, and left out there: {', '.join(cut)}" if cut else "")
-    if first < _LEAST_STEPS:
-        return [
-            _figure(
-                f"growth_{kind}", what, n, 0, target, "", exponents, f"{why}; the target is set for T >= {_LEAST_STEPS}", set_here=False
-            )
-        ]
-    return [_figure(f"growth_{kind}", what, n, 0, target, "", exponents, why)]
+    set_here = first >= _LEAST_STEPS
+    why += "" if set_here else f"; the target is set for T >= {_LEAST_STEPS}"
+    return [_figure(f"growth_{kind}", what, n, 0, target, "", exponents, why, set_here=set_here)]
 
 
 def _figure(

@@ -158,8 +158,6 @@ def eps_step(size: Size, folder: Path) -> Work:
 
 def _warm(size: Size) -> Any:
     """The scene, with everything imported and compiled that it needs, and a small plan made."""
-    from models.codegen.kernel import load_kernel
-
     scene = scene_of(size)
     load_kernel(scene)
     _built(scene_of(_TINY))
@@ -194,7 +192,6 @@ def gd_iteration(size: Size, folder: Path) -> Work:
     from formulations.shooting.descent import descend
     from formulations.shooting.objective import Objective
     from formulations.shooting.options import DescentOptions
-    from models.codegen.kernel import load_kernel
     from models.contact_law import ContactLaw
 
     objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)
@@ -211,10 +208,6 @@ def gd_iteration(size: Size, folder: Path) -> Work:
 
 def gd_kernel(size: Size, folder: Path) -> Work:
     """The compiled part of an iteration: rollout and adjoint."""
-    import numpy as np
-
-    from models.codegen.kernel import load_kernel
-
     scene, u = scene_of(size), push(size.steps)
     kernel, start = load_kernel(scene), np.array(scene.task.start)
 
@@ -241,8 +234,6 @@ def cs_calls(size: Size, folder: Path) -> Work:
 
 
 def _stepped(size: Size, fineness: int) -> Work:
-    from models.fmu import build_fmu
-
     scene, plan = scene_of(size), pushed_plan(size)
     opened = unpacked(read_package(build_fmu(scene)))
     package = opened.__enter__()  # kept open as long as the work is
@@ -258,8 +249,6 @@ def _stepped(size: Size, fineness: int) -> Work:
 
 def whole_replay(size: Size, folder: Path) -> Work:
     """As `validate all` judges a plan: the reference at two tolerances, Co-Simulation at three steps."""
-    from models.fmu import build_fmu
-
     scene, plan = scene_of(size), pushed_plan(size)
     fmu = build_fmu(scene)
     replay(scene_of(_TINY), build_fmu(scene_of(_TINY)), pushed_plan(_TINY))

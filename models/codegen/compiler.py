@@ -106,17 +106,8 @@ def compile_shared(
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(text, encoding="utf-8")
         units = sorted(name for name in sources if name.endswith(".c"))
-        command = [
-            *compiler.command,
-            *flags,
-            *extra_flags,
-            "-I.",
-            *(f"-I{path}" for path in include_dirs),
-            *units,
-            "-o",
-            str(output),
-            "-lm",
-        ]
+        paths = [f"-I{path}" for path in include_dirs]
+        command = [*compiler.command, *flags, *extra_flags, "-I.", *paths, *units, "-o", str(output), "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
         lines = "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"

@@ -32,7 +32,7 @@ from models.dynamics import Dynamics, derive
 from models.errors import SceneError
 from models.fmu.description import find_standard, generation_date, render, standard_headers, unit_table
 from models.fmu.package import binaries, build_fmu, find_platforms, icons, pack, platform_compiler
-from models.fmu.variables import Variable, VariableKind, parameter_variables, variable_table
+from models.fmu.variables import Variable, VariableKind, numbered, parameter_variables, variable_table
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
 
@@ -262,10 +262,7 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
 def _inputs(part: ContactPart) -> list[Variable]:
     rows = [(item.name, item.unit, item.description or f"coordinate {item.name}") for item in part.coordinates]
     rows += [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in part.coordinates]
-    return [
-        Variable(name=name, kind=VariableKind.INPUT, unit=unit, start=start, description=text)
-        for (name, unit, text), start in zip(rows, part.start, strict=True)
-    ]
+    return numbered(VariableKind.INPUT, [(*row, start) for row, start in zip(rows, part.start, strict=True)])
 
 
 def _outputs(part: ContactPart) -> list[Variable]:

@@ -281,9 +281,9 @@ def unit_table(variables: Iterable[Variable]) -> dict[str, dict[str, int]]:
 
 
 def stamped(
-    content: Mapping[str, str], standard: Standard, table: Sequence[Variable], config: Callable[[str], str], **shared: Any
-) -> tuple[str, str, str]:
-    """The GUID, which is a hash of all content, and the two texts that carry it: C configuration and model description.
+    content: Mapping[str, str], standard: Standard, config: Callable[[str], str], *, table: Sequence[Variable], **shared: Any
+) -> tuple[str, str]:
+    """C configuration and model description, which carry the GUID, a hash of all content.
 
     content: all other texts by their names; config: GUID -> C configuration; shared: what else the template of the model description needs.
     """
@@ -297,59 +297,27 @@ def stamped(
     found, texts = hashlib.sha256(), dict(zip(("model_config.h", "modelDescription.xml"), marked(""), strict=True))
     for name, text in sorted({**content, **texts}.items()):
         found.update(f"{name}\0{text}\0".encode())
-    return found.hexdigest(), *marked(found.hexdigest())
+    return marked(found.hexdigest())
 
 
-@dataclass(frozen=True)
-class Description:
-    """Generated texts; the first two carry the GUID."""
-
-    guid: str
-    config: str
-    xml: str
-    build: str
-    documentation: str
-
-
-def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> Description:
-    """The generated texts of the FMU made of these sources (file name -> text)."""
-    table = variable_table(scene)
-    identifier = model_identifier(scene)
-    nominals = [coordinate.nominal for coordinate in scene.coordinates]
-    source_files = sorted(name for name in sources if name.endswith(".c"))
-
-    def config(guid: str) -> str:
-        return render(
-            "model_config.h.j2",
-            identifier=identifier,
-            guid=guid,
-            table=table,
-            state_nominals=[*nominals, *nominals],
-            contact_nominals=[contact.nominal for contact in scene.contacts] or [1.0],
-            friction_nominals=friction_nominals(scene),
-        )
-
-    guid, header, xml = stamped(
-        sources,
-        standard,
-        table,
-        config,
-        title=scene.title,
-        license="MIT",
-        offers=Offers(),
-        stop=scene.task.horizon,
-        step=scene.task.step,
-        identifier=identifier,
-        source_files=source_files,
-        integrators=INTEGRATORS,
-        tolerance=TOLERANCE,
-        structure=model_structure(scene, standard),
-    )
-    shared = {"identifier": identifier, "standard": standard}
-    return Description(
-        guid=guid,
-        config=header,
-        xml=xml,
-        build=render("buildDescription.xml.j2", source_files=source_files, **shared),
-        documentation=render("index.html.j2", scene=scene, table=table, absent=derive(scene).absent, integrators=INTEGRATORS, **shared),
-    )
+def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> dict[str, str]:
+    """The generated texts of the FMU made of these sources (file name -> text), by their paths inside."""
+    table, nominals = variable_table(scene), [coordinate.nominal for coordinate in scene.coordinates]
+    shared = {
+        "identifier": model_identifier(scene), "table": table, "integrators": INTEGRATORS,
+        "source_files": sorted(name for name in sources if name.endswith(".c")),
+    }  # fmt: skip
+    of_config = {
+        "state_nominals": [*nominals, *nominals], "contact_nominals": [contact.nominal for contact in scene.contacts] or [1.0],
+        "friction_nominals": friction_nominals(scene),
+    }  # fmt: skip
+    header, xml = stamped(
+        sources, standard, lambda guid: render("model_config.h.j2", guid=guid, **of_config, **shared), title=scene.title, license="MIT", offers=Offers(),
+        stop=scene.task.horizon, step=scene.task.step, tolerance=TOLERANCE, structure=model_structure(scene, standard), **shared,
+    )  # fmt: skip
+    return {
+        "modelDescription.xml": xml,
+        "documentation/index.html": render("index.html.j2", scene=scene, absent=derive(scene).absent, standard=standard, **shared),
+        "sources/model_config.h": header,
+        "sources/buildDescription.xml": render("buildDescription.xml.j2", standard=standard, **shared),
+    }

@@ -162,11 +162,8 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     absent = {f"{law}_modes.h" for law in ("friction", "damping") if f"{law}.h" not in laws}
     sources = {name: text for name, text in sources.items() if name not in absent} | laws
     sources |= {"scene_model.h": model_source(scene), "scene_sensitivity.h": sensitivity_source(scene)}
-    description = describe(scene, sources, standard)
-    sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}
     return {
-        "modelDescription.xml": description.xml,
-        "documentation/index.html": description.documentation,
+        **describe(scene, sources, standard),
         "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
         "terminalsAndIcons/terminalsAndIcons.xml": render("terminalsAndIcons.xml.j2", scene=scene),
         **{f"sources/{name}": text for name, text in sources.items()},

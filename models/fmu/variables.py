@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import sympy as sp
 
@@ -148,20 +149,15 @@ def variable_names(scene: Scene) -> VariableNames:
     def names(kind: VariableKind) -> tuple[str, ...]:
         return tuple(variable.name for variable in table if variable.kind is kind)
 
+    forces, kinds = names(VariableKind.FORCE), VariableKind
+    several = {
+        "q": kinds.POSITION, "v": kinds.VELOCITY, "der_q": kinds.POSITION_RATE, "der_v": kinds.VELOCITY_RATE, "u": kinds.INPUT, "gap": kinds.GAP,
+        "slip": kinds.SLIP, "parameters": kinds.PARAMETER,
+    }  # fmt: skip
     single = ("kinetic_energy", "potential_energy", "contact_energy", "input_power", "dissipated_power", "internal_step", "integrator")
-    return VariableNames(
-        q=names(VariableKind.POSITION),
-        v=names(VariableKind.VELOCITY),
-        der_q=names(VariableKind.POSITION_RATE),
-        der_v=names(VariableKind.VELOCITY_RATE),
-        u=names(VariableKind.INPUT),
-        lam=names(VariableKind.FORCE)[: scene.nc],
-        gap=names(VariableKind.GAP),
-        friction=names(VariableKind.FORCE)[scene.nc :],
-        slip=names(VariableKind.SLIP),
-        parameters=names(VariableKind.PARAMETER),
-        **{name: next(iter(names(VariableKind[name.upper()])), None) for name in single},  # pyright: ignore[reportArgumentType] - three always are
-    )
+    found: dict[str, Any] = {name: names(kind) for name, kind in several.items()}
+    found |= {name: next(iter(names(kinds[name.upper()])), None) for name in single}
+    return VariableNames(lam=forces[: scene.nc], friction=forces[scene.nc :], **found)
 
 
 def variable_table(scene: Scene) -> tuple[Variable, ...]:
@@ -186,43 +182,39 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
 
 
 def _states(scene: Scene) -> list[Variable]:
-    start, groups = scene.task.start, ([], [], [], [])
-    for index, item in enumerate(scene.coordinates):
-        rows = (
-            (VariableKind.POSITION, item.name, item.unit, start[index], item.description or f"coordinate {item.name}"),
-            (VariableKind.VELOCITY, item.velocity_name, item.velocity_unit, start[scene.nq + index], f"velocity of {item.name}"),
-            (VariableKind.POSITION_RATE, f"der({item.name})", item.velocity_unit, None, f"rate of {item.name}"),
-            (VariableKind.VELOCITY_RATE, f"der({item.velocity_name})", f"{item.unit}/s^2", None, f"acceleration of {item.name}"),
-        )
-        for group, (kind, name, unit, value, text) in zip(groups, rows, strict=True):
-            nominal = None if value is None else item.nominal
-            group.append(Variable(name=name, kind=kind, index=index, unit=unit, start=value, nominal=nominal, description=text))
-    return [variable for group in groups for variable in group]
+    start, items = scene.task.start, scene.coordinates
+    positions = [(item.name, item.unit, item.description or f"coordinate {item.name}", item.nominal) for item in items]
+    velocities = [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}", item.nominal) for item in items]
+    rates = [(f"der({item.name})", item.velocity_unit, f"rate of {item.name}") for item in items]
+    accelerations = [(f"der({item.velocity_name})", f"{item.unit}/s^2", f"acceleration of {item.name}") for item in items]
+    found, kinds = list[Variable](), VariableKind
+    for kind, rows, values in ((kinds.POSITION, positions, start[: scene.nq]), (kinds.VELOCITY, velocities, start[scene.nq :])):
+        found += numbered(kind, [(*row, value) for row, value in zip(rows, values, strict=True)], then=["nominal", "start"])
+    return [*found, *numbered(kinds.POSITION_RATE, rates), *numbered(kinds.VELOCITY_RATE, accelerations)]
+
+
+def numbered(
+    kind: VariableKind, rows: Iterable[tuple], first: int = 0, *, then: Sequence[str] = ("start", "lower", "upper")
+) -> list[Variable]:
+    """Variables of a kind, numbered from `first`; a row is name, unit, description, and what it has of `then`."""
+    fields = ("name", "unit", "description", *then)
+    return [Variable(kind=kind, index=index, **dict(zip(fields, row, strict=False))) for index, row in enumerate(rows, first)]
 
 
 def _given(kind: VariableKind, items: Sequence[Input | Parameter], starts: Sequence[float], what: str) -> list[Variable]:
     """What the importer sets, with its range."""
-    return [
-        Variable(
-            name=item.name,
-            kind=kind,
-            index=index,
-            unit=item.unit,
-            start=start,
-            lower=item.lower,
-            upper=item.upper,
-            description=item.description or f"{what} {item.name}",
-        )
-        for index, (item, start) in enumerate(zip(items, starts, strict=True))
-    ]
+    return numbered(
+        kind,
+        [
+            (item.name, item.unit, item.description or f"{what} {item.name}", start, item.lower, item.upper)
+            for item, start in zip(items, starts, strict=True)
+        ],
+    )
 
 
 def _calculated(kind: VariableKind, unit: str, rows: Iterable[tuple[str, float, str]], first: int = 0) -> list[Variable]:
     """Variables of a kind and unit, each of a name, a nominal and words, numbered from `first`."""
-    return [
-        Variable(name=name, kind=kind, index=index, unit=unit, nominal=nominal, description=text)
-        for index, (name, nominal, text) in enumerate(rows, first)
-    ]
+    return numbered(kind, [(name, unit, text, nominal) for name, nominal, text in rows], first, then=["nominal"])
 
 
 def _contacts(scene: Scene) -> list[Variable]:
@@ -290,21 +282,10 @@ def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:
 
 def _settings(scene: Scene) -> list[Variable]:
     """How Co-Simulation integrates."""
-    step = Variable(
-        name="internal_step",
-        kind=VariableKind.INTERNAL_STEP,
-        unit="s",
-        start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag),
-        lower=SMALLEST_INTERNAL_STEP,
-        description="largest internal step of Co-Simulation; equal steps divide each communication step; it is for motions like that of the task, faster ones need a smaller one",
-    )
-    integrator = Variable(
-        name="integrator",
-        kind=VariableKind.INTEGRATOR,
-        unit="",
-        start=float(len(INTEGRATORS)),
-        lower=1.0,
-        upper=float(len(INTEGRATORS)),
-        description="method of Co-Simulation",
-    )
-    return [step, integrator]
+    largest = min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag)
+    words = "largest internal step of Co-Simulation; equal steps divide each communication step; it is for motions like that of the task, faster ones need a smaller one"
+    methods = float(len(INTEGRATORS))
+    return [
+        *numbered(VariableKind.INTERNAL_STEP, [("internal_step", "s", words, largest, SMALLEST_INTERNAL_STEP)]),
+        *numbered(VariableKind.INTEGRATOR, [("integrator", "", "method of Co-Simulation", methods, 1.0, methods)]),
+    ]

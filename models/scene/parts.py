@@ -55,6 +55,15 @@ class Limit:
             raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
 
 
+def limits(**stated: tuple[float | None, str]) -> tuple[Limit, ...]:
+    """Limits by their metrics, of each the value and the reason for it.
+
+    >>> limits(replay_error=(0.02, "twice what the time step leaves the continuous motion by"))
+    (Limit(metric='replay_error', value=0.02, reason='twice what the time step leaves the continuous motion by'),)
+    """
+    return tuple(Limit(metric=metric, value=value, reason=reason) for metric, (value, reason) in stated.items())
+
+
 def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
     """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
 
@@ -73,8 +82,7 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
     """How near is near enough where nothing drives and the continuous motion is known in closed form. energy: why it is kept, and how much there is."""
     known = "the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong"
     evaluated = "the time step is evaluated, not solved for: only rounding is left"
-    rows = (("answer_error", 1.0, known), ("energy_residual", 1e-8, energy), ("defect", 1e-9, evaluated))
-    return tuple(Limit(metric=metric, value=value, reason=reason) for metric, value, reason in rows)
+    return limits(answer_error=(1.0, known), energy_residual=(1e-8, energy), defect=(1e-9, evaluated))
 
 
 @dataclass(frozen=True, kw_only=True)

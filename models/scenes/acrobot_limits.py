@@ -17,7 +17,8 @@ import math
 import sympy as sp
 from sympy.simplify.fu import TR8  # products of sines and cosines -> those of sums
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 theta1, theta2 = sp.symbols("theta1 theta2", real=True)
 omega1, omega2 = sp.symbols("omega1 omega2", real=True)
@@ -78,38 +79,21 @@ SCENE = Scene(
         )
         for side, beyond in (("right", theta1 - d), ("left", -d - theta1))
     ),
-    task=Task(
-        start=(0.3, -0.5, 0.0, 0.0),
-        goal=(0.0, 0.0, 0.0, 0.0),
-        running_cost=u**2 / 1000,
-        step=0.001,
-        steps=1000,
-    ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.01,
-            reason="left alone for 0.1 s, 0.01 rad with 0.09 rad/s become 0.025 rad (9.01/s), an eighth of the way to the stops",
+    task=Task(start=(0.3, -0.5, 0.0, 0.0), goal=(0.0, 0.0, 0.0, 0.0), running_cost=u**2 / 1000, step=0.001, steps=1000),
+    limits=limits(
+        terminal_position_error=(
+            0.01,
+            "left alone for 0.1 s, 0.01 rad with 0.09 rad/s become 0.025 rad (9.01/s), an eighth of the way to the stops",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.09,
-            reason="grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles",
+        terminal_velocity_error=(0.09, "grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles"),
+        replay_terminal_position_error=(
+            0.05,
+            "left alone for 0.1 s, 0.05 rad with 0.45 rad/s become 0.12 rad, still off the stops at 0.2 rad",
         ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.05,
-            reason="left alone for 0.1 s, 0.05 rad with 0.45 rad/s become 0.12 rad, still off the stops at 0.2 rad",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.45,
-            reason="grows to the same: the faster rate of 9.01/s times the 0.05 rad of the angles",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.1,
-            reason="half the way to the stops; the time step of 1 ms leaves the continuous motion by 0.027 rad at the end of a plan of 1 s, because this "
+        replay_terminal_velocity_error=(0.45, "grows to the same: the faster rate of 9.01/s times the 0.05 rad of the angles"),
+        replay_error=(
+            0.1,
+            "half the way to the stops; the time step of 1 ms leaves the continuous motion by 0.027 rad at the end of a plan of 1 s, because this "
             "scene makes its error grow",
         ),
     ),

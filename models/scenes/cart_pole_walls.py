@@ -15,7 +15,8 @@ import math
 import sympy as sp
 from sympy.simplify.fu import TR8  # products of sines and cosines -> those of sums
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 x, theta = sp.symbols("x theta", real=True)
 vx, omega = sp.symbols("vx omega", real=True)
@@ -72,31 +73,20 @@ SCENE = Scene(
         step=0.02,
         steps=100,
     ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.1,
-            reason="0.1 m of the cart, or 0.1 rad of the pole, of the 0.36 rad from which the 4 N catch it again",
+    limits=limits(
+        terminal_position_error=(0.1, "0.1 m of the cart, or 0.1 rad of the pole, of the 0.36 rad from which the 4 N catch it again"),
+        terminal_velocity_error=(0.1, "the pole falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad that the 4 N can hold"),
+        replay_terminal_position_error=(
+            0.2,
+            "from 0.2 rad the 4 N still catch the pole, which they do from 0.36 rad; an impact of three and a half steps alone leaves the cart up to 0.14 m off",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.1,
-            reason="the pole falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad that the 4 N can hold",
+        replay_terminal_velocity_error=(
+            0.2,
+            "the pole falls on by omega/3.67 s, 0.05 rad: with the 0.2 rad of its angle still within the 0.36 rad that the 4 N can hold",
         ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.2,
-            reason="from 0.2 rad the 4 N still catch the pole, which they do from 0.36 rad; an impact of three and a half steps alone leaves the cart up to 0.14 m off",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.2,
-            reason="the pole falls on by omega/3.67 s, 0.05 rad: with the 0.2 rad of its angle still within the 0.36 rad that the 4 N can hold",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.2,
-            reason="as at the end: an impact of three and a half steps throws the pole back a little differently than planned, measured up to 0.16 m for exact plans",
+        replay_error=(
+            0.2,
+            "as at the end: an impact of three and a half steps throws the pole back a little differently than planned, measured up to 0.16 m for exact plans",
         ),
     ),
     answers=(

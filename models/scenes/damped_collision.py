@@ -18,9 +18,9 @@ import math
 import sympy as sp
 from scipy.special import lambertw
 
-from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
 from models.scene.contacts import DampingLaw
-from models.scene.parts import known_motion_limits
+from models.scene.parts import known_motion_limits, limits
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
@@ -41,6 +41,7 @@ V1_BETWEEN = MEAN - REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_1
 V2_AFTER = MEAN + REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_2
 _Y = 1 - BUMPER_DAMPING * V1_BETWEEN
 V1_AFTER = (1 + float(lambertw(-_Y * math.exp(-_Y), 0).real)) / BUMPER_DAMPING
+_SWING = "damped swing of the reduced mass until its force is gone, then free flight"
 
 SCENE = Scene(
     name="damped_collision",
@@ -90,66 +91,33 @@ SCENE = Scene(
     ),
     task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=1200),
     limits=(
-        *(
-            Limit(
-                metric=metric,
-                value=0.1,
-                reason="the push of the discs jumps to 46 N; it comes up to one step of 1 ms late, and goes as late: twice 46 mN s",
+        *limits(
+            **dict.fromkeys(
+                ("ghost_impulse", "missed_impulse"),
+                (0.1, "the push of the discs jumps to 46 N; it comes up to one step of 1 ms late, and goes as late: twice 46 mN s"),
             )
-            for metric in ("ghost_impulse", "missed_impulse")
         ),
         *known_motion_limits(
             "nothing drives: of the 3.7 J that the discs have, what the dampers do not take is kept to what the replay resolves"
         ),
-        Limit(
-            metric="replay_error",
-            value=0.01,
-            reason="the push of the discs jumps to 46 N and comes up to one step of 1 ms late: 0.05 m/s of the left disc, carried for 0.9 s; a quarter of that",
+        *limits(
+            replay_error=(
+                0.01,
+                "the push of the discs jumps to 46 N and comes up to one step of 1 ms late: 0.05 m/s of the left disc, carried for 0.9 s; a quarter of that",
+            )
         ),
     ),
-    answers=(
-        Answer(
-            quantity="contact time of the discs [s]",
-            value=CONTACT_TIME,
-            tolerance=1e-8,
-            source="damped swing of the reduced mass until its force is gone, then free flight",
-            measure="contact time",
-        ),
-        Answer(
-            quantity="restitution of the discs",
-            value=RESTITUTION,
-            tolerance=1e-8,
-            source="the same swing, see the docstring",
-            measure="restitution",
-        ),
-        Answer(
-            quantity="time of the first contact [s]",
-            value=FIRST_CONTACT,
-            tolerance=1e-9,
-            source="the discs are free until then",
-            measure="closing time",
-        ),
-        Answer(
-            quantity="largest compression of the discs [m]", value=COMPRESSION, tolerance=1e-8, source="the same swing, see the docstring"
-        ),
-        Answer(
-            quantity="velocity of the right disc afterwards [m/s]",
-            value=V2_AFTER,
-            tolerance=1e-8,
-            source="momentum kept, and the restitution",
-        ),
-        Answer(
-            quantity="velocity of the left disc between its contacts [m/s]",
-            value=V1_BETWEEN,
-            tolerance=1e-8,
-            source="momentum kept, and the restitution",
-        ),
-        Answer(
-            quantity="velocity of the left disc after the bumper [m/s]",
-            value=V1_AFTER,
-            tolerance=1e-8,
-            source="energy of the disc over the bumper's depth",
-        ),
+    answers=tuple(
+        Answer(quantity=quantity, value=value, tolerance=tolerance, source=source, measure=measure)
+        for quantity, value, tolerance, source, measure in (
+            ("contact time of the discs [s]", CONTACT_TIME, 1e-8, _SWING, "contact time"),
+            ("restitution of the discs", RESTITUTION, 1e-8, "the same swing, see the docstring", "restitution"),
+            ("time of the first contact [s]", FIRST_CONTACT, 1e-9, "the discs are free until then", "closing time"),
+            ("largest compression of the discs [m]", COMPRESSION, 1e-8, "the same swing, see the docstring", ""),
+            ("velocity of the right disc afterwards [m/s]", V2_AFTER, 1e-8, "momentum kept, and the restitution", ""),
+            ("velocity of the left disc between its contacts [m/s]", V1_BETWEEN, 1e-8, "momentum kept, and the restitution", ""),
+            ("velocity of the left disc after the bumper [m/s]", V1_AFTER, 1e-8, "energy of the disc over the bumper's depth", ""),
+        )
     ),
     shapes=(
         Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),

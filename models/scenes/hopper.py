@@ -11,7 +11,8 @@ Without input the motion is piecewise linear in either mode, and exact by matrix
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 z, y = sp.symbols("z y", real=True)
 vz, vy = sp.symbols("vz vy", real=True)
@@ -54,38 +55,18 @@ SCENE = Scene(
             description="foot against floor",
         ),
     ),
-    task=Task(
-        start=(1.5, 0.5, 0.0, 0.0),
-        goal=(1.8, 0.8, 0.0, 0.0),
-        running_cost=u**2,
-        step=STEP,
-        steps=STEPS,
-    ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.1,
-            reason="a third of the 0.3 m that the hop has to win",
+    task=Task(start=(1.5, 0.5, 0.0, 0.0), goal=(1.8, 0.8, 0.0, 0.0), running_cost=u**2, step=STEP, steps=STEPS),
+    limits=limits(
+        terminal_position_error=(0.1, "a third of the 0.3 m that the hop has to win"),
+        terminal_velocity_error=(0.1, "0.1 m/s at the top is 0.5 mm of height, and 4 mm of the foot's swing on its leg (24 rad/s)"),
+        replay_terminal_position_error=(0.1, "a third of the 0.3 m that the hop has to win"),
+        replay_terminal_velocity_error=(
+            0.3,
+            "the plan's 0.1 m/s and 0.2 for the grid (exact plans end up to 0.16 m/s off): 0.3 m/s at the top is 5 mm of height, and 12 mm of the foot's swing on its leg",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.1,
-            reason="0.1 m/s at the top is 0.5 mm of height, and 4 mm of the foot's swing on its leg (24 rad/s)",
-        ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.1,
-            reason="a third of the 0.3 m that the hop has to win",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.3,
-            reason="the plan's 0.1 m/s and 0.2 for the grid (exact plans end up to 0.16 m/s off): 0.3 m/s at the top is 5 mm of height, and 12 mm of the foot's swing on its leg",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.12,
-            reason="three times what the time step of 5 ms leaves the continuous motion by under the true law (0.040 and 0.041 m for two exact plans: "
+        replay_error=(
+            0.12,
+            "three times what the time step of 5 ms leaves the continuous motion by under the true law (0.040 and 0.041 m for two exact plans: "
             "light foot and stiff floor swing at h w = 0.26); plans whose floor acts at a distance leave theirs by metres",
         ),
     ),

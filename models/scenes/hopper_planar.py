@@ -19,8 +19,9 @@ after the 4 s, so that a plan of this grid needs feedback to hold.
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.contacts import Friction
+from models.scene.parts import limits
 
 BODY, FOOT, GRAVITY, LEG = 1.0, 0.3, 9.81, 1.0
 STEP, STEPS = 0.02, 200
@@ -92,38 +93,29 @@ SCENE = Scene(
         step=STEP,
         steps=STEPS,
     ),
-    limits=(
-        Limit(
-            metric="feedback_share",
-            value=0.85,
-            reason="the leg's spring pays for the hops: the plan's own inputs are 7 % of half their range, and half of that is next to nothing; exact plans "
+    limits=limits(
+        feedback_share=(
+            0.85,
+            "the leg's spring pays for the hops: the plan's own inputs are 7 % of half their range, and half of that is next to nothing; exact plans "
             "need 0.77 of it (5 % of the half-range), relaxed ones 2.2 and more",
         ),
-        Limit(
-            metric="terminal_position_error",
-            value=0.05,
-            reason="a fortieth of the 2 m; what the solvers leave (1e-9) grows 1e6 times in the open loop and is still far below",
+        terminal_position_error=(
+            0.05,
+            "a fortieth of the 2 m; what the solvers leave (1e-9) grows 1e6 times in the open loop and is still far below",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.05,
-            reason="who falls over at sqrt(g/l0) = 3.1/s is carried another 0.05/3.1 = 0.016 m by it, a third of the position's limit",
+        terminal_velocity_error=(
+            0.05,
+            "who falls over at sqrt(g/l0) = 3.1/s is carried another 0.05/3.1 = 0.016 m by it, a third of the position's limit",
         ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.1,
-            reason="a twentieth of the 2 m; at 3.6 m/s the foot lands up to 0.07 m early or late on a step of 0.02 s",
+        replay_terminal_position_error=(
+            0.1,
+            "a twentieth of the 2 m; at 3.6 m/s the foot lands up to 0.07 m early or late on a step of 0.02 s",
         ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.3,
-            reason="who falls over at sqrt(g/l0) = 3.1/s is carried another 0.3/3.1 = 0.1 m by it, the limit of the position",
+        replay_terminal_velocity_error=(
+            0.3,
+            "who falls over at sqrt(g/l0) = 3.1/s is carried another 0.3/3.1 = 0.1 m by it, the limit of the position",
         ),
-        Limit(
-            metric="replay_error",
-            value=0.12,
-            reason="1.7 times the 0.07 m of a step at landing speed; plans whose floor acts at a distance leave theirs by metres",
-        ),
+        replay_error=(0.12, "1.7 times the 0.07 m of a step at landing speed; plans whose floor acts at a distance leave theirs by metres"),
     ),
     answers=(
         Answer(

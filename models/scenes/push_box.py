@@ -23,8 +23,9 @@ import math
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.contacts import Friction
+from models.scene.parts import limits
 
 STEP, STEPS = 0.02, 100
 HALF_LENGTH, HALF_WIDTH, FRICTION, DAMPING = 0.5, 0.25, 0.5, 10.0
@@ -119,23 +120,14 @@ SCENE = Scene(
         step=STEP,
         steps=STEPS,
     ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.01,
-            reason="a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees",
-        ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.05,
-            reason="the plan's limit plus 0.04 for the grid: a step of h = 0.02 s lets a finger at 0.4 m/s pass 8 mm before contact answers, and a box "
+    limits=limits(
+        terminal_position_error=(0.01, "a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees"),
+        replay_terminal_position_error=(
+            0.05,
+            "the plan's limit plus 0.04 for the grid: a step of h = 0.02 s lets a finger at 0.4 m/s pass 8 mm before contact answers, and a box "
             "pushed off its centre turns with it",
         ),
-        Limit(
-            metric="replay_error",
-            value=0.05,
-            reason="as at the end: plans whose finger pushes or pulls at a distance leave theirs by more",
-        ),
+        replay_error=(0.05, "as at the end: plans whose finger pushes or pulls at a distance leave theirs by more"),
     ),
     answers=(
         Answer(

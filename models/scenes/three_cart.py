@@ -7,7 +7,8 @@ reproduce its three softplus collocation rows to the printed digits. The sign of
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 q1, q2, q3 = sp.symbols("q1 q2 q3", real=True)
 v1, v2, v3 = sp.symbols("v1 v2 v3", real=True)
@@ -50,38 +51,21 @@ SCENE = Scene(
         )
         for name, left, right, distance in (("left", "left", "middle", q2 - q1), ("right", "middle", "right", q3 - q2))
     ),
-    task=Task(
-        start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
-        goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0),
-        running_cost=u1**2 + u3**2,
-        step=0.01,
-        steps=500,
-    ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.05,
-            reason="a tenth of a cart's length, as the largest miss the paper calls successful (0.05, its Table I, direct methods)",
+    task=Task(start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0), goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0), running_cost=u1**2 + u3**2, step=0.01, steps=500),
+    limits=limits(
+        terminal_position_error=(
+            0.05,
+            "a tenth of a cart's length, as the largest miss the paper calls successful (0.05, its Table I, direct methods)",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.1,
-            reason="with 0.1 m/s a cart coasts another m/c * 0.1 = 0.05 m, the limit of its position",
+        terminal_velocity_error=(0.1, "with 0.1 m/s a cart coasts another m/c * 0.1 = 0.05 m, the limit of its position"),
+        replay_terminal_position_error=(
+            0.06,
+            "the plan's limit of 0.05 m plus the grid's own error: with h = 0.01 s the time step ends up to 9e-3 from the continuous motion",
         ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.06,
-            reason="the plan's limit of 0.05 m plus the grid's own error: with h = 0.01 s the time step ends up to 9e-3 from the continuous motion",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.11,
-            reason="the plan's limit of 0.1 m/s plus the same 9e-3 of the grid",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.02,
-            reason="twice what a semi-implicit step of 0.01 s drifts from the continuous motion over the 5 s (measured under the true law: 4e-3 to "
+        replay_terminal_velocity_error=(0.11, "the plan's limit of 0.1 m/s plus the same 9e-3 of the grid"),
+        replay_error=(
+            0.02,
+            "twice what a semi-implicit step of 0.01 s drifts from the continuous motion over the 5 s (measured under the true law: 4e-3 to "
             "1.1e-2 m, 6.9e-3 for strict plans; softplus plans leave theirs by 0.09 to 0.35 m): more than that is not the grid",
         ),
     ),

@@ -12,8 +12,9 @@ Regularised friction lets the cargo creep where dry friction holds it: what a pl
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
 from models.scene.contacts import Friction
+from models.scene.parts import limits
 
 cargo, cart = sp.symbols("cargo cart", real=True)
 v_cargo, v_cart = sp.symbols("v_cargo v_cart", real=True)
@@ -59,44 +60,22 @@ SCENE = Scene(
     frictions=(
         Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g, nominal=0.1, description="cargo on the cart"),
     ),
-    task=Task(
-        start=(3.5, 3.0, -4.0, -4.0),
-        goal=(-0.5, 0.0, -2.0, -2.0),
-        running_cost=sp.Float("1e-4") * u**2,
-        step=0.02,
-        steps=200,
-    ),
-    limits=(
-        *(
-            Limit(
-                metric=metric, value=0.2, reason="half a step of the 20 N that a stop gives: where on the grid it comes and goes is chance"
-            )
-            for metric in ("ghost_impulse", "missed_impulse")
+    task=Task(start=(3.5, 3.0, -4.0, -4.0), goal=(-0.5, 0.0, -2.0, -2.0), running_cost=sp.Float("1e-4") * u**2, step=0.02, steps=200),
+    limits=limits(
+        **dict.fromkeys(
+            ("ghost_impulse", "missed_impulse"),
+            (0.2, "half a step of the 20 N that a stop gives: where on the grid it comes and goes is chance"),
         ),
-        Limit(
-            metric="terminal_position_error",
-            value=0.05,
-            reason="a twentieth of the metre by which the cargo is to be shifted",
+        terminal_position_error=(0.05, "a twentieth of the metre by which the cargo is to be shifted"),
+        terminal_velocity_error=(
+            0.05,
+            "as fast the cargo shifts a twentieth of that metre in a second; one step of friction changes its speed by mu g h = 0.04 m/s",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.05,
-            reason="as fast the cargo shifts a twentieth of that metre in a second; one step of friction changes its speed by mu g h = 0.04 m/s",
-        ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.15,
-            reason="the plan's limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.09,
-            reason="the plan's limit plus one step of friction more or less, mu g h = 0.04 m/s",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.15,
-            reason="as at the end: a step of 0.02 s is 0.08 m long at 4 m/s, by which the cargo meets a stop early or late; measured up to 0.12 m for exact plans",
+        replay_terminal_position_error=(0.15, "the plan's limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long"),
+        replay_terminal_velocity_error=(0.09, "the plan's limit plus one step of friction more or less, mu g h = 0.04 m/s"),
+        replay_error=(
+            0.15,
+            "as at the end: a step of 0.02 s is 0.08 m long at 4 m/s, by which the cargo meets a stop early or late; measured up to 0.12 m for exact plans",
         ),
     ),
     answers=(

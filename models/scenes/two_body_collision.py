@@ -11,8 +11,8 @@ import math
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
-from models.scene.parts import known_motion_limits
+from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
+from models.scene.parts import known_motion_limits, limits
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
@@ -63,29 +63,22 @@ SCENE = Scene(
         *known_motion_limits(
             "nothing drives and nothing dissipates: of the 3.5 J that the discs have, all is kept to what the replay resolves"
         ),
-        Limit(
-            metric="replay_error",
-            value=0.003,
-            reason="the first force comes up to one step of 1 ms late, in which the discs close by 3 mm; what is left of it is at most that",
+        *limits(
+            replay_error=(
+                0.003,
+                "the first force comes up to one step of 1 ms late, in which the discs close by 3 mm; what is left of it is at most that",
+            )
         ),
     ),
-    answers=(
-        Answer(
-            quantity="contact time [s]",
-            value=CONTACT_TIME,
-            tolerance=1e-9,
-            source="half a period of the reduced mass on the spring",
-            measure="contact time",
-        ),
-        Answer(
-            quantity="largest compression [m]", value=COMPRESSION, tolerance=1e-9, source="energy of the relative motion", measure="depth"
-        ),
-        Answer(quantity="restitution", value=1.0, tolerance=1e-9, source="the spring is elastic", measure="restitution"),
-        Answer(quantity="velocity of the left disc afterwards [m/s]", value=V1_AFTER, tolerance=1e-9, source="momentum and energy kept"),
-        Answer(quantity="velocity of the right disc afterwards [m/s]", value=V2_AFTER, tolerance=1e-9, source="momentum and energy kept"),
+    answers=tuple(
+        Answer(quantity=quantity, value=value, tolerance=1e-9, source=source, measure=measure)
+        for quantity, value, source, measure in (
+            ("contact time [s]", CONTACT_TIME, "half a period of the reduced mass on the spring", "contact time"),
+            ("largest compression [m]", COMPRESSION, "energy of the relative motion", "depth"),
+            ("restitution", 1.0, "the spring is elastic", "restitution"),
+            ("velocity of the left disc afterwards [m/s]", V1_AFTER, "momentum and energy kept", ""),
+            ("velocity of the right disc afterwards [m/s]", V2_AFTER, "momentum and energy kept", ""),
+        )
     ),
-    shapes=(
-        Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),
-        Shape(name="right", kind="disc", x=q2, y=r, size=(r,)),
-    ),
+    shapes=(Shape(name="left", kind="disc", x=q1, y=r, size=(r,)), Shape(name="right", kind="disc", x=q2, y=r, size=(r,))),
 )

@@ -21,7 +21,8 @@ import math
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 RADIUS, MASS, WEIGHT, STEPS, WALL = 0.2, 1.0, 0.01, 480, 1.0
 RIGID_OPTIMUM, RIGID_OPTIMUM_WALL = 0.3114169, 0.3736364
@@ -125,25 +126,16 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
             step=_step(),
             steps=STEPS,
         ),
-        limits=(
-            *(
-                Limit(
-                    metric=metric,
-                    value=hit,
-                    reason="the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves",
-                )
-                for metric in ("cost", "replay_cost")
+        limits=limits(
+            **dict.fromkeys(
+                ("cost", "replay_cost"),
+                (hit, "the cheapest throw of rigid discs that brings disc 2 onto the goal itself: who pays more neither hits nor saves"),
             ),
-            Limit(
-                metric="law_error",
-                value=0.01,
-                reason="a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
+            law_error=(
+                0.01,
+                "a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
             ),
-            Limit(
-                metric="replay_error",
-                value=0.02,
-                reason="the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long",
-            ),
+            replay_error=(0.02, "the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long"),
         ),
         answers=(
             Answer(

@@ -17,7 +17,8 @@ plan that strict complementarity finds are 3.4 and 4.6 N, and sink in by as many
 
 import sympy as sp
 
-from models.scene import Limit, Scene, Task
+from models.scene import Scene, Task
+from models.scene.parts import limits
 from models.scenes import _fingers as fingers
 
 WAY, HEIGHT, GAP, MASS, PULL = 0.05, 0.14, 0.005, 0.5, 5.0
@@ -41,32 +42,15 @@ SCENE = Scene(
         step=0.001,
         steps=500,
     ),
-    limits=(
-        Limit(
-            metric="terminal_position_error",
-            value=0.005,
-            reason="a tenth of the way that the disc is to be moved",
+    limits=limits(
+        terminal_position_error=(0.005, "a tenth of the way that the disc is to be moved"),
+        terminal_velocity_error=(
+            0.01,
+            "at 0.01 m/s the disc glides on by m_d/c_d * 0.01 = 5 mm, the limit of its position; a link that turns at 0.01 rad/s moves its tip by less",
         ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.01,
-            reason="at 0.01 m/s the disc glides on by m_d/c_d * 0.01 = 5 mm, the limit of its position; a link that turns at 0.01 rad/s moves its tip by less",
-        ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.005,
-            reason="a tenth of the way that the disc is to be moved",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.01,
-            reason="as of the plan: at 0.01 m/s the disc glides on by 5 mm, the limit of its position",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.05,
-            reason="a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal",
-        ),
+        replay_terminal_position_error=(0.005, "a tenth of the way that the disc is to be moved"),
+        replay_terminal_velocity_error=(0.01, "as of the plan: at 0.01 m/s the disc glides on by 5 mm, the limit of its position"),
+        replay_error=(0.05, "a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal"),
     ),
     answers=(fingers.stretched_answer(),),
     quick=False,

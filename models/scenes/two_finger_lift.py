@@ -14,7 +14,8 @@ the torques that hold the disc, so that lifting at once is worth it.
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 from models.scenes import _fingers as fingers
 
 g, mu, k_t, y_t = sp.symbols("g mu k_t y_t", positive=True)
@@ -59,40 +60,19 @@ SCENE = Scene(
         step=0.002,
         steps=200,
     ),
-    limits=(
-        *(
-            Limit(
-                metric=metric,
-                value=0.02,
-                reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
-            )
-            for metric in ("ghost_impulse", "missed_impulse")
+    limits=limits(
+        **dict.fromkeys(
+            ("ghost_impulse", "missed_impulse"),
+            (
+                0.02,
+                "a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+            ),
         ),
-        Limit(
-            metric="terminal_position_error",
-            value=0.005,
-            reason="a tenth of the way that the disc is to be lifted",
-        ),
-        Limit(
-            metric="terminal_velocity_error",
-            value=0.01,
-            reason="the speed that falling freely gives in 1 ms, half a step",
-        ),
-        Limit(
-            metric="replay_terminal_position_error",
-            value=0.005,
-            reason="a tenth of the way that the disc is to be lifted",
-        ),
-        Limit(
-            metric="replay_terminal_velocity_error",
-            value=0.02,
-            reason="the speed that falling freely gives in one step of 2 ms",
-        ),
-        Limit(
-            metric="replay_error",
-            value=0.05,
-            reason="a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal",
-        ),
+        terminal_position_error=(0.005, "a tenth of the way that the disc is to be lifted"),
+        terminal_velocity_error=(0.01, "the speed that falling freely gives in 1 ms, half a step"),
+        replay_terminal_position_error=(0.005, "a tenth of the way that the disc is to be lifted"),
+        replay_terminal_velocity_error=(0.02, "the speed that falling freely gives in one step of 2 ms"),
+        replay_error=(0.05, "a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal"),
     ),
     answers=(
         fingers.stretched_answer(),

@@ -16,7 +16,8 @@ The start needs the wall: the cheapest plan that never touches it brakes with up
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene.parts import limits
 
 theta, omega = sp.symbols("theta omega", real=True)
 u = sp.Symbol("u", real=True)
@@ -28,13 +29,7 @@ SCENE = Scene(
     source="Marcucci and Tedrake, Warm Start of Mixed-Integer Programs for Model Predictive Control of Hybrid Systems; Deits, Koolen and Tedrake, LVIS",
     coordinates=(
         Coordinate(
-            symbol=theta,
-            velocity=omega,
-            unit="rad",
-            nominal=0.1,
-            velocity_lower=-1.5,
-            velocity_upper=1.5,
-            description="angle from upright",
+            symbol=theta, velocity=omega, unit="rad", nominal=0.1, velocity_lower=-1.5, velocity_upper=1.5, description="angle from upright"
         ),
     ),
     inputs=(Input(symbol=u, unit="N m", lower=-4.0, upper=4.0, description="torque at the base"),),
@@ -60,28 +55,16 @@ SCENE = Scene(
             description="tip against wall",
         ),
     ),
-    task=Task(
-        start=(0.0, 0.8),
-        goal=(None, None),
-        running_cost=theta**2 + omega**2 + u**2,
-        step=0.01,
-        steps=20,
-    ),
-    limits=(
-        Limit(
-            metric="cost",
-            value=13.7626,
-            reason="what doing nothing costs, 13.76265 on this grid: the wall throws the pendulum back by itself, and a torque has to be worth its price",
+    task=Task(start=(0.0, 0.8), goal=(None, None), running_cost=theta**2 + omega**2 + u**2, step=0.01, steps=20),
+    limits=limits(
+        cost=(
+            13.7626,
+            "what doing nothing costs, 13.76265 on this grid: the wall throws the pendulum back by itself, and a torque has to be worth its price",
         ),
-        Limit(
-            metric="replay_cost",
-            value=13.7151,
-            reason="what doing nothing costs in continuous time, 13.71517, at the starts of the same 20 steps",
-        ),
-        Limit(
-            metric="replay_error",
-            value=5e-4,
-            reason="six times what a semi-implicit step of 0.01 s drifts from the continuous motion over the 0.2 s (measured under the true law: "
+        replay_cost=(13.7151, "what doing nothing costs in continuous time, 13.71517, at the starts of the same 20 steps"),
+        replay_error=(
+            5e-4,
+            "six times what a semi-implicit step of 0.01 s drifts from the continuous motion over the 0.2 s (measured under the true law: "
             "2e-5 to 8e-5 rad; softplus plans leave theirs by 0.04 to 0.14 rad)",
         ),
     ),

@@ -14,10 +14,9 @@ from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
 from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
-from models.scene.checks import check_expressions
+from models.scene.checks import check_expressions, step_problem
 from models.scene.contacts import Friction
 from models.scene.parts import goal_limits
-from models.scene.step_dependence import step_problem
 from models.scene.values import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)

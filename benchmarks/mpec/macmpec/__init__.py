@@ -11,6 +11,6 @@ pack-comp, pack-rig, qpec-100 and 200, ralphmod, siouxfls, tap-09, tap-15, Traff
 """
 
 from benchmarks.mpec.macmpec import bard, bilevel, equilibria, floudas, scholtes, toy
+from benchmarks.mpec.macmpec.problem import PROBLEMS
 
-# (builder, published optimum, ..) of each problem.
-PROBLEMS = [problem for file in (bard, bilevel, equilibria, floudas, scholtes, toy) for problem in file.PROBLEMS]
+__all__ = ["PROBLEMS", "bard", "bilevel", "equilibria", "floudas", "scholtes", "toy"]

@@ -5,33 +5,33 @@ from __future__ import annotations
 import pyomo.environ as pyo
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
+from benchmarks.mpec.macmpec.problem import problem
 
-def _linear_leader(multipliers: int, low: float | None) -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+
+def _linear_leader(m: pyo.ConcreteModel, multipliers: int, low: float | None) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, 50))
     m.y = pyo.Var([1, 2])
     m.l = pyo.Var(range(1, multipliers + 1), bounds=(low, None))
     m.cost = pyo.Objective(expr=2 * m.x[1] + 2 * m.x[2] - 3 * m.y[1] - 3 * m.y[2] - 60)
     m.leader = pyo.Constraint(expr=m.x[1] + m.x[2] + m.y[1] - 2 * m.y[2] <= 40)
-    return m
 
 
-def bilevel1() -> pyo.ConcreteModel:
-    m = _linear_leader(6, 0.0)
+@problem(0.0)
+def bilevel1(m: pyo.ConcreteModel) -> None:
+    _linear_leader(m, 6, 0.0)
     m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * m.y[i] - 2 * m.x[i] + 40 == m.l[2 * i - 1] - m.l[2 * i] - 2 * m.l[4 + i])
     m.low = Complementarity([1, 2], rule=lambda m, i: complements(m.y[i] + 10 >= 0, m.l[2 * i - 1] >= 0))
     m.high = Complementarity([1, 2], rule=lambda m, i: complements(20 - m.y[i] >= 0, m.l[2 * i] >= 0))
     m.gap = Complementarity([1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[4 + i] >= 0))
-    return m
 
 
-def bilevel1m() -> pyo.ConcreteModel:
+@problem(-55.0)
+def bilevel1m(m: pyo.ConcreteModel) -> None:
     """Mixed complementarity: one multiplier for both bounds of a variable."""
-    m = _linear_leader(4, None)
+    _linear_leader(m, 4, None)
     m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * m.y[i] - 2 * m.x[i] + 40 == m.l[i] - 2 * m.l[2 + i])
     m.box = Complementarity([1, 2], rule=lambda m, i: complements(pyo.inequality(-10, m.y[i], 20), m.l[i]))
     m.gap = Complementarity([1, 2], rule=lambda m, i: complements(m.x[i] - 2 * m.y[i] - 10 >= 0, m.l[2 + i] >= 0))
-    return m
 
 
 _TOP = {1: 20.0, 2: 20.0, 3: 40.0, 4: 40.0}
@@ -39,8 +39,7 @@ _WISH = {1: 4.0, 2: 13.0, 3: 35.0, 4: 2.0}
 _USE = {(1, 1): 0.4, (1, 2): 0.7, (2, 1): 0.6, (2, 2): 0.3, (3, 3): 0.4, (3, 4): 0.7, (4, 3): 0.6, (4, 4): 0.3}
 
 
-def _factories() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+def _factories(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2, 3, 4], bounds=lambda m, i: (0, {1: 10, 2: 5, 3: 15, 4: 20}[i]), initialize={1: 5, 2: 5, 3: 15, 4: 15})
     m.y = pyo.Var([1, 2, 3, 4])
     m.price = pyo.Var([1, 2, 3, 4], bounds=(0, None))
@@ -50,34 +49,33 @@ def _factories() -> pyo.ConcreteModel:
         [1, 2, 3, 4],
         rule=lambda m, r: complements(m.x[r] - sum(_USE[r, j] * m.y[j] for j in (1, 2, 3, 4) if (r, j) in _USE) >= 0, m.price[r] >= 0),
     )
-    return m
 
 
 def _paid(m: pyo.ConcreteModel, j: int):
     return sum(_USE[r, j] * m.price[r] for r in (1, 2, 3, 4) if (r, j) in _USE)
 
 
-def bilevel2() -> pyo.ConcreteModel:
-    m = _factories()
+@problem(-6600.0)
+def bilevel2(m: pyo.ConcreteModel) -> None:
+    _factories(m)
     m.low, m.high = pyo.Var([1, 2, 3, 4], bounds=(0, None)), pyo.Var([1, 2, 3, 4], bounds=(0, None))
     m.follower = pyo.Constraint([1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.low[j] + m.high[j] == 0)
     m.bounds = ComplementarityList()
     for j in (1, 2, 3, 4):
         m.bounds.add(complements(m.y[j] >= 0, m.low[j] >= 0))
         m.bounds.add(complements(_TOP[j] - m.y[j] >= 0, m.high[j] >= 0))
-    return m
 
 
-def bilevel2m() -> pyo.ConcreteModel:
-    m = _factories()
+@problem(-6600.0)
+def bilevel2m(m: pyo.ConcreteModel) -> None:
+    _factories(m)
     m.l = pyo.Var([1, 2, 3, 4])
     m.follower = pyo.Constraint([1, 2, 3, 4], rule=lambda m, j: m.y[j] - _WISH[j] + _paid(m, j) - m.l[j] == 0)
     m.box = Complementarity([1, 2, 3, 4], rule=lambda m, j: complements(m.l[j], pyo.inequality(0, m.y[j], _TOP[j])))
-    return m
 
 
-def bilevel3() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(-12.6787)
+def bilevel3(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, None), initialize={1: 0, 2: 2})
     m.y = pyo.Var(range(1, 7))
     m.l = pyo.Var(range(1, 5))
@@ -93,11 +91,10 @@ def bilevel3() -> pyo.ConcreteModel:
     )
     m.follower = pyo.Constraint(range(6), rule=lambda m, k: rows[k] == 0)
     m.pair = Complementarity(range(1, 5), rule=lambda m, i: complements(m.l[i] >= 0, m.y[2 + i] >= 0))
-    return m
 
 
-def bilin() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(18.4)
+def bilin(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, None), initialize=1)
     m.y = pyo.Var(range(1, 7), bounds=(0, None), initialize=1)
     x, y = m.x, m.y
@@ -112,32 +109,29 @@ def bilin() -> pyo.ConcreteModel:
         2 - 4 * x[2] - 4 * y[1] + 2 * y[2] + y[3],
     )
     m.pair = Complementarity(range(1, 7), rule=lambda m, i: complements(sides[i - 1] >= 0, m.y[i] >= 0))
-    return m
 
 
-def dempe() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(28.25)
+def dempe(m: pyo.ConcreteModel) -> None:
     m.x, m.z = pyo.Var(initialize=0.183193), pyo.Var(initialize=0.428106)
     m.w = pyo.Var(bounds=(0, None), initialize=3.00379)
     m.cost = pyo.Objective(expr=(m.x - 3.5) ** 2 + (m.z + 4) ** 2)
     m.follower = pyo.Constraint(expr=m.z - 3 + 2 * m.z * m.w == 0)
     m.pair = Complementarity(expr=complements(m.z**2 - m.x <= 0, m.w >= 0))
-    return m
 
 
-def desilva() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(-1.0)
+def desilva(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, 2))
     m.y = pyo.Var([1, 2])
     m.l = pyo.Var([1, 2], bounds=(0, None))
     m.cost = pyo.Objective(expr=sum(m.x[i] ** 2 - 2 * m.x[i] + m.y[i] ** 2 for i in (1, 2)))
     m.follower = pyo.Constraint([1, 2], rule=lambda m, i: 2 * (m.y[i] - m.x[i]) + 2 * (m.y[i] - 1) * m.l[i] == 0)
     m.pair = Complementarity([1, 2], rule=lambda m, i: complements(0.25 - (m.y[i] - 1) ** 2 >= 0, m.l[i] >= 0))
-    return m
 
 
-def hakonsen() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(24.3668)
+def hakonsen(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2], bounds=(0, None), initialize=1)
     m.leisure = pyo.Var(bounds=(0, None), initialize=1)
     m.p, m.t = pyo.Var([1, 2], bounds=(0, None)), pyo.Var([1, 2], bounds=(0, None))
@@ -146,11 +140,10 @@ def hakonsen() -> pyo.ConcreteModel:
     m.demand = Complementarity([1, 2], rule=lambda m, i: complements(3 * m.x[i] * m.p[i] * (1 + m.t[i]) >= 100, m.p[i] >= 0))
     m.budget = pyo.Constraint(expr=sum(m.x[i] * m.p[i] for i in (1, 2)) + m.leisure + 25 == 100)
     m.revenue = pyo.Constraint(expr=sum(m.p[i] * m.t[i] * m.x[i] for i in (1, 2)) >= 25)
-    return m
 
 
-def sl1() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
+@problem(0.0001)
+def sl1(m: pyo.ConcreteModel) -> None:
     m.x = pyo.Var([1, 2])
     m.z = pyo.Var([1, 2, 3], bounds=lambda m, i: {1: (10, 1e10), 2: (0.01, 10), 3: (0, 1)}[i])
     m.l = pyo.Var([1, 2, 3], bounds=(0, None))
@@ -159,19 +152,3 @@ def sl1() -> pyo.ConcreteModel:
     m.second = pyo.Constraint(expr=2 * m.x[2] - m.l[1] - m.l[3] == 0)
     sides = {1: 10 * m.x[1] + m.x[2] - 10 - m.z[1], 2: m.x[1] - 2 - m.z[2], 3: m.x[2] - 50 * m.z[3]}
     m.pair = Complementarity([1, 2, 3], rule=lambda m, i: complements(sides[i] >= 0, m.l[i] >= 0))
-    return m
-
-
-_SOURCE = "MacMPEC index, S. Leyffer"
-PROBLEMS = (
-    (bilevel1, 0.0, _SOURCE),
-    (bilevel1m, -55.0, _SOURCE),
-    (bilevel2, -6600.0, _SOURCE),
-    (bilevel2m, -6600.0, _SOURCE),
-    (bilevel3, -12.6787, _SOURCE),
-    (bilin, 18.4, _SOURCE),
-    (dempe, 28.25, _SOURCE),
-    (desilva, -1.0, _SOURCE),
-    (hakonsen, 24.3668, _SOURCE),
-    (sl1, 0.0001, _SOURCE),
-)

@@ -96,20 +96,17 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
     shared = {
         "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "integrators": INTEGRATORS,
-        "offers": Offers(exchange=robot.no_exchange is None, adjoints=False, slopes=False, events=False),
+        "offers": Offers(exchange=robot.no_exchange is None, adjoints=False, slopes=False, events=False), "table": table,
     }  # fmt: skip
     of_robot = {
-        "table": table, "robot": robot, "model": model, "mujoco": package.__version__, "farthest": FARTHEST,
+        "robot": robot, "model": model, "mujoco": package.__version__, "farthest": FARTHEST,
         "rest": int(package.mj_stateSize(model, package.mjtState.mjSTATE_INTEGRATION)) - 1 - model.nq - model.nv - model.na,
         "settings": sum(variable.kind in _SETTINGS for variable in table),
     }  # fmt: skip
 
-    def config(guid: str) -> str:
-        return render("robot_config.h.j2", guid=guid, **of_robot, **shared)
-
     decided = {name: hashlib.sha256(content).hexdigest() for name, content in shipped.items()}
-    _, header, xml = stamped(
-        sources | decided, standard, table, config, license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep), tolerance=_TOLERANCE,
+    header, xml = stamped(
+        sources | decided, standard, lambda guid: render("robot_config.h.j2", guid=guid, **of_robot, **shared), license="MIT AND Apache-2.0", stop=_STOP, step=float(model.opt.timestep), tolerance=_TOLERANCE,
         source_files=[], structure=_structure(robot, standard), **shared,
     )  # fmt: skip
     texts = {

@@ -8,7 +8,7 @@ Names: `q_J` the position and `v_J` the velocity of joint J; of a free joint `q_
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import MachineError, TouchstoneError, did_you_mean
-from models.fmu.variables import SMALLEST_INTERNAL_STEP, Variable, VariableKind
+from models.fmu.variables import SMALLEST_INTERNAL_STEP, Variable, VariableKind, numbered
 
 
 class RobotError(TouchstoneError):
@@ -267,12 +267,6 @@ def _joint_names(model: Any) -> list[tuple[str, str]]:
     return _named(model.njnt, lambda number: model.joint(number).name, bodies.__getitem__)
 
 
-def _numbered(kind: VariableKind, rows: Iterable[tuple], first: int = 0) -> list[Variable]:
-    """Variables of a kind, numbered from `first`; a row is name, unit, description, and if it has them start, lower, upper."""
-    fields = ("name", "unit", "description", "start", "lower", "upper")
-    return [Variable(kind=kind, index=index, **dict(zip(fields, row, strict=False))) for index, row in enumerate(rows, first)]
-
-
 def _states(robot: Robot) -> list[Variable]:
     """Positions, velocities and activations, in MuJoCo's order; then their rates."""
     model, data = robot.model, robot.start
@@ -294,12 +288,12 @@ def _states(robot: Robot) -> list[Variable]:
         velocities += [(f"act_{name}{f'_{k}' * (count > 1)}", "1", f"activation of actuator {said}") for k in range(count)]
     kinds, starts, found = VariableKind, iter([*data.qpos, *data.qvel, *data.act]), list[Variable]()
     for kind, rows in ((kinds.POSITION, positions), (kinds.VELOCITY, velocities)):
-        found += _numbered(kind, [(*row, float(next(starts))) for row in rows], len(found))
+        found += numbered(kind, [(*row, float(next(starts))) for row in rows], len(found))
     for kind, rows in ((kinds.POSITION_RATE, positions), (kinds.VELOCITY_RATE, velocities)):
         rates = [
             (f"der({name})", f"{unit.removesuffix('/s')}/s{'^2' * unit.endswith('/s')}", f"rate of {text}") for name, unit, text in rows
         ]
-        found += _numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
+        found += numbered(kind, rates, 0 if kind is kinds.POSITION_RATE else len(positions))
     return found
 
 
@@ -341,7 +335,7 @@ def _inputs(robot: Robot) -> list[Variable]:
             bounds = map(float, model.actuator_ctrlrange[first + part]) if limited else ()
             text = f"control of actuator {said}{', cut at its range' if limited else ''}"
             rows.append((f"u_{name}{suffix}", unit, text, float(robot.start.ctrl[first + part]), *bounds))
-    return _numbered(VariableKind.INPUT, rows)
+    return numbered(VariableKind.INPUT, rows)
 
 
 def _outputs(robot: Robot) -> list[Variable]:
@@ -359,7 +353,7 @@ def _outputs(robot: Robot) -> list[Variable]:
     rows += [(f"lam_{name}", "N", f"sum of the normal forces between {text}") for name, text in sides]
     far = f"negative where they overlap, at most {FARTHEST:g} m"
     rows += [(f"gap_{name}", "m", f"smallest distance of {text}, {far}") for name, text in sides]
-    return _numbered(VariableKind.OUTPUT, rows)
+    return numbered(VariableKind.OUTPUT, rows)
 
 
 def _settings(robot: Robot) -> list[Variable]:
@@ -375,7 +369,7 @@ def _settings(robot: Robot) -> list[Variable]:
         (kinds.TUNABLE, [(f"mass_{bodies[body][0]}", "kg", f"mass of body {bodies[body][1]}, with its inertia in proportion", float(model.body_mass[body]), 1e-12) for body in robot.masses]),
     )  # fmt: skip
     for kind, rows in groups:
-        found += _numbered(kind, rows, len(found))
+        found += numbered(kind, rows, len(found))
     return found
 
 

@@ -15,7 +15,7 @@ MISPRINTS = {
     "ex9_2_5": (6.0, 5.0, "the handbook has 5, at (1, 3)"),
 }
 
-PROBLEMS = [(builder.__name__, builder, optimum) for builder, optimum, _ in macmpec.PROBLEMS]
+PROBLEMS = [(name, builder, optimum) for name, (builder, optimum) in macmpec.PROBLEMS.items()]
 
 
 def test_there_are_at_least_forty():
