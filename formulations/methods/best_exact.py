@@ -24,7 +24,7 @@ from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
 from formulations.finer import departure, finer_scene, motion_on_finer_steps
-from formulations.method import Clock, Kind, Method, Options, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Options, Session, option
 from formulations.pipelines import MULTIPLE_SHOOTING_COUNT, MULTIPLE_SHOOTING_EPS, RELAXED_EPS, RELAXED_FROM, SOFTPLUS_EPS, load_method
 from formulations.solution import Attempt, Outcome, Seconds, Solution
 from formulations.transcription.method import ended
@@ -193,10 +193,6 @@ class BestExact(Method[BestExactOptions]):
     needs_eps = False
     exact = True
     options = BestExactOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
         """Open a session, which opens those of the ways as it goes them."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
-from formulations.method import Clock, Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Outcome, Solution
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work
 from models.contact_law import ContactLaw, sharpness
@@ -87,10 +87,6 @@ class SoftplusDC(Method[SoftplusDCOptions]):
     kind = Kind.INDIRECT
     needs_eps = True
     options = SoftplusDCOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> Session:
         """Open a session, which imports Pyomo and Ipopt."""

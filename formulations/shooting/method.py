@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from formulations.method import AnyOptions, Clock, Method, Session, without_inputs
+from formulations.method import AnyOptions, Clock, Method, Session
 from formulations.shooting.options import DescentOptions, QuasiNewtonOptions
 from models.contact_law import ContactLaw
 
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 class ShootingMethod(Method[AnyOptions]):
     """Single shooting under one contact law. PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without."""
 
+    purpose = "descend on"
     law: ContactLaw
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "descend on")
 
     def loss(self, scene: Scene) -> Loss | None:
         """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
