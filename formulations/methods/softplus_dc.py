@@ -1,7 +1,7 @@
 """Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|.
 
 A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a plan. A cold start whose multipliers run away is begun
-again with its goal let go (`transcription.feasibility`).
+again with its goal let go (`transcription.solving`).
 """
 
 from __future__ import annotations
