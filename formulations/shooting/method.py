@@ -8,9 +8,9 @@ Options of gradient descent and of L-BFGS. Light to import: no PyTorch.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from formulations.method import AnyOptions, Clock, Method, OptionError, Options, Session, option
+from formulations.method import Clock, Method, OptionError, Options, Session, option
 from models.contact_law import ContactLaw
 
 if TYPE_CHECKING:
@@ -98,7 +98,10 @@ class RobustOptions(GoalOptions):
     seed: int = option(1, "of the worlds; a campaign tries plans in those of another", lower=0)
 
 
-class ShootingMethod(Method[AnyOptions]):
+_Weighted = TypeVar("_Weighted", bound=DescentOptions | QuasiNewtonOptions)
+
+
+class ShootingMethod(Method[_Weighted]):
     """Single shooting under one contact law. PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without."""
 
     purpose = "descend on"
@@ -108,30 +111,22 @@ class ShootingMethod(Method[AnyOptions]):
         """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
         return None
 
+    def session(self, scene: Scene, options: _Weighted, clock: Clock) -> Session:
+        """Open a session, which imports PyTorch."""
+        from formulations.shooting import session as opened
+
+        objective = opened.paper_objective(options, self.law, self.loss(scene))
+        minimise: Any = opened.descend if isinstance(options, DescentOptions) else opened.quasi_newton
+        return opened.ShootingSession(self, scene, options, clock, objective=objective, minimise=minimise)
+
 
 class DescentMethod(ShootingMethod[DescentOptions]):
     """By gradient descent."""
 
     options = DescentOptions
 
-    def session(self, scene: Scene, options: DescentOptions, clock: Clock) -> Session:
-        """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, descend, paper_objective
-
-        return ShootingSession(
-            self, scene, options, clock, objective=paper_objective(options, self.law, self.loss(scene)), minimise=descend
-        )
-
 
 class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
     """By L-BFGS within the bounds of the inputs."""
 
     options = QuasiNewtonOptions
-
-    def session(self, scene: Scene, options: QuasiNewtonOptions, clock: Clock) -> Session:
-        """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, paper_objective, quasi_newton
-
-        return ShootingSession(
-            self, scene, options, clock, objective=paper_objective(options, self.law, self.loss(scene)), minimise=quasi_newton
-        )

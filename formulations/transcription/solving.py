@@ -45,7 +45,7 @@ import pyomo.environ as pyo
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.method import Clock
 from formulations.solution import Outcome, Solution, beyond, checked
-from formulations.transcription.build import build_model, load_first_guess, load_plan, read_plan, release_goal
+from formulations.transcription.build import build_model, load_plan, read_plan, release_goal
 from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
 from formulations.transcription.contact import ContactFormulation, hold_modes, pressed_columns, release_modes, set_relaxation, sides
 from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, ended
@@ -320,10 +320,7 @@ class PlanSolver:
 
     def load(self, start: Trajectory | None) -> None:
         """The model holds this plan, or the paper's first guess. Raises TrajectoryError for a plan of another grid."""
-        if start is None:
-            load_first_guess(self.compiled.model)
-        else:
-            load_plan(self.compiled.model, start)
+        self.compiled.load(start)
 
     def read(self) -> Trajectory:
         """The plan that the model holds. Raises TrajectoryError for values that are not finite."""
