@@ -90,130 +90,68 @@ def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
 _RELAXED = Leg(method="relaxed_lcp", schedule=RELAXED_EPS)
 _SOFTPLUS_DC = Leg(method="softplus_dc", schedule=SOFTPLUS_EPS)
 _SOFTPLUS_GD = Leg(method="softplus_gd", schedule=SOFTPLUS_EPS, stage_options=_counts(*SOFTPLUS_GD_COUNTS))
-_STRICT = Leg(method="strict_lcp")
-_RELU_LBFGS = Leg(method="relu_lbfgs")
 
 
 def _relu_gd(iterations: int) -> Leg:
     return Leg(method="relu_gd", stage_options=_counts(iterations))
 
 
+def _row(name: str, title: str, source: str, *legs: Leg | str, parts: tuple[Mapping[str, object], ...] = ()) -> Pipeline:
+    """One pipeline; a leg is that of a method without eps and options where only its name is given."""
+    chain = tuple(Leg(method=leg) if isinstance(leg, str) else leg for leg in legs)
+    return Pipeline(name=name, title=title, legs=chain, source=source, parts=parts)
+
+
+_PARTS = tuple({"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK} for first in range(0, STARTS, STARTS_EACH))
+_SHOT_SOFTLY = Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS, options={"max_iterations": MULTIPLE_SHOOTING_COUNT})
+
+# A row: name, title, where it is from, legs in order.
 PIPELINES: tuple[Pipeline, ...] = (
-    Pipeline(name="strict", title="Strict LCP from a cold start", legs=(_STRICT,), source=PAPER),
-    Pipeline(
-        name="relu_gd", title="Gradient descent on ReLU contact from a cold start", legs=(_relu_gd(RELU_GD_COLD_COUNT),), source=PAPER
-    ),
-    Pipeline(name="relaxed+strict", title="Relaxed LCP, tightened, then strict LCP", legs=(_RELAXED, _STRICT), source=PAPER),
-    Pipeline(
-        name="relaxed+relu_gd",
-        title="Relaxed LCP, tightened, then gradient descent on ReLU contact",
-        legs=(_RELAXED, _relu_gd(RELU_GD_AFTER_RELAXED)),
-        source=f"{PAPER}; the number of gradient steps is ours (the paper gives none)",
-    ),
-    Pipeline(
-        name="softplus_dc+strict", title="Softplus collocation, tightened, then strict LCP", legs=(_SOFTPLUS_DC, _STRICT), source=PAPER
-    ),
-    Pipeline(
-        name="softplus_dc+relu_gd",
-        title="Softplus collocation, tightened, then gradient descent on ReLU contact",
-        legs=(_SOFTPLUS_DC, _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC)),
-        source=PAPER,
-    ),
-    Pipeline(
-        name="softplus_gd+strict",
-        title="Softplus gradient descent, tightened, then strict LCP",
-        legs=(_SOFTPLUS_GD, _STRICT),
-        source=PAPER,
-    ),
-    Pipeline(
-        name="softplus_gd+relu_gd",
-        title="Softplus gradient descent, tightened, then gradient descent on ReLU contact",
-        legs=(_SOFTPLUS_GD, _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD)),
-        source=PAPER,
-    ),
-    Pipeline(
-        name="gd_converged",
-        title="Softplus gradient descent, then ReLU, each to convergence",
-        legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
-        source="ours: what the paper's gradient descent reaches when it is not cut off",
-    ),
-    Pipeline(
-        name="lbfgs",
-        title="L-BFGS on softplus contact, tightened, then on ReLU contact",
-        legs=(Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS), _RELU_LBFGS),
-        source="ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
-    ),
-    Pipeline(
-        name="softplus_dc+lbfgs",
-        title="Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
-        legs=(_SOFTPLUS_DC, Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]), _RELU_LBFGS),
-        source="ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
-    ),
-    Pipeline(
-        name="randomised_smoothing",
-        title="L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
-        legs=(Leg(method="randomised_smoothing", schedule=NOISE), _RELU_LBFGS),
-        source="ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
-    ),
-    Pipeline(
-        name="multiple_shooting",
-        title="Multiple shooting on softplus contact, tightened, then on ReLU contact",
-        legs=(
-            Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS, options={"max_iterations": MULTIPLE_SHOOTING_COUNT}),
-            Leg(method="relu_multiple_shooting"),
-        ),
-        source="ours: for unstable and long scenes, whose gradients explode in single shooting",
-    ),
-    Pipeline(
-        name="mpcc",
-        title="Exact contact from a cold start, by its modes",
-        legs=(Leg(method="mpcc"),),
-        source="ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched",
-    ),
-    Pipeline(
-        name=BEST_EXACT,
-        title="Exact contact from a cold start, the cheapest plan of several ways",
-        legs=(Leg(method=BEST_EXACT),),
-        source="ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
-    ),
-    Pipeline(
-        name="collocation",
-        title="Exact contact by collocation of order 3, from a cold start",
-        legs=(Leg(method="collocation"),),
-        source="ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
-    ),
-    Pipeline(
-        name="robust",
-        title="The best exact plan, then the same goal in sixty-four other worlds at once, by L-BFGS on ReLU contact",
-        legs=(Leg(method=BEST_EXACT), Leg(method="robust")),
-        source="ours: drawn worlds driven by the same inputs, cost traded against how far each ends from the goal",
-    ),
-    Pipeline(
-        name="mpcc_multistart",
-        title="Exact contact from twenty starts, the cheapest kept",
-        legs=(Leg(method="mpcc"),),
-        source="ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
-        parts=tuple({"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK} for first in range(0, STARTS, STARTS_EACH)),
-    ),
-    Pipeline(
-        name="mpcc_front",
-        title="Exact contact, least cost within each terminal tolerance",
-        legs=(Leg(method="mpcc_front"),),
-        source="ours: the honest comparison, a cost never without its terminal error",
-    ),
-    Pipeline(
-        name=FREE_MOTION,
-        title="Free motion, for scenes without inputs: nothing is planned",
-        legs=(Leg(method="free_motion"),),
-        source="ours: the replay of the start, held against the scene's closed forms",
-    ),
-    Pipeline(
-        name="global",
-        title="Exact contact by its modes, then a proof of how much cheaper a plan could be",
-        legs=(Leg(method="mpcc"), Leg(method="global")),
-        source="ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
-    ),
-)
+    _row("strict", "Strict LCP from a cold start", PAPER, "strict_lcp"),
+    _row("relu_gd", "Gradient descent on ReLU contact from a cold start", PAPER, _relu_gd(RELU_GD_COLD_COUNT)),
+    _row("relaxed+strict", "Relaxed LCP, tightened, then strict LCP", PAPER, _RELAXED, "strict_lcp"),
+    _row("relaxed+relu_gd", "Relaxed LCP, tightened, then gradient descent on ReLU contact",
+         f"{PAPER}; the number of gradient steps is ours (the paper gives none)", _RELAXED, _relu_gd(RELU_GD_AFTER_RELAXED)),
+    _row("softplus_dc+strict", "Softplus collocation, tightened, then strict LCP", PAPER, _SOFTPLUS_DC, "strict_lcp"),
+    _row("softplus_dc+relu_gd", "Softplus collocation, tightened, then gradient descent on ReLU contact",
+         PAPER, _SOFTPLUS_DC, _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC)),
+    _row("softplus_gd+strict", "Softplus gradient descent, tightened, then strict LCP", PAPER, _SOFTPLUS_GD, "strict_lcp"),
+    _row("softplus_gd+relu_gd", "Softplus gradient descent, tightened, then gradient descent on ReLU contact",
+         PAPER, _SOFTPLUS_GD, _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD)),
+    _row("gd_converged", "Softplus gradient descent, then ReLU, each to convergence",
+         "ours: what the paper's gradient descent reaches when it is not cut off",
+         Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), "relu_gd"),
+    _row("lbfgs", "L-BFGS on softplus contact, tightened, then on ReLU contact",
+         "ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
+         Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS), "relu_lbfgs"),
+    _row("softplus_dc+lbfgs", "Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
+         "ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
+         _SOFTPLUS_DC, Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]), "relu_lbfgs"),
+    _row("randomised_smoothing", "L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
+         "ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
+         Leg(method="randomised_smoothing", schedule=NOISE), "relu_lbfgs"),
+    _row("multiple_shooting", "Multiple shooting on softplus contact, tightened, then on ReLU contact",
+         "ours: for unstable and long scenes, whose gradients explode in single shooting", _SHOT_SOFTLY, "relu_multiple_shooting"),
+    _row("mpcc", "Exact contact from a cold start, by its modes",
+         "ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched", "mpcc"),
+    _row(BEST_EXACT, "Exact contact from a cold start, the cheapest plan of several ways",
+         "ours: mpcc where contacts are open or closed; else relaxed and softplus contact walked down by steps that adapt, each then strict",
+         BEST_EXACT),
+    _row("collocation", "Exact contact by collocation of order 3, from a cold start",
+         "ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
+         "collocation"),
+    _row("robust", "The best exact plan, then the same goal in sixty-four other worlds at once, by L-BFGS on ReLU contact",
+         "ours: drawn worlds driven by the same inputs, cost traded against how far each ends from the goal", BEST_EXACT, "robust"),
+    _row("mpcc_multistart", "Exact contact from twenty starts, the cheapest kept",
+         "ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
+         "mpcc", parts=_PARTS),
+    _row("mpcc_front", "Exact contact, least cost within each terminal tolerance",
+         "ours: the honest comparison, a cost never without its terminal error", "mpcc_front"),
+    _row(FREE_MOTION, "Free motion, for scenes without inputs: nothing is planned",
+         "ours: the replay of the start, held against the scene's closed forms", "free_motion"),
+    _row("global", "Exact contact by its modes, then a proof of how much cheaper a plan could be",
+         "ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible", "mpcc", "global"),
+)  # fmt: skip
 
 # What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest gradient chain, and all that a scene
 # without inputs has.

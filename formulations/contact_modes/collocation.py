@@ -21,9 +21,9 @@ from formulations.transcription.build import build_model, read_values, write_val
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
-from formulations.transcription.feasibility import nearest
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.solving import nearest
 from models.codegen.kernel import load_kernel
 from models.collocation import switch_error
 from models.errors import TrajectoryError

@@ -18,8 +18,8 @@ from formulations.contact_modes.starts import random_plan
 from formulations.grids import coarse_scene, on_grid, plan_of
 from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
-from formulations.transcription.feasibility import nearest
 from formulations.transcription.method import SolveBudget
+from formulations.transcription.solving import nearest
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.scene.goal import goal_state

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
-from formulations.transcription.build import build_model, load_first_guess, load_plan, move_ball, open_goal, read_plan
+from formulations.transcription.build import build_model, move_ball, open_goal, read_plan
 from formulations.transcription.compiled import CompiledModel, primal_dual
 from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
 from formulations.transcription.method import SolveBudget
@@ -51,7 +52,8 @@ _NEIGHBOUR_ITERATIONS = 50  # most iterations for a neighbour of a plan: it need
 class SoftplusHomotopy:
     """The softplus model of one scene, built once.
 
-    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme, integrate_cost: as in `build_model`.
+    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme, integrate_cost: as in `build_model`. compiled: the model, which holds the
+    plan of the last stage.
     """
 
     def __init__(
@@ -67,16 +69,11 @@ class SoftplusHomotopy:
         self._stiffness = _own_stiffness(scene)
         self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
         open_goal(model, ball)
-        self._compiled = CompiledModel(model)
-
-    @property
-    def compiled(self) -> CompiledModel:
-        """The model, which holds the plan of the last stage."""
-        return self._compiled
+        self.compiled = CompiledModel(model)
 
     def move_ball(self, ball: float) -> None:
         """Change the radius of the goal: positive if it was built with one, else 0."""
-        move_ball(self._compiled.model, ball)
+        move_ball(self.compiled.model, ball)
 
     def run(
         self,
@@ -90,11 +87,8 @@ class SoftplusHomotopy:
 
         keep: called with the plan of every stage that was solved; most_iterations: of a stage once there is a plan.
         """
-        model = self._compiled.model
-        if start is None:
-            load_first_guess(model)
-        else:
-            load_plan(model, start)
+        model = self.compiled.model
+        self.compiled.load(start)
         plan, before = None, None
         outcome, message = Outcome.FAILED, ""
         options = {**options, "max_iter": budget.iterations + options["max_iter"]}  # those of other runs do not count
@@ -105,10 +99,10 @@ class SoftplusHomotopy:
                 model.parameter_scene[name] = share * value
             warm = primal_dual(before) if before is not None and sharpness >= _DUALS_FROM else None
             allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], budget.iterations + most_iterations)}
-            result = self._compiled.run(budget, allowed, warm)
+            result = self.compiled.run(budget, allowed, warm)
             if not result.solved and warm is not None and plan is not None and not budget.is_over:
-                load_plan(model, plan)
-                result = self._compiled.run(budget, allowed)
+                self.compiled.load(plan)
+                result = self.compiled.run(budget, allowed)
             outcome, message = result.outcome, result.message
             if not result.solved:
                 break
@@ -201,10 +195,7 @@ class NonlinearModes:
         closed = np.array(closed, dtype=bool)
         if scene.nc:
             closed[0] = self._kernel.penetration(np.array([scene.task.start[: scene.nq]]))[0] > 0.0
-        if guess is None:
-            load_first_guess(model)
-        else:
-            load_plan(model, guess)
+        self._compiled.load(guess)
         if scene.nc:
             hold_modes(model, closed)
         self.solves += 1
@@ -252,9 +243,7 @@ class SceneModels:
         self._scene, self._kernel = scene, kernel
         self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
         self._nonlinear: dict[bool, NonlinearModes] = {}
-        self._linear: ModesProblem | None = None
         self._coarser: dict[int, SceneModels] = {}
-        self._judge: PlanJudge | None = None
         self.is_linear = why_not_linear(scene) is None
 
     def coarser(self, scene: Scene) -> SceneModels:
@@ -274,8 +263,6 @@ class SceneModels:
     def modes(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
         """Give the problem with modes fixed, with this ball; budget, options: of the runs of Ipopt that a nonlinear scene needs."""
         if self.is_linear:
-            if self._linear is None:
-                self._linear = ModesProblem(linear_scene(self._scene), ball)
             self._linear.ball = ball
             return self._linear
         is_ball = ball > 0.0
@@ -285,8 +272,11 @@ class SceneModels:
             self._nonlinear[is_ball].begin(ball, budget, options)
         return self._nonlinear[is_ball]
 
+    @cached_property
+    def _linear(self) -> ModesProblem:
+        return ModesProblem(linear_scene(self._scene))
+
+    @cached_property
     def judge(self) -> PlanJudge:
-        """Give what certifies plans of this scene."""
-        if self._judge is None:
-            self._judge = PlanJudge(self._scene)
-        return self._judge
+        """What certifies plans of this scene."""
+        return PlanJudge(self._scene)

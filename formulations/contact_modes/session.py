@@ -252,7 +252,7 @@ class MpccSession(Session):
         outcome, message = checked(outcome, message, residuals, self._promises())
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            certificate = self._models.judge().certify(plan, goal_tolerance=self._options.goal_tolerance)
+            certificate = self._models.judge.certify(plan, goal_tolerance=self._options.goal_tolerance)
             outcome, message = _stationary(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,

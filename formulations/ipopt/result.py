@@ -16,7 +16,7 @@ import numpy as np
 from pyomo.core.staleflag import StaleFlagManager
 
 from formulations.ipopt.problem import IpoptProblem
-from formulations.solution import Outcome
+from formulations.solution import Outcome, Seconds
 
 # Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is Ipopt's opinion; `solve` keeps it only if the
 # unscaled residuals agree.
@@ -207,37 +207,35 @@ class Iteration:
     trials: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class IpoptSeconds:
-    """Wall time of one solve [s]: inside the model's functions, in the rest of Ipopt (its linear algebra), and in all; CPU time in all."""
-
-    evaluate: float = 0.0
-    linear_algebra: float = 0.0
-    wall: float = 0.0
-    cpu: float = 0.0
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class IpoptResult:
-    """How a solve ended.
+class IpoptExit:
+    """Where Ipopt ended: its status code (`NOT_SENT` if it was not needed), the point and its multipliers; a message only where Ipopt was not needed.
 
-    status: Ipopt's code (`NOT_SENT` if Ipopt was not needed); outcome: after our own check; message: one sentence
     x: (n,) by `problem.variables`; lagrange: (m,) by `problem.equations`; zl, zu: (n,), all in Ipopt's signs, L = f + lagrange' g - zl' x + zu' x
-    objective: in the model's own sense; residuals: unscaled, at x
     """
 
     status: int
-    outcome: Outcome
-    message: str
+    message: str = ""
     x: np.ndarray
     lagrange: np.ndarray
     zl: np.ndarray
     zu: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IpoptResult(IpoptExit):
+    """How a solve ended.
+
+    outcome: after our own check; message: one sentence; objective: in the model's own sense; residuals: unscaled, at x; seconds: in the model's functions, in
+    the rest of Ipopt (its linear algebra), and in all
+    """
+
+    outcome: Outcome
     objective: float
     iterations: int
     residuals: Residuals
     history: tuple[Iteration, ...]
-    seconds: IpoptSeconds
+    seconds: Seconds
     calls: Mapping[str, int] = field(default_factory=dict)
     options: Mapping[str, str | int | float]
     version: str

@@ -21,8 +21,8 @@ from formulations.ipopt.result import (
     FEASIBILITY,
     NOT_SENT,
     UNKNOWN,
+    IpoptExit,
     IpoptResult,
-    IpoptSeconds,
     Iteration,
     Residuals,
     bound_products,
@@ -30,7 +30,7 @@ from formulations.ipopt.result import (
     outcome_of,
     residuals,
 )
-from formulations.solution import Outcome
+from formulations.solution import Outcome, Seconds
 
 # Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and about its last.
 _MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
@@ -87,18 +87,6 @@ def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | 
     products = products[np.isfinite(products)]
     mean = float(np.mean(products)) if products.size else _MU_SMALLEST
     return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
-
-
-@dataclass(frozen=True, kw_only=True)
-class IpoptExit:
-    """Where Ipopt ended: its status code, the point and its multipliers in Ipopt's signs; a message only where Ipopt was not needed."""
-
-    status: int
-    message: str = ""
-    x: np.ndarray
-    lagrange: np.ndarray
-    zl: np.ndarray
-    zu: np.ndarray
 
 
 def ipopt_version() -> tuple[int, ...]:
@@ -215,18 +203,13 @@ def solve(
     if missing:
         message += f"; {missing} variable(s) without a value started from the point of their bounds nearest 0"
     return IpoptResult(
-        status=answer.status,
+        **{**vars(answer), "message": message},
         outcome=outcome,
-        message=message,
-        x=answer.x,
-        lagrange=answer.lagrange,
-        zl=answer.zl,
-        zu=answer.zu,
         objective=problem.sense * problem.objective(answer.x),
         iterations=max(0, recorder.last),
         residuals=certificate,
         history=tuple(recorder.lines),
-        seconds=IpoptSeconds(
+        seconds=Seconds(
             evaluate=functions.seconds,
             linear_algebra=max(0.0, wall - functions.seconds - recorder.seconds),
             wall=wall,
@@ -289,7 +272,7 @@ def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | N
 def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]) -> tuple[Outcome, str, Residuals]:
     """Ipopt's claim, checked: no 'solved' without residuals that say so."""
     vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
-    finite = all(bool(np.all(np.isfinite(v))) for v in vectors)
+    finite = all(np.isfinite(v).all() for v in vectors)
     certificate = residuals(problem, *vectors) if finite else UNKNOWN
     if answer.status == NOT_SENT:
         if answer.message:

@@ -12,7 +12,7 @@ way has a plan: that is where 77.2 comes from, and from a cold start 18214 for h
 its plan is nearly that of its inputs, and strict_lcp ends near it.
 
 An exact plan solves the equations of its grid, and a robot does not move on a grid. So each is followed on finer steps by linear feedback around it
-(`formulations.finer`): how far the motion leaves the plan and misses the goal, and what the feedback takes of the plan's own inputs, in parts of what the
+(`formulations.grids`): how far the motion leaves the plan and misses the goal, and what the feedback takes of the plan's own inputs, in parts of what the
 scene allows. Where that is more than 1 for the cheapest plan, it is solved again on steps a half, a quarter and an eighth as long, from the motion that
 followed it, until it is clearly less. A plan with more than 1 is taken only where there is no other, and of these the one that departs least.
 """
@@ -23,8 +23,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from time import monotonic
 
-from formulations.finer import departure, finer_scene, motion_on_finer_steps
-from formulations.method import Clock, Kind, Method, Options, Session, option, without_inputs
+from formulations.grids import departure, finer_scene, motion_on_finer_steps
+from formulations.method import Clock, Kind, Method, Options, Session, option
 from formulations.pipelines import MULTIPLE_SHOOTING_COUNT, MULTIPLE_SHOOTING_EPS, RELAXED_EPS, RELAXED_FROM, SOFTPLUS_EPS, load_method
 from formulations.solution import Attempt, Outcome, Seconds, Solution
 from formulations.transcription.method import ended
@@ -193,10 +193,6 @@ class BestExact(Method[BestExactOptions]):
     needs_eps = False
     exact = True
     options = BestExactOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
         """Open a session, which opens those of the ways as it goes them."""

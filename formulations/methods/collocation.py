@@ -11,7 +11,7 @@ Contacts open and close within steps, not at nodes. What that costs is bounded: 
 from __future__ import annotations
 
 from formulations.contact_modes.method import CollocationOptions
-from formulations.method import Clock, Kind, Method, Session, without_inputs
+from formulations.method import Clock, Kind, Method, Session
 from formulations.transcription.method import why_not_collocated
 from models.scene import Scene
 
@@ -27,7 +27,7 @@ class Collocation(Method[CollocationOptions]):
 
     def accepts(self, scene: Scene) -> str | None:
         """Refuse scenes without inputs, with friction or with damped contacts."""
-        return without_inputs(scene, "plan") or why_not_collocated(scene)
+        return super().accepts(scene) or why_not_collocated(scene)
 
     def session(self, scene: Scene, options: CollocationOptions, clock: Clock) -> Session:
         """Open a session, whose models are built at its first solve."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from formulations.method import Clock, Kind, Method, OptionError, Session, option, without_inputs
-from formulations.shooting.options import LbfgsOptions
+from formulations.method import Clock, Kind, Method, OptionError, Session, option
+from formulations.shooting.method import LbfgsOptions
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
@@ -33,12 +33,9 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
     name = "randomised_smoothing"
     title = "L-BFGS on ReLU contact, averaged over random inputs"
     kind = Kind.INDIRECT
+    purpose = "descend on"
     needs_eps = True  # standard deviation of the noise, in half ranges of the inputs
     options = RandomisedSmoothingOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "descend on")
 
     def session(self, scene: Scene, options: RandomisedSmoothingOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""

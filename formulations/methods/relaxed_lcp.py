@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, cast
 
 from formulations.grids import coarse_scene, on_grid
-from formulations.method import Clock, Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Outcome, Solution
 from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work, ended
 from models.codegen.kernel import load_kernel
@@ -184,10 +184,6 @@ class RelaxedLCP(Method[RelaxedLCPOptions]):
     kind = Kind.INDIRECT
     needs_eps = True
     options = RelaxedLCPOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: RelaxedLCPOptions, clock: Clock) -> Session:
         """Open a session, which imports Pyomo and Ipopt."""

@@ -6,8 +6,8 @@ true contact law that meets the goal itself.
 
 from __future__ import annotations
 
-from formulations.method import Clock, Kind, Method, Session, without_inputs
-from formulations.shooting.options import RobustOptions
+from formulations.method import Clock, Kind, Method, Session
+from formulations.shooting.method import RobustOptions
 from models.scene import Scene
 
 
@@ -17,6 +17,7 @@ class Robust(Method[RobustOptions]):
     name = "robust"
     title = "L-BFGS on ReLU contact, for several worlds at once"
     kind = Kind.DIRECT
+    purpose = "descend on"
     needs_eps = False
     options = RobustOptions
 
@@ -26,7 +27,7 @@ class Robust(Method[RobustOptions]):
             return f"scene {scene.name} needs feedback whatever its plan ({scene.unstable.rstrip('.')}), so no inputs alone are robust."
         if not any(scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")):
             return f"scene {scene.name} limits no end, so in another world its plan costs more or less, which no inputs mend."
-        return without_inputs(scene, "descend on")
+        return super().accepts(scene)
 
     def session(self, scene: Scene, options: RobustOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""

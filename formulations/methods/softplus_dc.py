@@ -1,7 +1,7 @@
 """Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|.
 
 A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a plan. A cold start whose multipliers run away is begun
-again with its goal let go (`transcription.feasibility`).
+again with its goal let go (`transcription.solving`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
-from formulations.method import Clock, Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Outcome, Solution
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work
 from models.contact_law import ContactLaw, sharpness
@@ -87,10 +87,6 @@ class SoftplusDC(Method[SoftplusDCOptions]):
     kind = Kind.INDIRECT
     needs_eps = True
     options = SoftplusDCOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> Session:
         """Open a session, which imports Pyomo and Ipopt."""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formulations.grids import replayed_goal_error
-from formulations.method import Clock, Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Outcome, Solution
 from formulations.transcription.method import BarrierOptions, SolveBudget, Work, ended
 from models.codegen.kernel import load_kernel
@@ -218,10 +218,6 @@ class StrictLCP(Method[StrictLCPOptions]):
     needs_eps = False
     exact = True
     options = StrictLCPOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "plan")
 
     def session(self, scene: Scene, options: StrictLCPOptions, clock: Clock) -> Session:
         """Open a session, which imports Pyomo and Ipopt."""

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from formulations.grids import plan_of
-from formulations.method import Clock, Method, Session, without_inputs
+from formulations.method import Clock, Method, Session
 from formulations.multiple_shooting.solver import Costs, GoalTerm, MultipleShootingOptions, Solver, SolverResult
 from formulations.shooting.stage import arrived, first_inputs, measure_growth, plan_residuals, stage_seconds
 from formulations.solution import Solution
@@ -101,12 +101,9 @@ class MultipleShootingSession(Session):
 class MultipleShootingMethod(Method[MultipleShootingOptions]):
     """Multiple shooting under one contact law."""
 
+    purpose = "shoot with"
     law: ContactLaw
     options = MultipleShootingOptions
-
-    def accepts(self, scene: Scene) -> str | None:
-        """Refuse scenes without inputs."""
-        return without_inputs(scene, "shoot with")
 
     def session(self, scene: Scene, options: MultipleShootingOptions, clock: Clock) -> Session:
         """Open a session with the compiled steps."""

@@ -12,8 +12,7 @@ Two solvers do the work: SCIP for the mixed-integer program (`pip install pyscip
 Nothing is assumed beyond the scene itself: no symmetry, no limit on the number of contact intervals, no least time between two of them.
 """
 
-from formulations.proof.bounds import PairBounds, pair_bounds
+from formulations.proof.bounds import PairBounds, pair_bounds, relaxed_bound
 from formulations.proof.prove import Proof, ProofStatus, build_miqp, missing_solver, prove, why_no_proof
-from formulations.proof.relaxation import relaxed_bound
 
 __all__ = ["PairBounds", "Proof", "ProofStatus", "build_miqp", "missing_solver", "pair_bounds", "prove", "relaxed_bound", "why_no_proof"]

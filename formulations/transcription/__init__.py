@@ -7,6 +7,6 @@
 how far a plan is from its equations.
 
 What a method in formulations/methods is put together from: `method` its options, the rules of a stage and what it spends, `compiled` the model as Ipopt
-takes it, `solving` the model loaded, solved, read and checked, and what is left once contact modes are fixed, `feasibility` whether the goal can be
-reached at all, `homotopy` stages for ever smaller eps.
+takes it, `solving` the model loaded, solved, read and checked, what is left once contact modes are fixed, and whether the goal can be reached at
+all, `homotopy` stages for ever smaller eps.
 """

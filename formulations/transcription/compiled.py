@@ -20,7 +20,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.solution import ModelSize
-from formulations.transcription.build import read_plan
+from formulations.transcription.build import load_first_guess, load_plan, read_plan
 from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import SolveBudget
 from models.scene import Scene
@@ -59,6 +59,13 @@ class CompiledModel:
             self._problem.refresh()
         budget.translate += perf_counter() - begin
         return self._problem
+
+    def load(self, start: Trajectory | None) -> None:
+        """The model holds this plan, or the paper's first guess. Raises TrajectoryError for a plan of another grid."""
+        if start is None:
+            load_first_guess(self.model)
+        else:
+            load_plan(self.model, start)
 
     def read(self) -> Trajectory:
         """The plan that the model holds. Raises TrajectoryError where a value is not finite."""

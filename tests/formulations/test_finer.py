@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.finer import departure, finer_scene, motion_on_finer_steps, scene_of
+from formulations.grids import departure, finer_scene, motion_on_finer_steps, scene_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from formulations.finer import finer_scene
-from formulations.grids import plan_of
+from formulations.grids import finer_scene, plan_of
 from formulations.pipelines import load_method
-from formulations.shooting.options import RobustOptions
+from formulations.shooting.method import RobustOptions
 from formulations.shooting.worlds import DrawnWorld, WorldsObjective, drawn
 from formulations.solution import Outcome
 from models.catalog import load_scene

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, cast
 
-from formulations.finer import scene_of
+from formulations.grids import scene_of
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
 from formulations.transcription.build import build_model, load_plan, move_ball, open_goal

@@ -12,8 +12,7 @@ import sympy as sp
 
 from formulations.contact_modes.linear import linear_scene
 from formulations.proof import bounds as module
-from formulations.proof.bounds import EnergyBound, PairBounds, energy_bound, pair_bounds, physical_bounds
-from formulations.proof.relaxation import RelaxationResult
+from formulations.proof.bounds import EnergyBound, PairBounds, RelaxationResult, energy_bound, pair_bounds, physical_bounds
 from models.scene import Contact, Coordinate, Input, Scene, Task
 from tests.formulations.proof.test_relaxation import ONE
 

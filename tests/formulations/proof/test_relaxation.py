@@ -8,7 +8,7 @@ import pytest
 
 from formulations.contact_modes.linear import LinearScene
 from formulations.proof import relaxed_bound
-from formulations.proof.relaxation import Relaxation, _lowered
+from formulations.proof.bounds import Relaxation, _lowered
 
 # Clarabel's answers are lowered by a millionth of their size, at least by a millionth.
 CLOSE = {"rel": 3e-6, "abs": 3e-6}

@@ -10,7 +10,7 @@ from example_scenes import example_scene, solve
 from wording import unsaid
 
 from formulations.pipelines import load_method
-from formulations.shooting.diagnosis import sensitivity, stable_rate
+from formulations.shooting.descent import sensitivity, stable_rate
 from formulations.shooting.objective import Objective
 from formulations.shooting.stage import GradientGrowth, measure_growth
 from formulations.solution import Outcome

@@ -13,9 +13,9 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import set_relaxation
-from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import SolveBudget, Work
 from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.solving import GoalMonitor, plan_with_goal_released
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from tests.formulations.transcription.rollouts import rolled_out

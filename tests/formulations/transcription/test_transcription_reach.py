@@ -10,8 +10,8 @@ from formulations.ipopt import Iteration
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.compiled import CompiledModel
-from formulations.transcription.feasibility import RestorationMonitor, nearest
 from formulations.transcription.method import SolveBudget
+from formulations.transcription.solving import RestorationMonitor, nearest
 from models.catalog import load_scene
 from models.scene import Scene
 
