@@ -67,15 +67,8 @@ class Checkout:
     def run(self, arguments: Sequence[str]) -> float:
         """CPU seconds of a Python of its own and of the processes that it started [s]."""
         before = cpu_seconds()
-        done = subprocess.run(
-            [sys.executable, *arguments],
-            cwd=self.folder,
-            env=self._environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            errors="replace",
-        )
+        command, where = [sys.executable, *arguments], {"cwd": self.folder, "env": self._environment}
+        done = subprocess.run(command, **where, capture_output=True, text=True, check=False, errors="replace")
         if done.returncode not in (0, 1):
             raise click.ClickException(f"python {' '.join(arguments)} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
         return cpu_seconds() - before

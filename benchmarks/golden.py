@@ -216,14 +216,7 @@ def results_table() -> str:
                 f"{float(row[name]):.2g}" if float(row[name]) > FLOOR else "0"
                 for name in ("terminal_error", "discrete_terminal_error", "replay_terminal_error")
             )
-            cells = (
-                pipeline.name,
-                row["method"],
-                row["eps"],
-                f"{float(row['cost']):.2f}",
-                paper[place] if paper else "",
-                *errors,
-                row["verdict"],
-            )
+            costs = (f"{float(row['cost']):.2f}", paper[place] if paper else "")
+            cells = (pipeline.name, row["method"], row["eps"], *costs, *errors, row["verdict"])
             lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(lines) + "\n"

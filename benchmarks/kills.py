@@ -33,12 +33,8 @@ _SHARED = Path("/dev/shm")
 @click.option("--count", type=COUNT, default=25, show_default=True, help="How many kills.")
 @seed_option
 @click.option(
-    "--engine",
-    "engines",
-    type=click.Choice(list(_VICTIMS)),
-    multiple=True,
-    help="Only these; `standing` is a Dask cluster that stands by itself.",
-)
+    "--engine", "engines", type=click.Choice(list(_VICTIMS)), multiple=True, help="Only these; `standing` is a Dask cluster that stands by itself."
+)  # fmt: skip
 @click.option("-j", "--jobs", type=COUNT, default=2, show_default=True)
 @json_option
 def command(count: int, seed: int, engines: tuple[str, ...], jobs: int, file: Path | None) -> int:

@@ -38,15 +38,9 @@ def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) 
 
 
 out_option = click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=FOLDER,
-    show_default=True,
-    callback=_place,
-    metavar="DIR",
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=FOLDER, show_default=True, callback=_place, metavar="DIR",
     help="Where the figures go, for `python -m benchmarks page`.",
-)
+)  # fmt: skip
 json_option = click.option(
     "--json", "file", type=click.Path(path_type=Path, dir_okay=False), callback=_place, metavar="FILE", help="Write what was found to this file too."
 )  # fmt: skip

@@ -15,7 +15,6 @@ The order is the slope of log(replay error) over log(h), by least squares.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from scipy.interpolate import CubicHermiteSpline
 from benchmarks.measure import least, slope
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.results import store
-from formulations.pipelines import load_method
+from formulations.pipelines import find_pipeline, load_method, solve_stages, stage_plan
 from formulations.solution import Solution
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -55,7 +54,7 @@ GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "two_finger_lift": ((100, 200, 400, 800), ()),
     "hopper_planar": ((100, 200, 400), ()),
 }
-_FRICTION_CHAIN = (("softplus_dc", 1e-3), ("softplus_dc", 1e-5), ("softplus_dc", 1e-7), ("strict_lcp", None))
+_FRICTION_CHAIN = "softplus_dc+strict"
 TARGETS = (1e-2, 1e-3, 1e-4)
 # Repeats stop here [CPU s]: longer solves vary little.
 _ENOUGH = 5.0
@@ -83,14 +82,9 @@ def _solve(scene: Scene, scheme: str, limit: float) -> Solution:
 
 def _solve_chain(scene: Scene, limit: float) -> Solution:
     """Iterations are those of all stages, the rest is the last one's; a stage without a plan hands on the one before, as in a campaign."""
-    plan, iterations, solution = None, 0, None
-    with ExitStack() as opened:
-        sessions = {name: opened.enter_context(load_method(name).open(scene, {})) for name in dict(_FRICTION_CHAIN)}
-        for name, eps in _FRICTION_CHAIN:
-            solution = sessions[name].solve(eps=eps, warm_start=plan, time_limit=limit)
-            plan, iterations = solution.trajectory or plan, iterations + solution.iterations
-    assert solution is not None
-    return replace(solution, iterations=iterations)
+    pipeline = find_pipeline(_FRICTION_CHAIN)
+    solutions = list(solve_stages(scene, pipeline, time_limit=limit * len(list(stage_plan(pipeline)))))
+    return replace(solutions[-1], iterations=sum(solution.iterations for solution in solutions))
 
 
 def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats: int) -> tuple[dict[str, Any], Trajectory | None]:

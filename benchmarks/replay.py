@@ -54,9 +54,8 @@ def _plan(scene: Scene) -> Trajectory:
         from formulations.pipelines import load_method
 
         method = load_method("mpcc")
-        session = method.open(scene, {})
-        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
-        session.close()
+        with method.open(scene, {}) as session:
+            solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
         if solution.trajectory is None:
             raise click.ClickException(f"no plan: {solution.outcome}")
         click.echo(f"{scene.name}: plan of cost {solution.cost:.7g}", err=True)
@@ -64,14 +63,8 @@ def _plan(scene: Scene) -> Trajectory:
     nodes = scene.task.steps + 1
     state = np.tile(np.array(scene.task.start), (nodes, 1))
     inputs, forces = np.zeros((nodes - 1, scene.nu)), np.zeros((nodes - 1, scene.nl))
-    return Trajectory(
-        t=uniform_grid(scene.task.step, nodes - 1),
-        q=state[:, : scene.nq],
-        v=state[:, scene.nq :],
-        u=inputs,
-        lam=forces,
-        scheme=Scheme.SEMI_IMPLICIT_EULER,
-    )
+    t, q, v = uniform_grid(scene.task.step, nodes - 1), state[:, : scene.nq], state[:, scene.nq :]
+    return Trajectory(t=t, q=q, v=v, u=inputs, lam=forces, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
 def _positions(run: Run, nq: int) -> np.ndarray:
@@ -124,15 +117,9 @@ def _by_fmpy(folder: str, description: Any, scene: Scene, plan: Trajectory, inte
     start = dict(zip([*names.q, *names.v], plan.start.tolist(), strict=True))
     result = fmpy.simulate_fmu(
         folder,
-        fmi_type=interface,
-        start_values=start | ({names.internal_step: step / _FINENESS} if interface == "CoSimulation" else {}),
-        input=inputs,
-        output=list(names.q),
-        output_interval=step,
-        stop_time=float(plan.t[-1]),
-        relative_tolerance=_RTOL,
-        model_description=description,
-    )
+        fmi_type=interface, start_values=start | ({names.internal_step: step / _FINENESS} if interface == "CoSimulation" else {}), input=inputs,
+        output=list(names.q), output_interval=step, stop_time=float(plan.t[-1]), relative_tolerance=_RTOL, model_description=description,
+    )  # fmt: skip
     return np.array([result[name][-1] for name in names.q])
 
 

@@ -46,12 +46,9 @@ _METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuratio
 @click.command()
 @campaign_argument
 @click.option(
-    "--browser",
-    callback=program,
-    default=lambda: shutil.which("chromium") or shutil.which("google-chrome"),
-    metavar="PROGRAM",
+    "--browser", callback=program, default=lambda: shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM",
     help="Chromium, if it is elsewhere.",
-)
+)  # fmt: skip
 @click.option("--axe", type=click.Path(path_type=Path, exists=True), help="axe.min.js: also the violations of WCAG 2 A and AA.")
 @click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
 def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> int:

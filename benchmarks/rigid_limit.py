@@ -62,19 +62,8 @@ def _throws(scene: Scene) -> list[Trajectory]:
         motion = kernel.rollout(start, u, scene.task.step)
         if not motion.diverged and (motion.lam > 0).any():
             missed = float((motion.q[-1, 2:4] ** 2).sum())
-            found.append(
-                (
-                    missed,
-                    Trajectory(
-                        t=uniform_grid(scene.task.step, steps),
-                        q=motion.q,
-                        v=motion.v,
-                        u=u,
-                        lam=motion.lam,
-                        scheme=Scheme.SEMI_IMPLICIT_EULER,
-                    ),
-                )
-            )
+            scheme, t = Scheme.SEMI_IMPLICIT_EULER, uniform_grid(scene.task.step, steps)
+            found.append((missed, Trajectory(t=t, q=motion.q, v=motion.v, u=u, lam=motion.lam, scheme=scheme)))
     return [plan for _, plan in sorted(found, key=lambda item: item[0])[:_THROWS]]
 
 

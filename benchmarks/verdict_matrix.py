@@ -47,8 +47,7 @@ def kept_plan(name: str, plans: Path) -> Path | None:
 def as_markdown(engines: Sequence[str], rows: dict[str, tuple[str, str, list[EngineVerdict]]]) -> str:
     """The page: a table of scenes by engines, then each disagreement with its class and what was measured; without times, so that it is equal whenever it is made."""
     lines = [
-        "# The verdict matrix",
-        "",
+        "# The verdict matrix\n",
         f"Made by `python -m benchmarks verdict-matrix --engine {','.join(engines)}`; [engines.md](engines.md) says what is asked and how a class is measured.",
         "",
         "A cell is the engine's own verdict at its finest step; **bold** where it is another than ours at that step or at one of two longer ones.",

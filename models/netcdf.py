@@ -170,10 +170,8 @@ def numbers(path: Path, columns: Mapping[str, Column], name: str, unit: str, siz
 
 
 def _plain(value: object) -> str | int | float:
-    if isinstance(value, np.generic):
+    if isinstance(value, np.generic | np.ndarray) and value.size == 1:
         value = value.item()
-    if isinstance(value, np.ndarray) and value.size == 1:
-        value = value.reshape(-1)[0].item()
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace")
     return value if isinstance(value, (str, int, float)) else str(value)

@@ -86,14 +86,8 @@ def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarr
     for part in parts.contacts:
         for item in part.coordinates:
             body, push = home[item], part.force_name(item)
-            bonds.append(
-                (
-                    *place(body, item.velocity_name),
-                    references[body][push],
-                    *place(part.name, push),
-                    references[part.name][item.velocity_name],
-                )
-            )
+            back, here = references[body][push], references[part.name][item.velocity_name]
+            bonds.append((*place(body, item.velocity_name), back, *place(part.name, push), here))
     return {
         "algorithm": algorithm,
         "h": h,

@@ -24,7 +24,7 @@ _BRANCH_OPTIONS = {"max_iter": 300, "bound_relax_factor": 0.0, "tol": 1e-9}
 WRONG = ("wrong optimal", "wrong infeasible", "wrong unbounded")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Verdict:
     """agreement: 'same' (best of all branches, or none feasible, or one unbounded), 'better' or 'worse' (another local solution), 'local of
     unbounded', 'undecided' (no claim was made), 'refused', or one of WRONG. best: of the branches, in the model's sense."""
@@ -55,9 +55,7 @@ def judge(problem: Any) -> Verdict:
     try:
         result = solve_mpec(model)
     except ModelRefusedError as error:
-        return Verdict(
-            seed=seed, kind=problem.kind, outcome="refused", agreement="refused", objective=math.nan, best=math.nan, note=str(error)
-        )
+        return Verdict(seed, problem.kind, "refused", "refused", math.nan, math.nan, str(error))
     sense = 1 if model.cost.sense == pyo.minimize else -1
     violation, mine = math.inf, math.inf
     if result.has_point:
@@ -68,15 +66,7 @@ def judge(problem: Any) -> Verdict:
         condition.deactivate()
     found = _enumerate(problem, free, start, point if result.solved else None, sense, mine)
     agreement, note = _compare(result, found, mine, violation, problem.is_convex)
-    return Verdict(
-        seed=seed,
-        kind=problem.kind,
-        outcome=result.outcome.name,
-        agreement=agreement,
-        objective=result.objective,
-        best=sense * found.best,
-        note=note,
-    )
+    return Verdict(seed, problem.kind, result.outcome.name, agreement, result.objective, sense * found.best, note)
 
 
 def _compare(result: Any, found: Branches, mine: float, violation: float, is_convex: bool) -> tuple[str, str]:

@@ -69,12 +69,9 @@ def solve(side: int) -> dict[str, Any]:
     }
     if certificate is not None:
         told |= {
-            "primal": certificate.primal,
-            "complementarity": certificate.complementarity,
-            "letter": certificate.stationarity.letter,
-            "b_stationary": bool(certificate.b_stationary),
-            "contact": sum(bool(pair.first <= 0.0) for pair in result.pairs),
-        }
+            "primal": certificate.primal, "complementarity": certificate.complementarity, "letter": certificate.stationarity.letter,
+            "b_stationary": bool(certificate.b_stationary), "contact": sum(bool(pair.first <= 0.0) for pair in result.pairs),
+        }  # fmt: skip
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return {**told, "cpu_s": usage.ru_utime + usage.ru_stime, "memory_mib": usage.ru_maxrss / 1024}
 

@@ -334,17 +334,9 @@ def _tell(out: Path, name: str, rows: list[dict[str, Any]], published: dict[str,
 @written_to("--markdown", "markdown", "FILE.md", "the tables, as docs/mpec_sets.md has them")
 @out_option
 def command(
-    folder: Path,
-    optima: Path | None,
-    listed: Path | None,
-    limit: float,
-    proof: float,
-    peer: int | None,
-    part: str,
-    jobs: int,
-    markdown: Path | None,
+    folder: Path, optima: Path | None, listed: Path | None, limit: float, proof: float, peer: int | None, part: str, jobs: int, markdown: Path | None,
     out: Path,
-) -> int:
+) -> int:  # fmt: skip
     """A folder of MPECs (`.nl`, or Pyomo models in Python files): status, objective, certificate and time of each."""
     problems = [problem for problem in _problems(folder, listed) if part in problem.name]
     if not problems:
@@ -353,12 +345,8 @@ def command(
     with temporary_folder("touchstone-sets-") as work, ThreadPoolExecutor(jobs) as pool:
         rows = []
         for row in pool.map(lambda p: _run(p, limit, proof, published.get(p.name, math.nan), peer, work), problems):
-            click.echo(
-                "  ".join(
-                    str(word)
-                    for word in (row["problem"], row["status"], row.get("objective"), _against(row, published.get(row["problem"])))
-                )
-            )
+            told = (row["problem"], row["status"], row.get("objective"), _against(row, published.get(row["problem"])))
+            click.echo("  ".join(map(str, told)))
             rows.append(row)
     _tell(out, f"mpec-sets-{folder.name}", rows, published, markdown)
     return 0

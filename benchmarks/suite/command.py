@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from pydantic import ValidationError
 
+from benchmarks.measure import Size
 from benchmarks.options import out_option
+from benchmarks.records import SuiteRecord, middle, spread
 from benchmarks.results import store, typed
+from benchmarks.suite.cases import FULL_SIZES, QUICK_SIZES
+from benchmarks.suite.compare import Comparison, compare
+from benchmarks.suite.run import QUICK_REPEATS, REPEATS, Settings, failures, plan, run_suite
 from validate.cli.table import one_line, table
-
-if TYPE_CHECKING:
-    from benchmarks.measure import Size
-    from benchmarks.records import SuiteRecord
-    from benchmarks.suite.compare import Comparison
+from validate.store.disk import make_folder
 
 _EPILOG = """\b
 Examples:
@@ -41,8 +42,6 @@ regression beyond its noise; 2 usage, or nothing selected.
 
 
 def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[Size, ...]:
-    from benchmarks.measure import Size
-
     found = []
     for value in values:
         parts = re.fullmatch(r"(\d+)x(\d+)", value)
@@ -55,12 +54,8 @@ def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str
 @click.command(epilog=_EPILOG)
 @click.option("--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is.")
 @click.option(
-    "-k",
-    "expression",
-    default="",
-    metavar="EXPR",
-    help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not.",
-)
+    "-k", "expression", default="", metavar="EXPR", help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not."
+)  # fmt: skip
 @click.option("--size", "sizes", multiple=True, metavar="NxT", callback=_sizes, help="Carts x steps, such as 3x500; may be repeated.")
 @click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Rounds: 5, with --quick 2 (too few for --compare).")
 @click.option("--slow", is_flag=True, help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.")
@@ -69,30 +64,13 @@ def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str
 )
 @out_option
 @click.option(
-    "--compare",
-    "earlier",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.json",
-    help="Fail on what got worse since that file.",
-)
+    "--compare", "earlier", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.json", help="Fail on what got worse since that file."
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="The figures as JSON on stdout.")
 def command(
-    quick: bool,
-    expression: str,
-    sizes: tuple[Size, ...],
-    repeats: int | None,
-    slow: bool,
-    campaign: Path,
-    out: Path,
-    earlier: Path | None,
-    as_json: bool,
-) -> int:
+    quick: bool, expression: str, sizes: tuple[Size, ...], repeats: int | None, slow: bool, campaign: Path, out: Path, earlier: Path | None, as_json: bool
+) -> int:  # fmt: skip
     """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
-    from benchmarks.suite.cases import FULL_SIZES, QUICK_SIZES
-    from benchmarks.suite.compare import compare
-    from benchmarks.suite.run import QUICK_REPEATS, REPEATS, Settings, failures, plan, run_suite
-    from validate.store.disk import make_folder
-
     before = None if earlier is None else read_suite(earlier)
     settings = Settings(
         sizes=sizes or (QUICK_SIZES if quick else FULL_SIZES),
@@ -126,10 +104,6 @@ def command(
 
 def read_suite(path: Path) -> SuiteRecord:
     """The figures that an earlier run wrote. Raises click.UsageError."""
-    from pydantic import ValidationError
-
-    from benchmarks.records import SuiteRecord
-
     try:
         return SuiteRecord.model_validate_json(path.read_bytes())
     except OSError as error:
@@ -141,8 +115,6 @@ def read_suite(path: Path) -> SuiteRecord:
 
 
 def _tell(record: SuiteRecord) -> None:
-    from benchmarks.records import middle, spread
-
     def plain(value: float | None, form: str) -> str:
         return "" if value is None else format(value, form)
 

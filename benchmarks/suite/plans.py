@@ -109,13 +109,8 @@ def reference(name: str, scene: Scene, time_limit: float) -> dict[str, Any]:
     rows, products = (np.array(part).ravel() for part in function(x))
     left = max(np.maximum(program.rows_lower - rows, rows - program.rows_upper).max(), products.max(initial=0.0))
     outcome = Outcome.SOLVED if left <= _LEFT else Outcome.STALLED
-    return {
-        "row": name,
-        "pipeline": _CASADI,
-        "outcome": outcome.name,
-        "cost": pyo.value(model.objective_cost),
-        "cpu": process_time() - begin,
-    }
+    cost, cpu = pyo.value(model.objective_cost), process_time() - begin
+    return {"row": name, "pipeline": _CASADI, "outcome": outcome.name, "cost": cost, "cpu": cpu}
 
 
 def compared(found: Iterable[dict[str, Any]]) -> None:

@@ -223,20 +223,10 @@ def run(scenes: list[str], tries: int, seed: int, finds: Path) -> dict[str, Any]
                 count["no answer" if tried.said.verdict == BROKEN else "said to hold"] += 1
                 finds.mkdir(parents=True, exist_ok=True)
                 path = plan.write(finds / f"{reference}-{seed}-{count['tried']}.csv", scene_of(reference))
-                passed.append(
-                    {
-                        "scene": reference,
-                        "plan": str(path),
-                        "made": list(made),
-                        "wrong": tried.wrong,
-                        "said": tried.said.verdict,
-                        "why": tried.said.why,
-                    }
-                )
-                print(
-                    f"!! find      {reference}: {' > '.join(made)}: {tried.wrong}; the judge: {tried.said.verdict}, {tried.said.why}",
-                    flush=True,
-                )
+                said = {"said": tried.said.verdict, "why": tried.said.why}
+                passed.append({"scene": reference, "plan": str(path), "made": list(made), "wrong": tried.wrong, **said})
+                told = f"{reference}: {' > '.join(made)}: {tried.wrong}; the judge: {tried.said.verdict}, {tried.said.why}"
+                print(f"!! find      {told}", flush=True)
             if tried.said.verdict != BROKEN:
                 kept.append(tried)
         total += count
@@ -244,14 +234,8 @@ def run(scenes: list[str], tries: int, seed: int, finds: Path) -> dict[str, Any]
         print(f"search {reference}: {told}; {time.perf_counter() - began:.0f} s", flush=True)
     told = f"{total['wrong']} truly wrong, {total['said to hold']} of them said to hold, {total['no answer']} not answered"
     print(f"search: {total['tried']} plans tried on {len(scenes)} scenes, {told}")
-    return {
-        "tried": total["tried"],
-        "wrong": total["wrong"],
-        "said_to_hold": total["said to hold"],
-        "not_answered": total["no answer"],
-        "causes": dict(causes),
-        "finds": passed,
-    }
+    counts = {"tried": "tried", "wrong": "wrong", "said_to_hold": "said to hold", "not_answered": "no answer"}
+    return {**{name: total[what] for name, what in counts.items()}, "causes": dict(causes), "finds": passed}
 
 
 def _tried(reference: str, plan: Plan, made: tuple[str, ...], oracle: Oracle, folder: Path) -> Try:

@@ -65,18 +65,14 @@ def _find(cc: str, path: str) -> Compiler:
 def zig_compiler(target: str) -> Compiler:
     """The cross-compiler of the `[compiler]` extra for a target such as x86_64-linux-gnu.2.17. Raises MachineError if it does not run."""
     command = (sys.executable, "-m", "ziglang", "cc")
-    version = _zig_version(command)
+    version = _version(command)
     if version is None:
         raise MachineError("the cross-compiler does not run; reinstall it with: pip install --force-reinstall ziglang")
     return Compiler((*command, "-target", target), f"{version} for {target}")
 
 
-@lru_cache(maxsize=1)
-def _zig_version(command: tuple[str, ...]) -> str | None:
-    return _version(command)
-
-
-def _version(command: Sequence[str]) -> str | None:
+@lru_cache(maxsize=8)
+def _version(command: tuple[str, ...]) -> str | None:
     try:
         done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired):
