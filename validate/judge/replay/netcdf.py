@@ -14,11 +14,9 @@ import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-
 from models.errors import TrajectoryError
 from models.kinematics import pose_columns
-from models.netcdf import Column, write_columns
+from models.netcdf import Column, as_columns, write_columns
 from models.scene import Scene
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
@@ -48,28 +46,18 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def _columns(dimension: str, array: np.ndarray | None, group: list[tuple[str, str, str]]) -> list[Column]:
-    """Of an array (rows, n) or (rows,), if there is one."""
-    if array is None:
-        return []
-    parts = array.reshape(len(array), len(group)).T
-    return [
-        Column(name=name, dimension=dimension, values=values, unit=unit, description=text)
-        for values, (name, unit, text) in zip(parts, group, strict=True)
-    ]
-
-
 def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
     """Write a replay of this scene. Raises MachineError if the file cannot be written."""
     if replay.scene != scene.name:
         raise TrajectoryError(f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}.")
     columns = [Column(name="t", dimension="time", values=replay.t, unit="s", description="time")]
     for field, group in _groups(scene).items():
-        columns += _columns("time", getattr(replay, field), group)
+        if (values := getattr(replay, field)) is not None:
+            columns += as_columns(group, values.reshape(len(values), len(group)), "time")
     columns.append(Column(name="knots", dimension="node", values=replay.knots, unit="1", description="rows that are nodes of the plan"))
     if replay.applied is not None and len(replay.applied):
-        columns += _columns(
-            "step", replay.applied, [(f"applied_{item.name}", item.unit, f"{item.name} as applied") for item in scene.inputs]
+        columns += as_columns(
+            [(f"applied_{item.name}", item.unit, f"{item.name} as applied") for item in scene.inputs], replay.applied, "step"
         )
     facts = {
         "outcome": replay.outcome.name,
