@@ -299,7 +299,8 @@ class _Reader:
             code = source.code()
             match code:
                 case "C":
-                    row = self._index("C", self.header.rows)
+                    (row,) = source.values("i")
+                    self._check(row, self.header.rows, "row")
                     self.rows[row] = self._expression()
                 case "O":
                     number, sense = source.values("ii")
@@ -344,20 +345,13 @@ class _Reader:
         self._check_complete()
 
     def _check_complete(self) -> None:
-        lacking = [
-            *(["bounds of variables (b)"] if not self.bounds else []),
-            *(["bounds of rows (r)"] if self.header.rows and not self.row_bounds else []),
-            *(
-                f"{wanted - found} of {wanted} entries of {what}"
-                for wanted, found, what in zip(
-                    self.header.nonzeros,
-                    (sum(map(len, self.linear[code].values())) for code in "JG"),
-                    ("the Jacobian (J)", "the gradients (G)"),
-                    strict=True,
-                )
-                if found < wanted
-            ),
-        ]
+        lacking = [] if self.bounds else ["bounds of variables (b)"]
+        if self.header.rows and not self.row_bounds:
+            lacking.append("bounds of rows (r)")
+        for wanted, code, what in zip(self.header.nonzeros, "JG", ("the Jacobian (J)", "the gradients (G)"), strict=True):
+            found = sum(map(len, self.linear[code].values()))
+            if found < wanted:
+                lacking.append(f"{wanted - found} of {wanted} entries of {what}")
         if lacking:
             raise NlError(f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it anew.")
 
@@ -372,11 +366,6 @@ class _Reader:
     def _check(self, number: int, count: int, what: str) -> None:
         if not 0 <= number < count:
             raise self._damaged(f"{what} {number} is not one of 0 to {count - 1}" if count else f"there is no {what}")
-
-    def _index(self, code: str, count: int) -> int:
-        (number,) = self.source.values("i")
-        self._check(number, count, "row")
-        return number
 
     def _pairs(self, count: int, most: int, kind: str = "d") -> list[tuple[int, Any]]:
         if not 0 <= count <= most:
