@@ -80,26 +80,18 @@ def _register() -> None:
     from pyomo.opt import SolverFactory as FirstFactory
 
     for name, (home, plugin, doc) in _SOLVERS.items():
-        FirstFactory.register(name, doc)(partial(_first, home, plugin))
+        FirstFactory.register(name, doc)(partial(_plugin, home, plugin))
         # The second factory's own `register` would put a wrapper of this one in the place of the plugin in the first factory.
-        Factory.register(SolverFactory, name, doc)(partial(_second, home, plugin))
+        Factory.register(SolverFactory, name, doc)(partial(_plugin, home, plugin, "ContribSolver"))
 
 
-def _first(home: str, plugin: str, **options: Any) -> Any:
-    return getattr(importlib.import_module(home), plugin)(**options)
+def _plugin(home: str, name: str, outer: str = "", /, **settings: Any) -> Any:
+    """A solver of the first interface, or what asks it in the words of the second."""
+    plugin = getattr(importlib.import_module(home), name)
+    return getattr(importlib.import_module("formulations.ipopt.pyomo_solver"), outer)(plugin, **settings) if outer else plugin(**settings)
 
 
-def _second(home: str, plugin: str, **settings: Any) -> Any:
-    contrib = importlib.import_module("formulations.ipopt.pyomo_solver")
-    return contrib.ContribSolver(getattr(importlib.import_module(home), plugin), **settings)
-
-
-def register() -> None:
-    """Register now where Pyomo is imported, else as soon as it is. Raises nothing."""
-    if "pyomo.environ" in sys.modules:
-        _register()
-    else:
-        sys.meta_path.insert(0, _AfterPyomo())  # type: ignore[arg-type] - as finders are
-
-
-register()
+if "pyomo.environ" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _AfterPyomo())  # type: ignore[arg-type] - as finders are

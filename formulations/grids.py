@@ -16,6 +16,7 @@ import numpy as np
 
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.codegen.steps import load_steps
+from models.contact_law import ContactLaw
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
@@ -62,6 +63,14 @@ def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
     """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan. Raises TrajectoryError where the motion or the inputs are not finite."""
     t = uniform_grid(scene.task.step, scene.task.steps)
     return Trajectory(t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+
+
+def rolled_plan(
+    scene: Scene, kernel: Kernel, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+) -> Trajectory | None:
+    """Give the motion that inputs u (steps, nu) [N, N m] make from the scene's start, as a plan; None where it diverges. Raises KernelError for another size."""
+    rollout = kernel.rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
+    return None if rollout.diverged else plan_of(scene, rollout, u)
 
 
 def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

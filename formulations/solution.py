@@ -51,6 +51,9 @@ class Seconds:
     wall: float = 0.0
     cpu: float = 0.0
 
+    def __add__(self, other: Seconds) -> Seconds:
+        return Seconds(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
     @property
     def solve(self) -> float:
         """Seconds in the solver: functions, derivatives and linear algebra."""
@@ -87,6 +90,11 @@ class Solution:
     front: tuple[FrontPoint, ...] = ()
     size: ModelSize | None = None
     paper_size: ModelSize | None = None
+
+
+def ended(message: str) -> str:
+    """The message with a full stop, so that more may be said after it."""
+    return message if not message or message.endswith(".") else f"{message}."
 
 
 def as_asked(scene: Scene, solution: Solution) -> Solution:

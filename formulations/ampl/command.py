@@ -16,7 +16,7 @@ import os
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -63,12 +63,12 @@ def main(words: Sequence[str] | None = None) -> int:
     for_ampl = bool({"-AMPL", "-s"} & set(flags))
     environment = next((os.environ[name] for name in _ENVIRONMENT if name in os.environ), "")
     try:
-        answer = _solved(Path(stubs[0]), [*shlex.split(environment), *(word for word in rest if "=" in word)], for_ampl)
+        message = _solved(Path(stubs[0]), [*shlex.split(environment), *(word for word in rest if "=" in word)], for_ampl)
     except _RefusedError as refused:
         print(f"{NAME}: {refused}", file=sys.stderr)
         return 2
-    if not for_ampl or answer.outlev:
-        print(answer.message)
+    if message:
+        print(message)
     return 0
 
 
@@ -76,13 +76,8 @@ class _RefusedError(Exception):
     """What ends the command with exit code 2, in one sentence."""
 
 
-@dataclass(frozen=True)
-class _Answer:
-    message: str
-    outlev: int
-
-
-def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
+def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
+    """Solve, and write the answer for AMPL; what is to be printed."""
     own, others = _split(words)
     try:
         problem = read_problem(stub, objective=own["objno"], relax_integers=bool(own["relax_integers"]))
@@ -108,7 +103,7 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> _Answer:
             )
         except OSError as error:
             raise _RefusedError(f"{target} cannot be written: {error.strerror}.") from error
-    return _Answer(message, own["outlev"] if own["outlev"] is not None else int(not for_ampl))
+    return message if not for_ampl or own["outlev"] else ""
 
 
 def _split(words: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -9,126 +9,22 @@
 
 The format is D. M. Gay's, "Writing .nl Files" (2005). A row `5 k i` says that its body complements variable i - 1:
 k = 1: `0 <= body  _|_  x >= lower`; k = 2: `0 >= body  _|_  x <= upper`; k = 3: `body  _|_  lower <= x <= upper`; k = 0: `body == 0`.
-
-The two forms of a `.nl` file, read by the same four verbs: `code`, `values`, `done`, `at_end`; `place` says where in the file that is.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import add, mul, neg, sub, truediv
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import pyomo.environ as pyo
 from pyomo.core.expr.numeric_expr import LinearExpression, MaxExpression, MinExpression
 from pyomo.mpec import Complementarity, complements
 
-from models.errors import TouchstoneError
-
-
-class NlError(TouchstoneError):
-    """A `.nl` file that cannot be read: damaged, or with what Pyomo's smooth expressions cannot say."""
-
-
-class TextSource:
-    """Lines of a text file: a code is a line's first character; its values follow on that line, or are a line of their own."""
-
-    number = MappingProxyType({"n": "d", "s": "i", "l": "i"})
-    _read = MappingProxyType({"i": int, "o": int, "d": float, "s": str})
-    _names = MappingProxyType({"i": "a whole number", "o": "an operator's number", "d": "a number", "s": "a name"})
-
-    def __init__(self, file: Path, data: bytes, lines: int) -> None:
-        self._file, self._next = file, lines
-        self._lines = data.decode("latin-1").splitlines()
-        self._rest: str | None = None
-
-    def at_end(self) -> bool:
-        """Whether nothing is left but empty lines."""
-        while self._next < len(self._lines) and not self._lines[self._next].strip():
-            self._next += 1
-        return self._next >= len(self._lines)
-
-    @property
-    def place(self) -> str:
-        """The line that was read last, for messages."""
-        return f"line {self._next}"
-
-    def _line(self) -> str:
-        if self._next >= len(self._lines):
-            raise NlError(f"{self._file} ends after line {self._next}, where more should follow: the file is cut off. Write it anew.")
-        self._next += 1
-        return self._lines[self._next - 1].partition("#")[0]
-
-    def code(self) -> str:
-        """The first character of the next line. Raises NlError at the end of the file."""
-        line = self._line().lstrip()
-        self._rest = line[1:]
-        return line[:1]
-
-    def values(self, form: str) -> list[Any]:
-        """Numbers and names: i whole, o an operator's, d any, s a name. Raises NlError for others, with the place."""
-        line = self._line() if self._rest is None else self._rest
-        self._rest = None
-        words = line.split()
-        try:
-            return [self._read[kind](word) for kind, word in zip(form, words[: len(form)], strict=True)]
-        except ValueError:
-            wanted = ", ".join(self._names[kind] for kind in form)
-            raise NlError(f"{self._file}, {self.place}: {wanted} should stand here, not '{line.strip()}'. The file is damaged.") from None
-
-    def done(self) -> None:
-        """Nothing more is read of a line whose code was read."""
-        self._rest = None
-
-
-class BinarySource:
-    """The same of a binary file, of either byte order."""
-
-    number = MappingProxyType({"n": "d", "s": "h", "l": "i"})
-
-    def __init__(self, file: Path, data: bytes, begin: int, order: str, operator: str) -> None:
-        self._file, self._data, self._next = file, data, begin
-        self._kinds = {kind: struct.Struct(order + letter) for kind, letter in {"i": "i", "h": "h", "d": "d", "o": operator}.items()}
-
-    def at_end(self) -> bool:
-        """Whether no byte is left."""
-        return self._next >= len(self._data)
-
-    @property
-    def place(self) -> str:
-        """The byte that is read next, for messages."""
-        return f"byte {self._next}"
-
-    def _take(self, count: int) -> bytes:
-        if not 0 <= count <= len(self._data) - self._next:
-            raise NlError(
-                f"{self._file} ends at byte {len(self._data)}, in the middle of a value that begins at byte {self._next}: the file is cut off, or of "
-                "another byte order than its sixth line says. Write it anew."
-            )
-        self._next += count
-        return self._data[self._next - count : self._next]
-
-    def code(self) -> str:
-        """The next byte as a character. Raises NlError at the end of the file."""
-        return self._take(1).decode("latin-1")
-
-    def values(self, form: str) -> list[Any]:
-        """The same numbers and names, h a short one; a name begins with its length. Raises NlError at the end of the file."""
-        found: list[Any] = []
-        for kind in form:
-            if kind == "s":
-                found.append(self._take(self.values("i")[0]).decode("latin-1"))
-            else:
-                found += self._kinds[kind].unpack(self._take(self._kinds[kind].size))
-        return found
-
-    def done(self) -> None:
-        """A code stands alone here."""
+from formulations.ampl.source import BinarySource, NlError, TextSource
 
 
 def read_nl(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> pyo.ConcreteModel:
@@ -299,7 +195,8 @@ class _Reader:
             code = source.code()
             match code:
                 case "C":
-                    row = self._index("C", self.header.rows)
+                    (row,) = source.values("i")
+                    self._check(row, self.header.rows, "row")
                     self.rows[row] = self._expression()
                 case "O":
                     number, sense = source.values("ii")
@@ -344,20 +241,13 @@ class _Reader:
         self._check_complete()
 
     def _check_complete(self) -> None:
-        lacking = [
-            *(["bounds of variables (b)"] if not self.bounds else []),
-            *(["bounds of rows (r)"] if self.header.rows and not self.row_bounds else []),
-            *(
-                f"{wanted - found} of {wanted} entries of {what}"
-                for wanted, found, what in zip(
-                    self.header.nonzeros,
-                    (sum(map(len, self.linear[code].values())) for code in "JG"),
-                    ("the Jacobian (J)", "the gradients (G)"),
-                    strict=True,
-                )
-                if found < wanted
-            ),
-        ]
+        lacking = [] if self.bounds else ["bounds of variables (b)"]
+        if self.header.rows and not self.row_bounds:
+            lacking.append("bounds of rows (r)")
+        for wanted, code, what in zip(self.header.nonzeros, "JG", ("the Jacobian (J)", "the gradients (G)"), strict=True):
+            found = sum(map(len, self.linear[code].values()))
+            if found < wanted:
+                lacking.append(f"{wanted - found} of {wanted} entries of {what}")
         if lacking:
             raise NlError(f"{self.file} lacks {', '.join(lacking)}: the file is cut off. Write it anew.")
 
@@ -372,11 +262,6 @@ class _Reader:
     def _check(self, number: int, count: int, what: str) -> None:
         if not 0 <= number < count:
             raise self._damaged(f"{what} {number} is not one of 0 to {count - 1}" if count else f"there is no {what}")
-
-    def _index(self, code: str, count: int) -> int:
-        (number,) = self.source.values("i")
-        self._check(number, count, "row")
-        return number
 
     def _pairs(self, count: int, most: int, kind: str = "d") -> list[tuple[int, Any]]:
         if not 0 <= count <= most:

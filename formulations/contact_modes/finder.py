@@ -15,7 +15,7 @@ from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, NonlinearMode
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import SearchResult, flip_wrong_signs, search_sequences
 from formulations.contact_modes.starts import random_plan
-from formulations.grids import coarse_scene, on_grid, plan_of
+from formulations.grids import coarse_scene, on_grid, plan_of, rolled_plan
 from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
 from formulations.transcription.method import SolveBudget
@@ -185,7 +185,6 @@ class Finder:
         coarse = coarse_scene(self._scene, self._options.coarse_steps)
         if coarse is None:
             return None
-        task = coarse.task
         begin_at = None if start is None else on_grid(start, coarse)
         begun, allowed = budget.work, budget.most_work
         budget.most_work = self._most_work  # what it searches once it has a plan is no search for a first one
@@ -195,11 +194,8 @@ class Finder:
         budget.most_work = min(self._most_work, allowed + budget.work - begun)
         if found.answer is None:
             return None
-        rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)
-        if rollout.diverged:
-            return None
-        plan = plan_of(coarse, rollout, found.answer.u)
-        return on_grid(plan, self._scene), max(1, self._scene.task.steps // task.steps // 2)
+        plan = rolled_plan(coarse, self._kernel, found.answer.u)
+        return None if plan is None else (on_grid(plan, self._scene), max(1, self._scene.task.steps // coarse.task.steps // 2))
 
     def _reason(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:
         task = self._scene.task

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.grids import input_bounds, plan_of
+from formulations.grids import input_bounds, plan_of, rolled_plan
 from models.codegen.kernel import Kernel, Rollout
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -28,10 +28,7 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
     lower, upper = input_range(scene)
     pieces = 0.5 * (lower + upper) + _SHARE * 0.5 * (upper - lower) * random.uniform(-1.0, 1.0, (_PIECES, scene.nu))
     u = pieces[np.arange(task.steps) * _PIECES // task.steps]
-    rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-3)
-    if rollout.diverged:
-        return None
-    return plan_of(scene, rollout, u)
+    return rolled_plan(scene, kernel, u, ContactLaw.SOFTPLUS, 1e-3)
 
 
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -68,11 +65,7 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
     flat = np.clip(np.zeros(shape), *input_bounds(scene)).ravel()
     for eps in (1e-3, 1e-5, 1e-7):
         flat = minimize(loss, flat, args=(eps,), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _DESCENTS}).x
-    u = flat.reshape(shape)
-    rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-7)
-    if rollout.diverged:
-        return None
-    return plan_of(scene, rollout, u)
+    return rolled_plan(scene, kernel, flat.reshape(shape), ContactLaw.SOFTPLUS, 1e-7)
 
 
 def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | None:

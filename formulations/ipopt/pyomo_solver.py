@@ -123,31 +123,29 @@ _CONDITIONS = MappingProxyType({
 class PyomoAnswer:
     """What a solver found, as Pyomo's results, suffixes and models take it.
 
+    found: the solver's own result, with outcome, message, objective and iterations
     is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`, None for no point that is worth loading
     multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
     pair_multipliers: (complementarity, (of its first argument, of its second)), in the same signs
     """
 
-    outcome: Outcome
-    message: str
+    found: Any
     is_feasible: bool
     sense: int
-    objective: float
     has_objective: bool
     equations: tuple[Any, ...]
     variables: tuple[Any, ...]
     x: np.ndarray | None
     multipliers: tuple[np.ndarray, np.ndarray, np.ndarray] | None
-    iterations: int
     wall: float
     pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
     @property
     def condition(self) -> tuple[SolverStatus, TerminationCondition]:
         """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where its point is."""
-        if self.outcome is Outcome.STALLED and self.is_feasible:
+        if self.found.outcome is Outcome.STALLED and self.is_feasible:
             return SolverStatus.warning, TerminationCondition.feasible
-        return _CONDITIONS[self.outcome]
+        return _CONDITIONS[self.found.outcome]
 
     def results(self, solver: str, model: Any) -> SolverResults:
         """Pyomo's report of the solve, without the point."""
@@ -159,17 +157,17 @@ class PyomoAnswer:
         facts.number_of_constraints = len(self.equations)
         facts.number_of_variables = facts.number_of_continuous_variables = len(self.variables)
         facts.number_of_binary_variables = facts.number_of_integer_variables = 0
-        if self.is_feasible and np.isfinite(self.objective):  # a feasible point bounds the optimum from one side
+        if self.is_feasible and np.isfinite(self.found.objective):  # a feasible point bounds the optimum from one side
             if self.sense == 1:
-                facts.upper_bound = self.objective
+                facts.upper_bound = self.found.objective
             else:
-                facts.lower_bound = self.objective
+                facts.lower_bound = self.found.objective
         report = results.solver
         report.name = solver
         report.status, report.termination_condition = self.condition
-        report.message = report.termination_message = self.message
+        report.message = report.termination_message = self.found.message
         report.wallclock_time = self.wall
-        report.statistics.black_box.number_of_iterations = self.iterations
+        report.statistics.black_box.number_of_iterations = self.found.iterations
         return results
 
     def load(self, model: Any) -> None:
@@ -195,7 +193,7 @@ class PyomoAnswer:
             return results
         symbols, solution = SymbolMap(), Solution()
         label, row_label = NumericLabeler("x"), NumericLabeler("c")
-        solution.status = SolutionStatus.optimal if self.outcome is Outcome.SOLVED else SolutionStatus.unknown
+        solution.status = SolutionStatus.optimal if self.found.outcome is Outcome.SOLVED else SolutionStatus.unknown
         entries = [{"Value": value} for value in self.x.tolist()]
         if self.multipliers is not None:
             dual, lower, upper = (values.tolist() for values in self.multipliers)
@@ -329,7 +327,7 @@ class PyomoPlugin(ABC):
             with _shown_on(streams, chosen):
                 results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
             if log is not None:
-                log.write(f"{self.title}: {answer.message}\n")
+                log.write(f"{self.title}: {answer.found.message}\n")
         if not load_solutions:
             return answer.carry(results)
         if results.solver.status == SolverStatus.error:
@@ -384,17 +382,14 @@ class TouchstoneIpopt(PyomoPlugin):
                 result = replace(again, message=f"{again.message}; {_AGAIN}")
         self.last_result = result
         answer = PyomoAnswer(
-            outcome=result.outcome,
-            message=result.message,
+            found=result,
             is_feasible=result.residuals.feasible,
             sense=problem.sense,
-            objective=result.objective,
             has_objective=problem.layout.objective is not None,
             equations=problem.equations,
             variables=problem.variables,
             x=result.x if _has_point(result) else None,
             multipliers=pyomo_multipliers(problem.sense, result.lagrange, result.zl, result.zu),
-            iterations=result.iterations,
             wall=result.seconds.wall,
         )
         results = answer.results(self.title, model)
@@ -503,15 +498,15 @@ class ContribSolver(SolverBase):
         self.last_result = plugin.last_result
         results = second.Results()
         results.solver_name, results.solver_version, results.solver_config = self.name, self.version(), config
-        results.termination_condition = _SECOND_CONDITIONS.get(answer.outcome, second.TerminationCondition.error)
+        results.termination_condition = _SECOND_CONDITIONS.get(answer.found.outcome, second.TerminationCondition.error)
         results.solution_status = _status(answer)
         results.solution_loader = _Loader(model, answer)
-        results.incumbent_objective = answer.objective if answer.is_feasible and answer.has_objective else None
-        results.extra_info.message = answer.message
-        results.extra_info.iteration_count = answer.iterations
+        results.incumbent_objective = answer.found.objective if answer.is_feasible and answer.has_objective else None
+        results.extra_info.message = answer.found.message
+        results.extra_info.iteration_count = answer.found.iterations
         results.timing_info.start_timestamp, results.timing_info.wall_time = begun, perf_counter() - began
         if config.raise_exception_on_nonoptimal_result and results.solution_status is not second.SolutionStatus.optimal:
-            raise NoOptimalSolutionError(f"{NoOptimalSolutionError.default_message} It ended with: {answer.message}")
+            raise NoOptimalSolutionError(f"{NoOptimalSolutionError.default_message} It ended with: {answer.found.message}")
         if config.load_solutions:
             if answer.x is None:
                 raise NoFeasibleSolutionError
@@ -522,6 +517,6 @@ class ContribSolver(SolverBase):
 def _status(answer: PyomoAnswer) -> second.SolutionStatus:
     if answer.x is None:
         return second.SolutionStatus.noSolution
-    if answer.outcome is Outcome.SOLVED:
+    if answer.found.outcome is Outcome.SOLVED:
         return second.SolutionStatus.optimal
     return second.SolutionStatus.feasible if answer.is_feasible else second.SolutionStatus.infeasible

@@ -8,7 +8,7 @@ report.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -181,10 +181,7 @@ def _finite_size(bound: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(bound), np.abs(bound), 0.0)
 
 
-UNKNOWN = Residuals(
-    constraint_violation=float("nan"), dual_infeasibility=float("nan"), complementarity=float("nan"),
-    relative_violation=float("nan"), relative_dual=float("nan"), relative_complementarity=float("nan"),
-)  # fmt: skip
+UNKNOWN = Residuals(**dict.fromkeys((item.name for item in fields(Residuals)), float("nan")))
 
 
 @dataclass(frozen=True)

@@ -181,12 +181,7 @@ def solve(
     factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
     begin, cpu = time.perf_counter(), time.process_time()
     start, missing = _complete_start(problem, warm_start)
-    used: dict[str, str | int | float] = {
-        **DEFAULTS,
-        "linear_solver": factorised_by,
-        **_warm_options(problem, start),
-        **asked,
-    }
+    used: dict[str, str | int | float] = {**DEFAULTS, "linear_solver": factorised_by, **_warm_options(problem, start), **asked}
     if time_limit is not None:
         if not time_limit > 0:
             raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")

@@ -26,8 +26,7 @@ from time import monotonic
 from formulations.grids import departure, finer_scene, motion_on_finer_steps
 from formulations.method import Clock, Kind, Method, Options, Session, option
 from formulations.pipelines import MULTIPLE_SHOOTING_COUNT, MULTIPLE_SHOOTING_EPS, RELAXED_EPS, RELAXED_FROM, SOFTPLUS_EPS, load_method
-from formulations.solution import Attempt, Outcome, Seconds, Solution
-from formulations.transcription.method import ended
+from formulations.solution import Attempt, Outcome, Seconds, Solution, ended
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -75,7 +74,6 @@ class BestExactSession(Session):
         ends = monotonic() + time_limit
         found = list(self._found(warm_start, ends))
         best = _best([solution for _, solution in found])
-        spent = Seconds(**{name: sum(getattr(each.seconds, name) for _, each in found) for name in asdict(Seconds())})
         attempts = tuple(
             Attempt(number=number, start=words, outcome=each.outcome, cost=each.cost, seconds=each.seconds.cpu)
             for number, (words, each) in enumerate(found)
@@ -87,7 +85,7 @@ class BestExactSession(Session):
             method=self._method.name,
             message=message if _is_followed(best) else f"{ended(message)} {_DEPARTS.format(best.residuals[_DEPARTURE])}",
             iterations=sum(each.iterations for _, each in found),
-            seconds=spent,
+            seconds=sum((each.seconds for _, each in found), Seconds()),
             options=asdict(self._options),
             starts=attempts if len(found) > 1 else best.starts,
         )
@@ -164,8 +162,7 @@ def _is_followed(found: Solution) -> bool:
 
 def _after(walked: Solution, exact: Solution) -> Solution:
     """The exact solution with the iterations and seconds of the walk before it."""
-    seconds = {name: value + getattr(exact.seconds, name) for name, value in asdict(walked.seconds).items()}
-    return replace(exact, iterations=walked.iterations + exact.iterations, seconds=Seconds(**seconds))
+    return replace(exact, iterations=walked.iterations + exact.iterations, seconds=walked.seconds + exact.seconds)
 
 
 def _best(found: list[Solution]) -> Solution:

@@ -12,7 +12,7 @@ sweeps meet, the cheaper one goes on.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
@@ -172,8 +172,7 @@ def _sum(solutions: list[Solution], stage: Clock, opening: Clock) -> Seconds:
     """Seconds of the solves that the front is made of; wall and cpu are those of the whole sweep and of opening it."""
     stage.stop()
     wall, cpu = (sum(pair) for pair in zip(stage.pay(), opening.pay(), strict=True))
-    parts = {item.name: sum(getattr(solution.seconds, item.name) for solution in solutions) for item in fields(Seconds)}
-    return Seconds(**{**parts, "wall": wall, "cpu": cpu})
+    return replace(sum((solution.seconds for solution in solutions), Seconds()), wall=wall, cpu=cpu)
 
 
 class MpccFront(Method[MpccFrontOptions]):

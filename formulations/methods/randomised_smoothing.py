@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from formulations.method import Clock, Kind, Method, OptionError, Session, option
-from formulations.shooting.method import LbfgsOptions
+from formulations.shooting.options import LbfgsOptions
 from models.contact_law import ContactLaw
 from models.scene import Scene
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from formulations.grids import coarse_scene, on_grid
 from formulations.method import Clock, Kind, Method, Session, option
-from formulations.solution import Outcome, Solution
-from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work, ended
+from formulations.solution import Outcome, Solution, ended
+from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -76,17 +76,8 @@ class RelaxedLCPSession(Session):
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
-        self._method.check_stage(eps, time_limit)
-        eps = cast(float, eps)
-        failure = self._homotopy.failed_before(eps, warm_start)
-        if failure is not None:  # plans of a smaller eps are among those of a larger one
-            outcome = Outcome.INFEASIBLE if failure.outcome is Outcome.INFEASIBLE else Outcome.STALLED
-            return self._homotopy.not_tried(failure, outcome)
-        budget = self._solver.begin(eps, warm_start, time_limit)
-        with self._homotopy.stage(budget) as stage:
-            first = max(eps, self._options.first_eps)
-            result, eps = stage.walk(eps, first, lambda first: self._found(stage, budget, first, warm_start))
-        return self._homotopy.solution(budget, eps, warm_start, result)
+        first = self._options.first_eps
+        return self._homotopy.solve(eps, warm_start, time_limit, first, lambda stage, eps: self._found(stage, eps, warm_start))
 
     def _rules(self, eps: float) -> StageRules:
         scene, options, tolerance = self._scene, self._options, self._options.plan_tolerance
@@ -112,11 +103,11 @@ class RelaxedLCPSession(Session):
             promises=promises,
         )
 
-    def _found(self, stage: Stage, budget: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
+    def _found(self, stage: Stage, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve the model, which holds the start already."""
         if self._scene.task.steps <= self._longest or self._solver.last is not None:  # a later stage starts from a plan of this grid
-            return self._reached_cold(stage, budget, eps) if start is None else stage.reach(eps, start)
-        on_coarser = SolveBudget(budget.remaining)
+            return self._reached_cold(stage, eps) if start is None else stage.reach(eps, start)
+        on_coarser = SolveBudget(stage.budget.remaining)
         coarse = self._from_coarser_grid(on_coarser, eps, start)
         stage.include(on_coarser)
         if coarse is not None:
@@ -133,18 +124,18 @@ class RelaxedLCPSession(Session):
             start = None if start is None else on_grid(start, coarse)
             session._solver.prepare(eps, start)
         with session._homotopy.stage(budget) as stage:
-            session._found(stage, budget, eps, start)
+            session._found(stage, eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 
-    def _reached_cold(self, stage: Stage, budget: SolveBudget, eps: float) -> IpoptResult:
+    def _reached_cold(self, stage: Stage, eps: float) -> IpoptResult:
         """From the first guess, which the model holds; softer first where that leads nowhere soon."""
         levels = [eps]
         while self._scene.nl and 10.0 * levels[-1] < 1.0:
             levels.append(10.0 * levels[-1])
         result, last = self._first_to_end(stage, levels)
         if last > 0:
-            if result.outcome is not Outcome.INFEASIBLE and not budget.is_over:
+            if result.outcome is not Outcome.INFEASIBLE and not stage.budget.is_over:
                 result = self._back_from(stage, levels[: last + 1])
             result = replace(result, message=f"{ended(result.message)} {_SOFTER.format(levels[last])}".lstrip())
         return result

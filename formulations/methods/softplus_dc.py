@@ -7,10 +7,9 @@ again with its goal let go (`transcription.solving`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 from formulations.method import Clock, Kind, Method, Session, option
-from formulations.solution import Outcome, Solution
+from formulations.solution import Solution
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work
 from models.contact_law import ContactLaw, sharpness
 from models.scene import Scene
@@ -44,7 +43,7 @@ class SoftplusDCSession(Session):
     def __init__(self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> None:
         from formulations.transcription import homotopy  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
-        self._method, self._scene, self._options = method, scene, options
+        self._scene, self._options = scene, options
         self._band = homotopy.band_options()
         self._homotopy = homotopy.Homotopy(
             method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules, counts_nonzeros=True
@@ -52,15 +51,8 @@ class SoftplusDCSession(Session):
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
-        self._method.check_stage(eps, time_limit)
-        eps = cast(float, eps)
-        failure = self._homotopy.failed_before(eps, warm_start)
-        if failure is not None and warm_start is not None:  # a cold start at a smaller eps is another one: contact acts from less far away
-            return self._homotopy.not_tried(failure, Outcome.STALLED)
-        budget = self._homotopy.solver.begin(eps, warm_start, time_limit)
-        with self._homotopy.stage(budget) as stage:
-            result, eps = stage.walk(eps, max(eps, self._options.first_eps), lambda first: stage.reach(first, warm_start))
-        return self._homotopy.solution(budget, eps, warm_start, result)
+        first = self._options.first_eps
+        return self._homotopy.solve(eps, warm_start, time_limit, first, lambda stage, eps: stage.reach(eps, warm_start))
 
     def _rules(self, eps: float) -> StageRules:
         scene, options = self._scene, self._options

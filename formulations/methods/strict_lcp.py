@@ -20,8 +20,8 @@ import numpy as np
 
 from formulations.grids import replayed_goal_error
 from formulations.method import Clock, Kind, Method, Session, option
-from formulations.solution import Outcome, Solution
-from formulations.transcription.method import BarrierOptions, SolveBudget, Work, ended
+from formulations.solution import Outcome, Solution, ended
+from formulations.transcription.method import BarrierOptions, SolveBudget, Work
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from models.scene import Scene

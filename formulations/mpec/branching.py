@@ -21,8 +21,7 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Start
-from formulations.mpec.homotopy import Columns, WorkBudget, Workspace
-from formulations.mpec.strategies import MpecSettings
+from formulations.mpec.homotopy import Columns, Workspace
 from formulations.solution import Outcome
 
 # A pair counts as biactive where both sides are below this, and as wanting the other branch where its multiplier is below -_WANTING.
@@ -209,8 +208,8 @@ class Branch:
 class Branching:
     """The branches of one problem: each solved at most once from a point of the relaxation, and improved pair by pair."""
 
-    def __init__(self, work: Workspace, start: np.ndarray, settings: MpecSettings, budget: WorkBudget) -> None:
-        self._work, self._settings, self._budget = work, settings, budget
+    def __init__(self, work: Workspace, start: np.ndarray) -> None:
+        self._work, self._settings, self._budget = work, work.settings, work.budget
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None

@@ -68,10 +68,13 @@ def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
 
 
 class Workspace:
-    """Compiled once per strategy, `branches` once for all; only numbers change afterwards. own: `id`s of the variables that the user does not have."""
+    """Compiled once per strategy, `branches` once for all; only numbers change afterwards. own: `id`s of the variables that the user does not have.
 
-    def __init__(self, lifted: Lifted, branches: Columns, strategy: Strategy) -> None:
-        self.lifted, self.branches, self.strategy = lifted, branches, strategy
+    settings, budget: of the whole solve
+    """
+
+    def __init__(self, lifted: Lifted, branches: Columns, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> None:
+        self.lifted, self.branches, self.strategy, self.settings, self.budget = lifted, branches, strategy, settings, budget
         self._steered = strategy.attach(lifted)
         self.relaxed = Columns(compile_model(lifted.shadow), lifted)
         added = lifted.shadow.relaxation.component_data_objects(pyo.Var)
@@ -243,8 +246,8 @@ class Path:
     gave_up: it ended before its last eps, and `last_outcome` and `last_message` say why
     """
 
-    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget, steps: list[Step]) -> None:
-        self._work, self._strategy, self._settings, self._budget, self._steps = work, strategy, settings, budget, steps
+    def __init__(self, work: Workspace, steps: list[Step]) -> None:
+        self._work, self._strategy, self._settings, self._budget, self._steps = work, work.strategy, work.settings, work.budget, steps
         self._regularised: dict[str, Any] = {}
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED

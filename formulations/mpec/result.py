@@ -16,13 +16,12 @@ from pyomo.core.expr import value
 from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
-from formulations.mpec.homotopy import Columns, PathPoint, Step, WorkBudget, Workspace
+from formulations.mpec.homotopy import Columns, PathPoint, Step, Workspace
 from formulations.mpec.lifted import relation_of
-from formulations.mpec.strategies import MpecSettings
 from formulations.solution import Outcome
 
 
-def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: MpecSettings) -> tuple[Outcome, str]:
+def verdict(candidate: Candidate, residual: float, certificate: Certificate | None) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
     summary = f"{candidate.work.strategy.name}: " + (
         certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
@@ -37,7 +36,7 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
         return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"
-    if residual > settings.complementarity_tolerance:
+    if residual > candidate.work.settings.complementarity_tolerance:
         return Outcome.STALLED, f"the pairs could not be decided; {summary}"
     if certificate is not None and certificate.b_stationary is False:
         if candidate.unbounded:
@@ -46,13 +45,13 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     return Outcome.SOLVED, summary
 
 
-def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
+def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
-    if budget.is_late:
-        return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
-    if outcome is Outcome.SOLVED:
+    if candidate.work.budget.is_late:
+        return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {candidate.message}"
+    if candidate.outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
-    return outcome, message
+    return candidate.outcome, candidate.message
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,7 +184,6 @@ def load(result: MpecResult) -> None:
 
 def result_of(
     candidate: Candidate,
-    settings: MpecSettings,
     outcome: Outcome,
     message: str,
     *,
@@ -198,13 +196,12 @@ def result_of(
     Parameters
     ----------
     candidate : what a strategy found
-    settings : of the solve
     outcome, message : how it ended
     residual : largest min of a pair
     certificate : of the point
     with_multipliers : whether those of its branch belong to the point
     """
-    work, branch, x = candidate.work, candidate.branch, candidate.x
+    work, branch, x, settings = candidate.work, candidate.branch, candidate.x, candidate.work.settings
     problem = candidate.columns.problem
     mine = work.own
     keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)

@@ -134,12 +134,12 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     for start, name in itertools.product(range(settings.starts), strategies):
         before = budget.iterations
         if name not in works:
-            works[name] = Workspace(lifted, branches, STRATEGIES[name])
+            works[name] = Workspace(lifted, branches, STRATEGIES[name], settings, budget)
         is_tried = len(lifted.pairs) > LARGE and best is None and len(strategies) > 1
-        candidate = _run_strategy(works[name], start, settings, budget, steps, searched, is_tried=is_tried)
+        candidate = _run_strategy(works[name], start, steps, searched, is_tried=is_tried)
         outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
         if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
-            result = _judged(model, candidate, settings, budget)
+            result = _judged(model, candidate)
             logger.info("%s from start %d on '%s': %s", name, start, model.name, result.message)
             outcome = result.outcome
             if best is None or _rank(result) < _rank(best):
@@ -151,7 +151,7 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
             break
         if best.solved and math.isinf(budget.most_iterations):
             first_success = budget.iterations
-            budget.most_iterations = first_success + _further_iterations(settings, candidate, first_success)
+            budget.most_iterations = first_success + _further_iterations(candidate.work, first_success)
         if budget.most_iterations - budget.iterations < _WORTHWHILE * first_success:
             break
     assert best is not None  # there is always a strategy
@@ -162,12 +162,13 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
     )  # fmt: skip
 
 
-def _further_iterations(settings: MpecSettings, candidate: Candidate, first_success: int) -> float:
+def _further_iterations(work: Workspace, first_success: int) -> float:
+    settings = work.settings
     if settings.work is not None:
         return settings.work * first_success
-    pairs, starts = len(candidate.work.lifted.pairs), settings.starts
+    pairs, starts = len(work.lifted.pairs), settings.starts
     multiple = starts * _SMALL_WORK if pairs <= settings.search else starts * _WORK if pairs <= LARGE else starts - 1
-    return min(multiple * first_success, starts * _ENTRIES / candidate.work.branches.problem.nonzeros)
+    return min(multiple * first_success, starts * _ENTRIES / work.branches.problem.nonzeros)
 
 
 def _better(objective: float) -> float:
@@ -182,16 +183,14 @@ def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
     return f"best of {len(attempts)}: {', '.join(words)}"
 
 
-def _run_strategy(
-    work: Workspace, number: int, settings: MpecSettings, budget: WorkBudget, steps: list[Step], searched: list[Branch], *, is_tried: bool
-) -> Candidate:
+def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: list[Branch], *, is_tried: bool) -> Candidate:
     """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
 
     searched: branches around which others were tried before, which is not done again; is_tried: as of `Path.points`
     """
-    strategy = work.strategy
+    strategy, settings = work.strategy, work.settings
     start = work.start(number)
-    path, branching = Path(work, strategy, settings, budget, steps), Branching(work, start, settings, budget)
+    path, branching = Path(work, steps), Branching(work, start)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
     if not work.lifted.pairs:
@@ -219,7 +218,7 @@ def _run_strategy(
         searched.append(branch)
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
-        branch, outcome, message = _without_branch(work, start, branching, path, last, settings, budget)
+        branch, outcome, message = _without_branch(work, start, branching, path, last)
     return Candidate(work=work, branch=branch, point=last, outcome=outcome, message=message, unbounded=branching.unbounded)
 
 
@@ -228,9 +227,10 @@ def _is_same(branch: Branch, known: Branch) -> bool:
 
 
 def _without_branch(
-    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, budget: WorkBudget
+    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
+    settings, budget = work.settings, work.budget
     if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not budget.is_over:
         starts = [work.branch_point(start)] if last is None else [work.branch_point(x) for x in (last.x, start)]
         branch, outcome = branching.every_branch(starts)
@@ -252,21 +252,21 @@ def _without_branch(
     return None, Outcome.SOLVED, ""
 
 
-def _judged(model: Any, candidate: Candidate, settings: MpecSettings, budget: WorkBudget) -> MpecResult:
+def _judged(model: Any, candidate: Candidate) -> MpecResult:
     """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
     x = candidate.x
     if x is None:
-        return result_of(candidate, settings, *outcome_without_point(candidate.outcome, candidate.message, budget))
+        return result_of(candidate, *outcome_without_point(candidate))
     residual = natural_residual(*candidate.columns.pair_values(x))
     certificate = None
     with_multipliers = candidate.branch is not None
-    if settings.certificate:
+    if candidate.work.settings.certificate:
         with values_set(candidate.columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
             if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate found its own
                 with_multipliers, certificate = False, replace(certificate, given_dual=math.nan)
-    ended = verdict(candidate, residual, certificate, settings)
-    return result_of(candidate, settings, *ended, residual=residual, certificate=certificate, with_multipliers=with_multipliers)
+    ended = verdict(candidate, residual, certificate)
+    return result_of(candidate, *ended, residual=residual, certificate=certificate, with_multipliers=with_multipliers)
 
 
 def _agrees(objective: float, relaxed: float) -> bool:
@@ -293,17 +293,14 @@ class MpecIpopt(PyomoPlugin):
         """Solve with `solve_mpec`."""
         result = self.last_result = solve_mpec(model, read_settings(options), time_limit=timelimit)
         answer = PyomoAnswer(
-            outcome=result.outcome,
-            message=result.message,
+            found=result,
             is_feasible=result.solved or is_feasible(result),
             sense=result.sense,
-            objective=result.objective,
             has_objective=result.has_objective,
             equations=result.rows,
             variables=result.variables,
             x=result.x if result.has_point else None,
             multipliers=pyomo_multipliers(result.sense, result.lagrange, result.zl, result.zu) if result.has_multipliers else None,
-            iterations=result.iterations,
             wall=result.seconds,
             pair_multipliers=result.pair_multipliers,
         )

@@ -21,7 +21,7 @@ The recursion is that of iLQR with gaps between the nodes; the bounds of the inp
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -34,6 +34,7 @@ import sympy as sp
 from formulations.grids import input_bounds
 from formulations.method import Options, option
 from formulations.solution import Outcome
+from formulations.transcription.residuals import rows_of
 from models.codegen.compiler import cached_library, load_library
 from models.codegen.steps import Linearised, Steps
 from models.contact_law import ContactLaw
@@ -152,7 +153,7 @@ class _Derivatives:
         slope = [sp.diff(expression, symbol) for symbol in symbols]
         hessian = [sp.diff(entry, symbol) for entry in slope for symbol in symbols]
         self._n = n
-        self._value, self.slope, self._hessian = (_rows(entries, symbols) for entries in ([expression], slope, hessian))
+        self._value, self.slope, self._hessian = (rows_of(entries, symbols) for entries in ([expression], slope, hessian))
         self._quadratic = not any(entry.free_symbols for entry in hessian)
 
     def value(self, point: np.ndarray) -> np.ndarray:
@@ -168,20 +169,6 @@ class _Derivatives:
         value, vectors = np.linalg.eigh(rows)
         convex = (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) if (value < 0.0).any() else rows
         return np.broadcast_to(convex, (len(point), self._n, self._n))
-
-
-def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
-    """A function of points (n, len(symbols)) to (n, len(entries)), constants spread over the rows."""
-    compiled = sp.lambdify([list(symbols)], list(entries), modules=[np], cse=True)
-
-    def function(point: np.ndarray) -> np.ndarray:
-        """Evaluate the entries at points (n, symbols) [SI]: (n, entries) [-]. Raises nothing: NaN or inf where one has no number."""
-        found = np.empty((len(point), len(entries)))
-        for index, column in enumerate(compiled(list(point.T))):
-            found[:, index] = column
-        return found
-
-    return function
 
 
 @lru_cache(maxsize=1)

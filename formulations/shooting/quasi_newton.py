@@ -17,8 +17,8 @@ from scipy.optimize import Bounds, minimize
 
 from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent, dead_contact_message, sensitivity, stable_rate
-from formulations.shooting.method import GoalOptions, LbfgsOptions
 from formulations.shooting.objective import Objective
+from formulations.shooting.options import GoalOptions, LbfgsOptions
 from formulations.solution import Outcome
 from models.scene import Scene
 

@@ -14,36 +14,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import asdict, replace
+from functools import partial
+from typing import Any, cast
 
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.method import Clock, Method
-from formulations.solution import Outcome, Solution, beyond
+from formulations.solution import Outcome, Solution, beyond, ended
 from formulations.transcription.contact import ContactFormulation
-from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, Work, ended
+from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, Work
 from formulations.transcription.solving import PlanSolver
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ContactFormulation", "Failure", "Homotopy", "Stage", "band_options"]
+__all__ = ["ContactFormulation", "Homotopy", "Stage", "band_options"]
 
 # Of a walk: the factor of the sharpness at its first step, its least and largest; squared after a step of few iterations, its root taken after one of
 # many or one without a plan, so often before the walk ends. Steps of transport take 8 to 42 iterations with a factor of 1.4 or 2.
 _FACTOR, _LEAST, _LARGEST = 2.0, 1.2, 16.0
 _FEW, _MANY, _SHRINKS = 30, 100, 3
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A stage that gave no plan, and what it had started from."""
-
-    eps: float
-    start: Trajectory | None
-    outcome: Outcome
 
 
 class Homotopy:
@@ -63,19 +55,35 @@ class Homotopy:
         *,
         counts_nonzeros: bool = False,
     ) -> None:
-        self._method, self.options, self.rules, self.counts_nonzeros = method.name, options, rules, counts_nonzeros
+        self._method, self.options, self.rules, self.counts_nonzeros = method, options, rules, counts_nonzeros
+        self._is_nested = contact is ContactFormulation.COMPLEMENTARITY
         self.solver = PlanSolver(scene, contact, options, clock)
-        self._failure: Failure | None = None
+        self._failure: tuple[float, Trajectory | None, Outcome] | None = None  # eps, start and end of a stage that gave no plan
 
-    def failed_before(self, eps: float, start: Trajectory | None) -> Failure | None:
-        """The stage that gave no plan at a larger eps from this very start."""
-        failure = self._failure
-        return failure if failure is not None and start is failure.start and eps < failure.eps else None
+    def solve(
+        self, eps: float | None, start: Trajectory | None, time_limit: float, first: float, begin: Callable[[Stage, float], IpoptResult]
+    ) -> Solution:
+        """One stage: what `begin` finds at the first eps, where that is the larger one, walked down to this one; that there is no plan is remembered.
 
-    def not_tried(self, failure: Failure, outcome: Outcome) -> Solution:
-        """What is said of a stage after such a failure."""
-        message = f"Not tried: from this start there was no plan at eps = {failure.eps:g} either, where contact is softer."
-        return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self.options))
+        Where there was none at a larger eps from this very start, it is not tried. A cold start of softplus contact is another one at each eps: contact acts
+        from less far away. But plans of a smaller bound of complementarity are among those of a larger one.
+        """
+        self._method.check_stage(eps, time_limit)
+        eps = cast(float, eps)
+        softer, before, ending = self._failure or (0.0, None, Outcome.STALLED)
+        if start is before and eps < softer and (self._is_nested or start is not None):
+            message = f"Not tried: from this start there was no plan at eps = {softer:g} either, where contact is softer."
+            outcome = ending if self._is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
+            return Solution(method=self._method.name, outcome=outcome, message=message, options=asdict(self.options))
+        budget = self.solver.begin(eps, start, time_limit)
+        with self.stage(budget) as stage:
+            result, eps = stage.walk(eps, max(eps, first), partial(begin, stage))
+        rules = self.rules(eps)
+        limits = {"plan_limits": rules.plan_limits, "promises": rules.promises}
+        found = self.solver.solution(self._method.name, budget, result, lambda plan: self.residuals(plan, eps), **limits)
+        if found.trajectory is None and found.outcome is not Outcome.TIME_LIMIT:
+            self._failure = eps, start, found.outcome
+        return found
 
     @contextmanager
     def stage(self, budget: SolveBudget) -> Iterator[Stage]:
@@ -83,21 +91,6 @@ class Homotopy:
         stage = Stage(self, budget)
         yield stage
         stage.settle()
-
-    def solution(self, budget: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
-        """The plan that the model holds, checked by the rules of its eps; that there is none is remembered."""
-        rules = self.rules(eps)
-        found = self.solver.solution(
-            self._method,
-            budget,
-            result,
-            lambda plan: self.residuals(plan, eps),
-            plan_limits=rules.plan_limits,
-            promises=rules.promises,
-        )
-        if found.trajectory is None and found.outcome is not Outcome.TIME_LIMIT:
-            self._failure = Failure(eps, start, found.outcome)
-        return found
 
     def residuals(self, plan: Trajectory, eps: float) -> dict[str, float]:
         """Residuals of a plan by name, held against the contact law of the rules at this eps."""
@@ -109,19 +102,19 @@ class Stage:
     """The solves of one stage, each with a budget of its own, because iterations are limited for each."""
 
     def __init__(self, homotopy: Homotopy, budget: SolveBudget) -> None:
-        self._homotopy, self._solver, self._budget = homotopy, homotopy.solver, budget
+        self._homotopy, self._solver, self.budget = homotopy, homotopy.solver, budget
         self._budgets: list[SolveBudget] = []
         self._spent = 0
 
     @property
     def may_go_on(self) -> bool:
         """Whether time and iterations are left."""
-        return not self._budget.is_over and self._spent < self._homotopy.options.max_iterations
+        return not self.budget.is_over and self._spent < self._homotopy.options.max_iterations
 
     def settle(self) -> None:
         """All that was spent counts in the budget of the stage."""
         for own in reversed(self._budgets):
-            self._budget.include(own)
+            self.budget.include(own)
 
     def include(self, elsewhere: SolveBudget) -> None:
         """What was spent on another grid comes before what follows."""
@@ -159,7 +152,7 @@ class Stage:
         if known is not None and here > eps:
             self._solver.load(known.plan)
             words = f"The walk to eps = {eps:g} ended at {here:.3g}."
-            limit = Outcome.TIME_LIMIT if self._budget.is_over else Outcome.ITERATION_LIMIT
+            limit = Outcome.TIME_LIMIT if self.budget.is_over else Outcome.ITERATION_LIMIT
             outcome = {Outcome.SOLVED: limit, Outcome.INFEASIBLE: Outcome.STALLED}.get(result.outcome, result.outcome)
             result = replace(result, outcome=outcome, message=f"{ended(result.message)} {words}".lstrip())
         return result, here
@@ -167,8 +160,8 @@ class Stage:
     def solve(self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None) -> IpoptResult:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
         rules = self._homotopy.rules(eps)
-        size = self._solver.compiled.problem(self._budget).nonzeros if self._homotopy.counts_nonzeros else self._solver.unknowns
-        own = SolveBudget(self._budget.remaining)
+        size = self._solver.compiled.problem(self.budget).nonzeros if self._homotopy.counts_nonzeros else self._solver.unknowns
+        own = SolveBudget(self.budget.remaining)
         self._budgets.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
         warm = self._limited({**rules.ipopt}, rules.warm_work, size)

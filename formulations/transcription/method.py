@@ -90,11 +90,6 @@ class BarrierOptions(TranscriptionOptions):
         return {"mu_init": self.barrier_start, "bound_push": self.bound_push, "bound_frac": min(0.5, self.bound_push)}
 
 
-def ended(message: str) -> str:
-    """The message with a full stop, so that more may be said after it."""
-    return message if not message or message.endswith(".") else f"{message}."
-
-
 @dataclass(frozen=True)
 class Work:
     """Most iterations of a solve, times the size of its model, and the fewest iterations it may have however large the model."""
@@ -184,10 +179,13 @@ class SolveBudget:
         """What was spent before, in this budget's time."""
         self.iterations += earlier.iterations
         self.work += earlier.work
-        self.solver = self.solver or earlier.solver
-        for name in ("build", "translate", "evaluate", "linear_algebra"):
-            setattr(self, name, getattr(self, name) + getattr(earlier, name))
+        self._count(earlier, earlier.solver)
         self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
+
+    def _count(self, seconds: Any, solver: str) -> None:
+        self.solver = self.solver or solver
+        for name in ("build", "translate", "evaluate", "linear_algebra"):
+            setattr(self, name, getattr(self, name) + getattr(seconds, name))
 
     @contextmanager
     def building(self) -> Iterator[None]:
@@ -210,9 +208,7 @@ class SolveBudget:
     def told(self, found: Solution) -> None:
         """What the stage of another method spent in this budget's time; its own rules limit its work."""
         self.iterations += found.iterations
-        self.solver = self.solver or found.solver
-        for name in ("build", "translate", "evaluate", "linear_algebra"):
-            setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
+        self._count(found.seconds, found.solver)
         self.history = {name: values + list(found.history.get(name, ())) for name, values in self.history.items()}
 
     @property

@@ -166,12 +166,17 @@ class PlanResiduals:
 
 
 def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
-    """f(*arrays (steps, size of the group)) -> (steps, number of entries), at the scene's parameter values."""
-    evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules=[np], cse=True)
+    """As `rows_of`, at the scene's parameter values."""
+    return rows_of(list(matrix.subs(scene.parameter_values)), *groups)
+
+
+def rows_of(entries: Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+    """A function of arrays (rows, size of the group) to (rows, number of entries), constants spread over the rows."""
+    evaluate = sp.lambdify([list(group) for group in groups], list(entries), modules=[np], cse=True)
 
     def function(*arrays: np.ndarray) -> np.ndarray:
-        """Evaluate at arrays (steps, size of the group), giving (steps, entries) [units of the matrix]. Raises ValueError for a group of another size."""
-        result = np.zeros((len(arrays[0]), len(matrix)))
+        """Evaluate at arrays (rows, size of the group), giving (rows, entries) [units of the entries]. Raises ValueError for a group of another size."""
+        result = np.zeros((len(arrays[0]), len(entries)))
         for column, values in enumerate(evaluate(*(array.T for array in arrays))):
             result[:, column] = values
         return result

@@ -44,11 +44,11 @@ import pyomo.environ as pyo
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.method import Clock
-from formulations.solution import Outcome, Solution, beyond, checked
+from formulations.solution import Outcome, Solution, beyond, checked, ended
 from formulations.transcription.build import build_model, load_plan, read_plan, release_goal
 from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
 from formulations.transcription.contact import ContactFormulation, hold_modes, pressed_columns, release_modes, set_relaxation, sides
-from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, ended
+from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError

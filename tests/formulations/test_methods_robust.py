@@ -8,7 +8,7 @@ import torch
 
 from formulations.grids import finer_scene, plan_of
 from formulations.pipelines import load_method
-from formulations.shooting.method import RobustOptions
+from formulations.shooting.options import RobustOptions
 from formulations.shooting.worlds import DrawnWorld, WorldsObjective, drawn
 from formulations.solution import Outcome
 from models.catalog import load_scene

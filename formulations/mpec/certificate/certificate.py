@@ -28,8 +28,8 @@ from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
+from formulations.mpec.certificate.active import ActiveSet, Stationarity, active_set, class_of
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair, read_local
-from formulations.mpec.certificate.multipliers import ActiveSet, Stationarity, active_set, class_of
 from formulations.mpec.certificate.stationarity import classify, steepest_piece
 from formulations.mpec.kinks import has_kinks, smooth_copy
 

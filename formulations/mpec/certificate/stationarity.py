@@ -20,25 +20,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from formulations.mpec.certificate.active import ANY, CHOICES, ActiveSet, Signs, Stationarity, class_of, limits, pairs_of, wrong_by
 from formulations.mpec.certificate.multipliers import (
-    ANY,
-    CHOICES,
-    ActiveSet,
     MultiplierDecision,
-    Signs,
-    Stationarity,
-    class_of,
     column_lengths,
     decide,
     excludes,
     least_residual,
     least_squares,
-    limits,
     multipliers_within,
-    pairs_of,
     signed_least_squares,
     steepest_direction,
-    wrong_by,
 )
 
 # Linear programs for one question at most: 2^10 pieces where programs are small, fewer where they are large.

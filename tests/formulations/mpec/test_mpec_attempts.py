@@ -6,7 +6,7 @@ import pytest
 from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import MpecSettings, Stationarity, certify, load, solve_mpec
-from formulations.mpec.homotopy import Workspace, compile_branches
+from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.solution import Outcome
@@ -71,7 +71,7 @@ def test_a_start_is_random_within_the_bounds():
     m.x[0].setlb(1.0)
     m.x[0].setub(3.0)
     m.x[1].setub(1.0)
-    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"])
+    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"], MpecSettings(), WorkBudget(None))
     place = work.relaxed.place
     starts = np.array([work.start(number) for number in range(200)])
     first, second, free = (starts[1:, place[id(m.x[k])]] for k in range(3))

@@ -11,6 +11,18 @@ import pytest
 import scipy.sparse as sparse
 from wording import unsaid
 
+from formulations.mpec.certificate.active import (
+    ANY,
+    CHOICES,
+    ActiveSet,
+    Stationarity,
+    _multiplier_limits,
+    active_set,
+    class_of,
+    limits,
+    pairs_of,
+    wrong_by,
+)
 from formulations.mpec.certificate.certificate import (
     Certificate,
     Multipliers,
@@ -24,18 +36,6 @@ from formulations.mpec.certificate.certificate import (
     _violation,
 )
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
-from formulations.mpec.certificate.multipliers import (
-    ANY,
-    CHOICES,
-    ActiveSet,
-    Stationarity,
-    _multiplier_limits,
-    active_set,
-    class_of,
-    limits,
-    pairs_of,
-    wrong_by,
-)
 from formulations.mpec.certificate.plan import PLAN_TOLERANCES
 from formulations.mpec.certificate.stationarity import affordable
 

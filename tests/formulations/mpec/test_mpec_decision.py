@@ -10,18 +10,8 @@ from scipy.optimize import nnls
 from formulations.mpec.certificate import multipliers as projection
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate import stationarity as pieces
-from formulations.mpec.certificate.multipliers import (
-    CHOICES,
-    ActiveSet,
-    Stationarity,
-    class_of,
-    decide,
-    least_residual,
-    limits,
-    multipliers_within,
-    pairs_of,
-    project,
-)
+from formulations.mpec.certificate.active import CHOICES, ActiveSet, Stationarity, class_of, limits, pairs_of
+from formulations.mpec.certificate.multipliers import decide, least_residual, multipliers_within, project
 from formulations.mpec.certificate.stationarity import classify, steepest_piece
 
 TOLERANCE = 1e-5

@@ -173,10 +173,10 @@ def test_biactive_and_strongly_stationary():
 def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     """With x held at 0, y ends at 0 too, and x is worth more than 0: the multiplier says so."""
     m = two(lambda m: (m.x - 1) ** 2 + (m.y + 1) ** 2)
-    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"])
+    work = Workspace(lifted := lift(m), compile_branches(lifted), STRATEGIES["scholtes"], MpecSettings(), WorkBudget(None))
     x = np.zeros(work.relaxed.problem.n)
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
-    branching = Branching(work, x, MpecSettings(), WorkBudget(None))
+    branching = Branching(work, x)
     branch = branching.polish(x)
     assert branch.objective == pytest.approx(1.0, abs=1e-8)
     assert branch.is_strong

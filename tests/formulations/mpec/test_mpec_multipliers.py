@@ -9,10 +9,9 @@ import pytest
 import scipy.sparse as sparse
 
 from formulations.mpec.certificate import stationarity
+from formulations.mpec.certificate.active import ActiveSet, Stationarity
 from formulations.mpec.certificate.multipliers import (
-    ActiveSet,
     MultiplierDecision,
-    Stationarity,
     column_lengths,
     decide,
     excludes,

@@ -13,8 +13,8 @@ from example_scenes import example_scene
 from wording import unsaid
 
 from formulations.shooting.descent import Losses, Progress, descend
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.options import DescentOptions
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -7,8 +7,8 @@ import pytest
 from example_scenes import example_scene, solve
 from wording import unsaid
 
-from formulations.shooting.method import QuasiNewtonOptions
 from formulations.shooting.objective import Objective, Weights, noise
+from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.solution import Outcome
 from models.catalog import load_scene
