@@ -27,7 +27,7 @@ import numpy as np
 
 from models.codegen.text_cache import cached_text
 from models.dynamics import derive
-from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
+from models.errors import MachineError, TouchstoneError, UnknownNameError
 from models.fmu.reference import Equations, MotionError, Piece, true_motion
 from models.fmu.structure import Dependency, dependencies
 from models.fmu.variables import INTEGRATORS, Variable, VariableKind, friction_nominals, variable_table
@@ -205,13 +205,6 @@ DEFAULT_EPOCH = 315532800
 TOLERANCE = 1e-8
 
 
-def model_identifier(scene: Scene) -> str:
-    """The name of the binary and the prefix of C symbols. Raises SceneError if the scene's name is no C identifier."""
-    if not scene.name.isascii():
-        raise SceneError(f"scene {scene.name}: an FMU needs a name of ASCII letters, digits and _; rename the scene and its file.")
-    return scene.name
-
-
 def source_epoch() -> int:
     """Seconds since 1970 of the generation date: SOURCE_DATE_EPOCH, or a fixed date."""
     text = os.environ.get("SOURCE_DATE_EPOCH")
@@ -304,7 +297,7 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> di
     """The generated texts of the FMU made of these sources (file name -> text), by their paths inside."""
     table, nominals = variable_table(scene), [coordinate.nominal for coordinate in scene.coordinates]
     shared = {
-        "identifier": model_identifier(scene), "table": table, "integrators": INTEGRATORS,
+        "identifier": scene.name, "table": table, "integrators": INTEGRATORS,
         "source_files": sorted(name for name in sources if name.endswith(".c")),
     }  # fmt: skip
     of_config = {

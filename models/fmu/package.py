@@ -32,7 +32,6 @@ from models.fmu.description import (
     describe,
     experiment_texts,
     find_standard,
-    model_identifier,
     render,
     source_epoch,
     standard_headers,
@@ -138,7 +137,6 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
     """
     standard = find_standard(version)
     scene = scene.continuous()
-    identifier = model_identifier(scene)
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
     made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.version}" for platform, compiler in compilers.items()]
     made_by += [f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"]
@@ -147,9 +145,9 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
     def build(path: Path) -> None:
         files = fmu_texts(scene, standard)
         content = {name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()}
-        pack(path, content | icons(standard) | binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml")
+        pack(path, content | icons(standard) | binaries(files, standard, scene.name, compilers, path.parent), first="modelDescription.xml")
 
-    return cached("\n".join(made_by), f".{identifier}.fmu", build)
+    return cached("\n".join(made_by), f".{scene.name}.fmu", build)
 
 
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:

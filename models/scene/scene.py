@@ -219,8 +219,10 @@ def _fail(scene: Scene, text: str) -> SceneError:
 
 
 def _check_names(scene: Scene) -> None:
-    if not isinstance(scene.name, str) or not scene.name.isidentifier():
-        raise SceneError(f"scene: the name {scene.name!r} is not an identifier; use letters, digits and _ (it must equal the file name).")
+    if not isinstance(scene.name, str) or not (scene.name.isidentifier() and scene.name.isascii()):
+        raise SceneError(
+            f"scene: the name {scene.name!r} is not an identifier of ASCII letters, which an FMU needs; use letters, digits and _ (it must equal the file name)."
+        )
     if not scene.coordinates:
         raise _fail(scene, "it has no coordinates; a scene needs at least one.")
     for kind, items in (("contacts", scene.contacts), ("frictions", scene.frictions)):

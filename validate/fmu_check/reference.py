@@ -168,13 +168,28 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
         if _same([run.rows for run in runs]):
             runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
-        moves = (np.ptp(runs[-1].rows, axis=0) != 0.0) & _on_lines(watched)
-        if _same([run.rows for run in runs]) and moves.any():
-            raise FmuError(
-                "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
-                f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
-            )
+        if _same([run.rows for run in runs]):
+            if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & _on_lines(watched)).any():
+                raise FmuError(
+                    "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
+                    f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
+                )
+            how = "steps and tolerances alike, as nothing continuous moves"
+    for run in runs:
+        _refuse_no_numbers(watched, times, run)
     return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
+
+
+def _refuse_no_numbers(watched: Block, times: np.ndarray, run: _Run) -> None:
+    """Raises FmuError where a value is none: it is no reference, and no bar can be told of it."""
+    for rows in (run.before, run.rows):
+        none = ~np.isfinite(rows)
+        if none.any():
+            row, column = np.argwhere(none)[0]
+            raise FmuError(
+                f"{watched.names[column]} is {rows[row, column]:g} at t = {times[row]:.6g} s, which is no number to hold others against; "
+                "end the experiment before that."
+            )
 
 
 class _Run(NamedTuple):

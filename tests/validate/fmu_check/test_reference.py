@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from fmpy.util import read_csv, read_ref_opt_file
 from shell_fmu import FOREIGN, NO_EVENTS, RATE, SKIP_SLOPE, STATE, Foreign, build_shell
+from wording import unsaid
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -120,6 +122,16 @@ def test_what_no_step_and_no_tolerance_changes_has_no_bar(tmp_path: Path):
     done = _run(build_shell(_model("dahlquist"), tmp_path), "--type", "CS")
     assert "nothing tells how exact" in str(done.exception)
     assert "Model Exchange" in str(done.exception)
+    assert not list(tmp_path.glob("*_ref*"))
+
+
+@pytest.mark.slow
+def test_what_becomes_no_number_is_no_reference(tmp_path: Path):
+    broken = replace(_INTEGRATOR, name="broken", code=_INTEGRATOR.code.replace("= m->r[3];", "= m->r[3] > 0.5 ? 0.0 / 0.0 : m->r[3];"))
+    fmu = build_shell(broken, tmp_path)
+    (tmp_path / "in.csv").write_text("time,u\n0,0\n1,1\n2,1\n", encoding="utf-8")
+    done = _run(fmu, "--type", "CS", "--input", tmp_path / "in.csv")
+    assert not unsaid(str(done.exception), "x … is nan at t = 0.6 s … no number … end the experiment before")
     assert not list(tmp_path.glob("*_ref*"))
 
 
