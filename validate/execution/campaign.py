@@ -8,34 +8,49 @@ Tasks are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import math
 import shutil
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from models.codegen.compiler import find_compiler
+from models.scene import Scene
+from models.scene.text import scene_text
+from models.stability import step_stability
 from reports.findings import three_findings
 from reports.records.check_record import CheckRecord, divided
 from reports.records.load import collected
-from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord
+from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, open_local
 from validate.execution.process import interrupts_wait
 from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_last_failed, select, with_stored
-from validate.plan.time_steps import time_steps
 from validate.plan.warnings import doubts
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
 from validate.store.results import write_tables
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, identity, of_content, stored_campaign, with_others
+from validate.store.stored import (
+    CAMPAIGN,
+    CampaignError,
+    campaign_of,
+    campaign_text,
+    earlier_schema,
+    identity,
+    of_content,
+    stored_campaign,
+    with_others,
+)
 from validate.tasks.leg import forget, must_wait
 from validate.tasks.paper import measure
 from validate.tasks.plugins import load_plugin
@@ -184,7 +199,7 @@ def _campaign(
 ) -> CampaignRecord:
     """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
     scenes = {run.scene.name: run.scene for run in _runs(entries)}.values()
-    steps = time_steps(scenes, settings.out / CAMPAIGN)
+    steps = time_steps(scenes, settings.out)
     title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
     if earlier is not None:
         title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
@@ -204,6 +219,26 @@ def _campaign(
         keys=keys,
         provenance=provenance,
     )
+
+
+def time_steps(scenes: Iterable[Scene], folder: Path) -> tuple[TimeStepRecord, ...]:
+    """Whether the time step of each scene is stable while contacts are closed, looked at before anything runs.
+
+    folder: of a campaign; what an earlier one found there is used again where the scene is the same. Raises MachineError without a compiler.
+    """
+    known: dict[tuple[str, str], TimeStepRecord] = {}
+    with contextlib.suppress(CampaignError):
+        known = {(item.scene, item.digest): item for item in campaign_of(folder).time_steps}
+    found = []
+    for scene in scenes:
+        digest = hashlib.sha256(scene_text(scene).encode()).hexdigest()
+        if (scene.name, digest) in known:
+            found.append(known[scene.name, digest])
+            continue
+        stability = step_stability(scene)
+        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
+        found.append(TimeStepRecord(**{**asdict(stability), "largest_step": largest, "digest": digest, "warning": stability.sentence}))
+    return tuple(found)
 
 
 def _note_scene(

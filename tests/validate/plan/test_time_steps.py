@@ -8,8 +8,8 @@ import pytest
 from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid, write_csv
-from validate.plan import time_steps as room
-from validate.plan.time_steps import time_steps
+from validate.execution import campaign
+from validate.execution.campaign import time_steps
 
 UNSTABLE = """from models.catalog import load_scene
 from dataclasses import replace
@@ -18,7 +18,7 @@ SCENE = replace(load_scene("two_body_collision"), name="stiff_pair", limits=(), 
 
 
 def test_a_stable_step_is_stored_without_a_warning(tmp_path):
-    (found,) = time_steps([load_scene("three_cart")], tmp_path / "campaign.json")
+    (found,) = time_steps([load_scene("three_cart")], tmp_path)
     assert found.warning == ""
     assert found.radius <= 1.0 + 1e-6
     assert found.largest_step is not None
@@ -35,8 +35,8 @@ def test_a_step_past_the_limit_is_told_before_the_cells_stored_and_shown(cli, tm
     finished = [index for index, line in enumerate(lines) if line.startswith("[1/")]
     assert "take a step below 0.000866 s" in lines[warned]
     assert not finished or warned < finished[0]
-    campaign = json.loads((tmp_path / "out" / "campaign.json").read_text())
-    (step,) = campaign["time_steps"]
+    stored = json.loads((tmp_path / "out" / "campaign.json").read_text())
+    (step,) = stored["time_steps"]
     assert step["radius"] > 1.0
     assert "past the stability limit" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
@@ -46,8 +46,8 @@ def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch)
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
     cli("all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out"))
-    monkeypatch.setattr(room, "step_stability", lambda scene: None)  # asked again, it would fail
-    (found,) = time_steps([load_scene(str(path))], tmp_path / "out" / "campaign.json")
+    monkeypatch.setattr(campaign, "step_stability", lambda scene: None)  # asked again, it would fail
+    (found,) = time_steps([load_scene(str(path))], tmp_path / "out")
     assert found.warning
 
 
