@@ -316,7 +316,7 @@ def _due(report: Report) -> list[RunRecord]:
         one
         for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
         if _written(report.folder / PAGES / run_page(one))
-        <= max(program, *(_written(report.folder / "runs" / part.key / "record.json") for part in parts))
+        <= max(program, *(_time(report.folder / "runs" / part.key / name) for part in parts for name in ("", "record.json")))
     ]
 
 

@@ -62,6 +62,8 @@ class NlProblem:
 def read_problem(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> NlProblem:
     """Read a problem with the order of its file; parameters and errors as in `read_nl`."""
     file = Path(path)
+    if not file.name:
+        raise NlError(f"'{path}' is no file. Name a .nl file.")
     file = file if file.suffix == ".nl" else file.with_name(f"{file.name}.nl")
     try:
         data = file.read_bytes()
@@ -126,6 +128,10 @@ def read_header(file: Path, data: bytes) -> tuple[Header, int]:
         raise NlError(f"{file}, line 6: arithmetic {arithmetic} is not IEEE's. Write the file as text (`-og`).")
     if not variables:
         raise NlError(f"{file} has no variables.")
+    if variables + rows > len(data):  # each has a bound of a byte at least
+        raise NlError(
+            f"{file}, line 2: {variables} variables and {rows} rows do not fit into {len(data)} bytes; the file is damaged or cut short."
+        )
     header = Header(
         letter=letter,
         options=tuple(texts[0][1:]) if texts[0][0] == letter else (texts[0][0][1:], *texts[0][1:]),

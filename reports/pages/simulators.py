@@ -8,7 +8,7 @@ from typing import Any
 
 from reports.pages.section import Report, Section
 from reports.records.record import RunRecord
-from reports.records.simulators_record import EngineRow
+from reports.records.simulators_record import EngineRecord
 from reports.wording import count, listing
 
 
@@ -34,7 +34,7 @@ def build(report: Report) -> Section | None:
     return Section("simulators", "What other simulators say", "simulators.html#campaign", values, said=said[0])
 
 
-def sentence(engine: str, rows: Sequence[tuple[RunRecord, EngineRow]]) -> str:
+def sentence(engine: str, rows: Sequence[tuple[RunRecord, EngineRecord]]) -> str:
     """In how many plans an engine agrees with us, why not in the others, and what it could not be asked."""
     compared = [row for _, row in rows if row.agrees is not None]
     same = sum(bool(row.agrees) for row in compared)

@@ -9,7 +9,7 @@ from reports.records.record import Finite, Model
 SIMULATORS = "simulators.json"
 
 
-class EngineLevel(Model):
+class EngineLevelRecord(Model):
     """step [s] or tolerance; the verdict there; distance [-]: the largest from our replay, in the nominal sizes of the coordinates, None where it diverged."""
 
     step: Finite
@@ -17,7 +17,7 @@ class EngineLevel(Model):
     distance: Finite | None
 
 
-class EngineRow(Model):
+class EngineRecord(Model):
     """An engine's verdict on a plan, or what came of asking; agrees: with ours at all its levels, None where it has none; kind, sentence: why not, as measured."""
 
     engine: str
@@ -26,16 +26,16 @@ class EngineRow(Model):
     kind: str
     sentence: str
     why: str = ""
-    levels: tuple[EngineLevel, ...] = ()
+    levels: tuple[EngineLevelRecord, ...] = ()
 
 
 class SimulatorsRecord(Model):
     """engines: by name, what each is and how it makes contact; plans: by the key of the run, a row an engine."""
 
     engines: Mapping[str, str] = {}
-    plans: Mapping[str, tuple[EngineRow, ...]] = {}
+    plans: Mapping[str, tuple[EngineRecord, ...]] = {}
 
-    def with_rows(self, run: str, rows: tuple[EngineRow, ...]) -> SimulatorsRecord:
+    def with_rows(self, run: str, rows: tuple[EngineRecord, ...]) -> SimulatorsRecord:
         """The record with these rows of a run's plan; engines that were asked earlier keep theirs."""
         kept = {row.engine: row for row in (*self.plans.get(run, ()), *rows)}
         return self.model_copy(update={"plans": {**self.plans, run: tuple(kept.values())}})

@@ -30,7 +30,7 @@ from reports.records.record import (
     ViolationPoint,
     stage_files,
 )
-from reports.records.simulators_record import EngineRow, SimulatorsRecord
+from reports.records.simulators_record import EngineRecord, SimulatorsRecord
 from reports.traces import Motion, Trace, read_motion
 
 STEP, STEPS, STIFFNESS, DAMPING, LENGTH = 0.01, 500, 30.0, 2.0, 0.5
@@ -288,8 +288,8 @@ def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
 def simulators(run: str, words: str = "a word") -> SimulatorsRecord:
     """Two engines asked of a run's plan: one agrees, one does not."""
     rows = (
-        EngineRow(engine=words, verdict="holds", agrees=True, kind="", sentence=words),
-        EngineRow(engine="other", verdict=words, agrees=False, kind=words, sentence=words),
+        EngineRecord(engine=words, verdict="holds", agrees=True, kind="", sentence=words),
+        EngineRecord(engine="other", verdict=words, agrees=False, kind=words, sentence=words),
     )
     return SimulatorsRecord(engines={words: words, "other": words}, plans={run: rows})
 

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from validate.judge.score import Verdict
 
 
+# A plan so many times as long as the task is probably in another unit of time, and is replayed for minutes.
+_LONG = 10.0
+
+
 @click.command(
     epilog="""\b
 Examples:
@@ -185,6 +189,12 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     loaded = load_scene(scene)
     trajectory = as_trajectory(plan, loaded, hold=hold)
     assert trajectory is not None, "a file is a plan"
+    takes, horizon = trajectory.duration, loaded.task.horizon
+    if takes > _LONG * horizon:
+        say(
+            f"{plan}: it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer",
+            err=True,
+        )
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
@@ -278,7 +288,7 @@ def _print(judgement: Judgement) -> None:
         say(f"Not asked: {text.rstrip('.')}.")
     for text in result.waived:
         say(f"Waived by the scene: {text.rstrip('.')}.")
-    say(f"{result.verdict.value}: {result.why}")
+    say(result.sentence)
 
 
 def _print_engines(rows: list[EngineVerdict]) -> None:

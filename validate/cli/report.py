@@ -13,6 +13,7 @@ from reports.render import write_report, write_single
 from validate.cli.table import say
 from validate.judge.simulator import named_engines
 from validate.store.results import check_rows, rows, write_tables
+from validate.store.store import Store
 from validate.store.stored import campaign_of
 
 
@@ -59,7 +60,7 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
-    click.echo(_lacking(stored), nl=False, err=True)
+    click.echo(_lacking(stored, folder), nl=False, err=True)
     if as_json:
         found = {"results": rows(stored.runs), "checks": check_rows(stored.checks), "report": str(report)}
         click.echo(json.dumps(found, indent=1, allow_nan=False))
@@ -69,12 +70,21 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
     return 0
 
 
-def _lacking(stored: Stored) -> str:
-    """What could not be told, a line; nothing where all is there."""
+def _lacking(stored: Stored, folder: Path) -> str:
+    """What could not be told, a line each; nothing where all is there."""
     there, campaign = sum(map(len, stored.parts)) + len(stored.checks), stored.campaign
+    lines = []
     if campaign is None:
-        return f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew.\n"
-    if there == len(campaign.keys):
-        return ""
-    missing = len(campaign.keys) - there
-    return f"{missing} of {len(campaign.keys)} runs have no readable record; the command of the campaign runs them: {campaign.command}\n"
+        lines.append(
+            f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew."
+        )
+    elif there < len(campaign.keys):
+        missing = f"{len(campaign.keys) - there} of {len(campaign.keys)} runs have no readable record"
+        lines.append(f"{missing}; the command of the campaign, with --out {folder}, runs them: {campaign.command}")
+    store = Store(folder)
+    for run in (run for parts in stored.parts for run in parts):
+        if name := store.damaged_file(run.key):
+            lines.append(
+                f"{run.title}: {store.runs / run.key / name} is gone or cut off; remove that folder, and the command of the campaign runs it again."
+            )
+    return "".join(f"{line}\n" for line in lines)

@@ -79,7 +79,12 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
         lambda key: names[key] == run,
         lambda key: run.lower() in names[key].lower(),
     ):
-        found = [record for key in names if fits(key) if (record := store.read(key)) is not None]
+        fitting = [key for key in names if fits(key)]
+        found = [record for key in fitting if (record := store.read(key)) is not None]
+        if fitting and not found:
+            raise CampaignError(
+                f"{names[fitting[0]]}: {store.runs / fitting[0] / RECORD} cannot be read; the command of the campaign runs it again."
+            )
         if len(found) == 1:
             return folder, found[0]
         if found:

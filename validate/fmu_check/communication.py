@@ -112,7 +112,7 @@ def stop_time(subject: Subject, kind: str) -> Finding:
             return passed(f"{steps} steps up to the stop time {subject.time(steps):.6g} s are made, the next one is refused.")
         moved = not np.array_equal(before, instance.observe(), equal_nan=True)
     return failed(
-        f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{'' if moved else ' (but nothing moves)'}, "
+        f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{'' if moved else ' (though no output changes)'}, "
         f"though the stop time given was {subject.time(steps):.6g} s."
     )
 

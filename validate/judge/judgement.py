@@ -63,7 +63,7 @@ class Judgement:
         return self.score.verdict.is_good
 
     def __repr__(self) -> str:
-        return f"{self.score.verdict.value}: {self.score.why}"
+        return self.score.sentence
 
 
 def judge(

@@ -16,7 +16,7 @@ from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.load import Stored
 from reports.records.record import RunRecord, stage_files
-from reports.records.simulators_record import SIMULATORS, EngineRow, SimulatorsRecord
+from reports.records.simulators_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.elsewhere import elsewhere
@@ -67,6 +67,6 @@ def ask_simulators(folder: Path, stored: Stored, engines: Sequence[str], tell: C
         except TouchstoneError as error:
             tell(f"{run.title}: no simulator was asked: {error}")
             continue
-        found = found.with_rows(run.key, tuple(EngineRow.model_validate(row.as_json()) for row in rows))
+        found = found.with_rows(run.key, tuple(EngineRecord.model_validate(row.as_json()) for row in rows))
         write_durably(folder / SIMULATORS, found.model_dump_json(indent=1))
     return found

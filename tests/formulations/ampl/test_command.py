@@ -186,7 +186,7 @@ def test_options_come_from_the_environment_and_the_command_line(stub, capsys, mo
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["nothing"], ("nothing.nl", "cannot be read")), ([], ("usage",)), (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
+        (["nothing"], ("nothing.nl", "cannot be read")), ([""], ("no file", ".nl")), (["/"], ("'/' is no file",)), (["."], ("'.' is no file",)), ([], ("usage",)), (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
         (["STUB", "strategy=magic"], ("strategy", "magic", "scholtes")), (["STUB", "objno=2"], ("1 objectives", "2")),
         (["STUB", "objno=half"], ("objno", "half")), (["STUB", "timelimit=-1"], ("timelimit", "-1", "seconds")), (["STUB", "tol="], ("tol=", "name=value")),
         (["STUB", "tolerance_of_all=1"], ("tolerance_of_all",)),

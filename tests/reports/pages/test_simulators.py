@@ -11,7 +11,7 @@ from reports.pages import simulators
 from reports.pages.section import Report
 from reports.records.load import Stored, load
 from reports.records.record import RunRecord
-from reports.records.simulators_record import SIMULATORS, EngineRow, SimulatorsRecord
+from reports.records.simulators_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from reports.render import Templates, render
 from tests.reports import record_factory as factory
 
@@ -23,8 +23,8 @@ def run(scene: str, price: float, pipeline: str = "mpcc", verdict: str = "holds"
     return template.model_copy(update=named)
 
 
-def row(engine: str, verdict: str, agrees: bool | None, kind: str = "", sentence: str = "0.1 from ours") -> EngineRow:
-    return EngineRow(engine=engine, verdict=verdict, agrees=agrees, kind=kind, sentence=sentence)
+def row(engine: str, verdict: str, agrees: bool | None, kind: str = "", sentence: str = "0.1 from ours") -> EngineRecord:
+    return EngineRecord(engine=engine, verdict=verdict, agrees=agrees, kind=kind, sentence=sentence)
 
 
 RUNS = (run("one", 2.0), run("two", 3.0), run("three", 4.0))

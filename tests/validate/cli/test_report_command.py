@@ -90,6 +90,17 @@ def test_a_record_that_is_gone_is_told(folder: Path):
     assert "1 of 2 runs have no readable record" in _report(folder).stderr
 
 
+def test_a_motion_that_is_gone_is_told_and_its_page_drawn_anew(folder: Path):
+    _report(folder)
+    (lost, *_) = sorted(folder.glob("runs/*/trajectory.nc"))
+    page = folder / "pages" / f"{lost.parent.name[:16]}.html"
+    before = page.read_text(encoding="utf-8")
+    lost.unlink()
+    told = _report(folder)
+    assert not unsaid(told.stderr, f"{lost} is gone")
+    assert page.read_text(encoding="utf-8") != before
+
+
 def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli):
     before = {path: path.read_bytes() for path in ran.rglob("*") if path.is_file() and path.suffix not in {".csv"}}
     done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")

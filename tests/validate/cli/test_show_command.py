@@ -42,6 +42,20 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     assert done.returncode == 0
 
 
+def test_a_record_that_cannot_be_read_is_not_looked_for_elsewhere(cli, tmp_path: Path):
+    run = factory.run("strict", None, "strict_lcp")
+    folder = factory.store(tmp_path / "all", [run], factory.campaign([run]))
+    record = folder / "runs" / run.key / "record.json"
+    (folder / "runs" / run.key / "task.json").write_text(
+        json.dumps({"task": {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}}})
+    )
+    record.write_text(record.read_text()[:300])
+    done = cli("show", "three_cart x strict", "--in", str(folder))
+    assert done.returncode == 2
+    assert f"{record} cannot be read" in " ".join(done.stderr.split())
+    assert "did you mean" not in done.stderr
+
+
 @pytest.mark.parametrize(
     ("task", "named"),
     [

@@ -260,7 +260,7 @@ def robustness(
     holds = judgement.holds or (isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT)
     if not holds and not anyway:
         raise TrajectoryError(
-            f"plan: it does not hold to begin with ({judgement.verdict.value}: {judgement.score.why.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
+            f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
         )
     began, found, complete, worlds = time.process_time(), _Progress(), True, draw(causes, samples, seed)
     followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK

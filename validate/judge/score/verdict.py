@@ -135,7 +135,12 @@ class Score:
         return None if metric is None else metric.value
 
     def __repr__(self) -> str:
-        return f"<Score: {self.verdict.value}: {self.why}>"
+        return f"<Score: {self.sentence}>"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict and why, in a sentence that begins with its word."""
+        return self.why if self.why.startswith(self.verdict.value) else f"{self.verdict.value}: {self.why}"
 
 
 MARGIN = 10.0
