@@ -269,11 +269,8 @@ class SceneArena(Arena):
         ]
         variables = replace(self._variables, parameters=tuple(parameters))
         if fineness == REFERENCE:
-            model = ExchangeModel(self._package, variables)
-            try:
+            with closing(ExchangeModel(self._package, variables)) as model:
                 run = integrate(model, world.start, inputs, RTOL, EVENT_BUDGET, parts=1)
-            finally:
-                model.close()
         else:
             run = simulate(self._package, variables, world.start, inputs, fineness, fmu=self._fresh())
             if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
