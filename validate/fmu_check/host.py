@@ -26,7 +26,7 @@ from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import clocks, communication, derivatives, exchange, files, host_process, importers, reference, states, values
+from validate.fmu_check import clocks, communication, derivatives, exchange, files, importers, reference, states, values
 from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
@@ -54,8 +54,8 @@ BEHAVIOUR: tuple[Check, ...] = (
     states.resets,
     states.independent,
     states.leaks,
-    host_process.surrounded,
-    host_process.token,
+    states.surrounded,
+    states.token,
     states.restores,
     states.serialises,
     exchange.arrays,
