@@ -239,8 +239,7 @@ def _ours(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """End of the run [s], values (entries,) [unit of each] there by our own calls, and what an importer may be off."""
     if kind == "CS":
-        with CheckedInstance(subject, kind) as instance:
-            instance.begin(during=given)
+        with CheckedInstance(subject, kind).begin(during=given) as instance:
             for step in range(steps):
                 instance.do_step(subject.time(step), subject.step)
             values = instance.get(watched)

@@ -138,8 +138,7 @@ def serialises(subject: Subject, kind: str) -> Finding:
     def second(data: bytes, next_event: float) -> list[list[float]]:
         junk = mmap.mmap(-1, _SHIFT)
         others = [CheckedInstance(subject, kind, f"other {number}") for number in range(3)]
-        with CheckedInstance(subject, kind) as instance:
-            instance.begin()
+        with CheckedInstance(subject, kind).begin() as instance:
             saved = instance.fmu.deserializeFMUState(data)
             instance.restore(saved)
             at_time(instance, place)
