@@ -14,7 +14,7 @@ from models.fmu import build_fmu
 from validate.cli.check import command
 from validate.cli.check_formats import markdown
 from validate.fmu_check import CheckReport, Status, check_fmu
-from validate.fmu_check.importers.tools import IMPORTERS
+from validate.fmu_check.importers import IMPORTERS
 
 _NAMES = [f"importer {name}" for name in IMPORTERS]
 
