@@ -98,14 +98,10 @@ def command(
     if as_json:
         found = [formats.data(report) for report in reports]
         click.echo(json.dumps(found if len(found) > 1 else found[0], indent=1, allow_nan=False))
-    if html_file is not None:
-        write(html_file, _page(checked, arguments))
-    if junit_file is not None:
-        write(junit_file, formats.junit([(report, spent) for report, spent, _ in checked]))
-    if sarif_file is not None:
-        write(sarif_file, formats.sarif(reports))
-    if markdown_file is not None:
-        write(markdown_file, formats.markdown(reports, command_line(arguments)))
+    write(html_file, lambda: _page(checked, arguments))
+    write(junit_file, lambda: formats.junit([(report, spent) for report, spent, _ in checked]))
+    write(sarif_file, lambda: formats.sarif(reports))
+    write(markdown_file, lambda: formats.markdown(reports, command_line(arguments)))
     return max((report.exit_code for report in reports), key=(0, 3, 1).index)
 
 
