@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
-from reports.causes import again
-from reports.judged import questions_of
+from reports.judged import again, questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import click
 
-from reports.pages.truth import as_markdown, cell, largest_disagreement
+from reports.pages.simulators import as_markdown, cell, largest_disagreement
 from reports.records.check_record import ChartRecord
-from reports.records.truth_record import TruthRecord, TruthRow
+from reports.records.engines_record import TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
