@@ -9,7 +9,6 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Scene
@@ -114,18 +113,3 @@ def test_order_four_through_touch_and_release(scene: Scene) -> None:
         errors.append(np.abs(np.column_stack([found[name] for name in states]) - truth).max())
     assert errors[-1] < 1e-8
     assert np.log2(errors[0] / errors[1]) > 3.3
-
-
-@pytest.mark.parametrize("scene", [ARM, COLLISION], ids=lambda scene: scene.name)
-def test_semi_implicit_euler_is_the_step_of_the_plans(scene: Scene, drive: Callable) -> None:
-    u = np.array([9.0, -1.0])[: scene.nu]
-    steps, h = min(scene.task.steps, 600), scene.task.step
-    motion = load_kernel(scene).rollout(np.array(scene.task.start), np.tile(u, (steps, 1)), h)
-    model = drive(scene, "cs", "3.0")
-    model.fmu.enterInitializationMode(startTime=0.0)
-    model.fmu.setInt64(model.vr(["integrator"]), [2])
-    model.set(internal_step=h)
-    model.set_all(model.names.u, u)
-    model.fmu.exitInitializationMode()
-    model.run(steps * h, steps)
-    assert model.state() == pytest.approx(np.concatenate([motion.q[-1], motion.v[-1]]), abs=1e-9)

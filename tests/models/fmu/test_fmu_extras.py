@@ -130,15 +130,33 @@ def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(s
 
 @pytest.mark.slow
 @both
-def test_equal_bytes_anywhere_and_all_deflated(scene_of, tmp_path, monkeypatch, version):
+def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch, version):
     known = build_fmu(scene_of("three_cart"), version).read_bytes()
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     path = build_fmu(scene_of("three_cart"), version)
     assert path.is_relative_to(tmp_path)
     assert path.read_bytes() == known
-    with zipfile.ZipFile(path) as archive:
+    stamp = path.stat().st_mtime_ns
+    assert build_fmu(scene_of("three_cart"), version) == path
+    assert path.stat().st_mtime_ns == stamp
+
+
+@both
+def test_archive_has_everything_deflated_and_no_links(any_scene, version):
+    with zipfile.ZipFile(build_fmu(any_scene, version)) as archive:
         entries = archive.infolist()
-    assert {entry.compress_type for entry in entries} == {zipfile.ZIP_DEFLATED}
-    assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
-    assert not any(entry.filename.startswith("/") or "\\" in entry.filename or ".." in entry.filename for entry in entries)
-    assert {"documentation/index.html", "documentation/licenses/license.txt"} <= {entry.filename for entry in entries}
+        text = archive.read("documentation/index.html").decode()
+        licenses = archive.read("documentation/licenses/license.txt").decode()
+    names = [entry.filename for entry in entries]
+    binary = "linux64" if version == "2.0" else "x86_64-linux"
+    needed = {f"binaries/{binary}/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h"}
+    assert names[0] == "modelDescription.xml"
+    assert needed <= set(names)
+    assert any(name.startswith("sources/") and name.endswith(f"fmi{version[0]}Functions.h") for name in names)
+    assert len(set(names)) == len(names)
+    assert not any("\\" in name or name.startswith("/") or ".." in name for name in names)
+    assert {(entry.compress_type, entry.date_time) for entry in entries} == {(zipfile.ZIP_DEFLATED, (1980, 1, 1, 0, 0, 0))}
+    assert not any((entry.external_attr >> 16) & 0o170000 == 0o120000 for entry in entries)
+    assert any_scene.title.split("'")[0] in text
+    assert "MIT" in licenses
+    assert "2-clause BSD" in licenses

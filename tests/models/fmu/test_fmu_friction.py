@@ -1,6 +1,7 @@
 """Dry friction in the FMU: true stiction and located stick-slip, against closed forms and an independent integration."""
 
 import math
+import zipfile
 from pathlib import Path
 
 import fmpy
@@ -10,19 +11,12 @@ import sympy as sp
 
 from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, true_motion
-from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene import Coordinate, Input, Scene, Task
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import goal_limits
-from tests.models.test_friction import two_coupled_frictions
+from tests.models.test_friction import g, k, m, mu, push, two_coupled_frictions, w1, w2, wz, x1, x2, z
 
-x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
-m, mu, g, k = sp.symbols("m mu g k", positive=True)
-PARAMETERS = (
-    Parameter(symbol=m, value=2.0, unit="kg"),
-    Parameter(symbol=mu, value=0.3, unit="1"),
-    Parameter(symbol=g, value=10.0, unit="m/s^2"),
-    Parameter(symbol=k, value=200.0, unit="N/m"),
-)
+PARAMETERS = two_coupled_frictions().parameters
 
 
 def block(**changes: object) -> Scene:
@@ -146,8 +140,6 @@ def test_energy_balance_closes_through_stick_and_slip() -> None:
 
 @pytest.mark.slow
 def test_sources_hold_friction_only_where_the_scene_has_it(tmp_path: Path) -> None:
-    import zipfile
-
     frictionless = block(frictions=(), name="sliding_block")
     with zipfile.ZipFile(build_fmu(frictionless)) as archive:
         assert not {"sources/friction.h", "sources/friction_modes.h"} & set(archive.namelist())
@@ -158,20 +150,12 @@ def test_sources_hold_friction_only_where_the_scene_has_it(tmp_path: Path) -> No
 def flying_block(speed: float) -> Scene:
     """A block thrown along a soft floor from 0.5 m above it: it lands after 0.316 s."""
     return block(
-        name="flying_block",
-        coordinates=(Coordinate(symbol=x1, velocity=w1, unit="m"), Coordinate(symbol=z, velocity=wz, unit="m")),
-        parameters=PARAMETERS,
-        kinetic_energy=m * (w1**2 + wz**2) / 2,
-        potential_energy=m * g * z,
-        forces=(push, sp.Integer(0)),
-        contacts=(
-            Contact(
-                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
-            ),
-        ),
+        name="flying_block", coordinates=(Coordinate(symbol=x1, velocity=w1, unit="m"), Coordinate(symbol=z, velocity=wz, unit="m")),
+        parameters=PARAMETERS, kinetic_energy=m * (w1**2 + wz**2) / 2, potential_energy=m * g * z, forces=(push, sp.Integer(0)),
+        contacts=(Contact(name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k),),
         frictions=(Friction(name="floor", slip=w1, coefficient=mu, contact="floor"),),
         task=Task(start=(0.0, 0.5, speed, 0.0), goal=(0.0,) * 4, running_cost=push**2, step=0.01, steps=30),
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.slow

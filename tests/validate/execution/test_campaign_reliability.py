@@ -3,17 +3,12 @@
 `python -m benchmarks kills` kills more often, others than the campaign, and more kinds of cells.
 """
 
-import random
 import signal
 import time
 from pathlib import Path
 
 import pytest
-from killed_campaigns import FAKES_FOLDER, Kill, finished, kill_and_resume, processes, start, unfinished, untimed
-
-from validate.cli.narrator import PlainNarrator
-from validate.execution import campaign
-from validate.execution.campaign import CampaignSettings, run_campaign
+from killed_campaigns import Kill, finished, kill_and_resume, processes, start, unfinished, untimed
 
 pytestmark = pytest.mark.process
 
@@ -71,23 +66,3 @@ def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(c
     assert unfinished(out) == []
     assert processes(out) == []
     assert list(temporary.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_another_order_gives_the_same_numbers(killed, tmp_path, monkeypatch):
-    """Whichever cell comes first runs what several begin with."""
-    chosen, (whole, _) = campaign.select, killed
-
-    def shuffled(settings: CampaignSettings):
-        entries, left_out = chosen(settings)
-        random.Random(3).shuffle(entries)
-        return entries, left_out
-
-    monkeypatch.setattr(campaign, "select", shuffled)
-    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
-    run_campaign(
-        CampaignSettings(out=tmp_path, plugin="campaign_fakes:PLUGIN", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator()
-    )
-    rows, expected = untimed(tmp_path), untimed(whole)
-    assert rows != expected
-    assert sorted(map(str, rows)) == sorted(map(str, expected))

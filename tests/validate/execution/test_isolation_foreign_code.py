@@ -5,14 +5,15 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+import psutil
 import pytest
+from killed_campaigns import FAKES_FOLDER
 
 from models.codegen.compiler import find_compiler
 from validate.execution.isolated import Ending, Limits, run_isolated
 
 pytestmark = pytest.mark.process
 
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 _SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process
 THROWS = """
 #include <new>
@@ -57,15 +58,8 @@ def call(library: Path, name: str, seconds: float = 60.0):
 
 def sleepers() -> set[str]:
     """Numbers of the processes that sleep as the daemon does."""
-    found = set()
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (entry / "cmdline").read_bytes().split(b"\0")[:2]
-        except OSError:
-            continue
-        if words == [b"sleep", str(_SLEEP).encode()]:
-            found.add(entry.name)
-    return found
+    commands = ((item.pid, item.info["cmdline"] or []) for item in psutil.process_iter(["cmdline"]))
+    return {str(number) for number, words in commands if words[:2] == ["sleep", str(_SLEEP)]}
 
 
 @pytest.mark.slow

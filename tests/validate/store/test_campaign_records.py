@@ -13,7 +13,6 @@ from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import write_netcdf
-from reports.records.record import thin
 from validate.execution.process import ROOT
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
@@ -38,12 +37,6 @@ def test_files_of_plans_have_gaps_and_poses(tmp_path):
     assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
 
 
-def test_thinned_points_keep_their_ends():
-    assert thin(3).tolist() == [0, 1, 2]
-    assert thin(20_001)[[0, -1]].tolist() == [0, 20_000]
-    assert len(thin(20_001)) == 1500
-
-
 def test_a_key_is_content():
     stages = [("strict_lcp", None, {"a": "1"})]
     key = content_key(SCENE, stages, ["strict_lcp"])
@@ -61,14 +54,6 @@ def test_a_scene_text_sees_assumptions_and_every_field():
     stronger = replace(contact, penetration=sp.Symbol("d", positive=True) - sp.Symbol("q2"))
     assert scene_text(weaker) != scene_text(stronger)
     assert "replay_terminal_velocity_error" in scene_text(SCENE)
-
-
-def test_sources_of_other_methods_and_scenes_do_not_count():
-    digests = source_digests(["softplus_gd"])
-    assert "models/dynamics.py" in digests
-    assert "validate/tasks/task.py" in digests
-    assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
-    assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]
 
 
 def _imported_reports(name: str) -> set[str]:

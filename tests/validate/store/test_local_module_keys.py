@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import pytest
+from killed_campaigns import FAKES_FOLDER
 
 from validate.cli.narrator import PlainNarrator
 from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.plan.runs import select, with_stored
 from validate.store.store import Store
 
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 SCENE = """
 import sympy as sp
 from dataclasses import replace

@@ -50,7 +50,7 @@ def test_a_plan_is_tried_once_and_stored_by_its_content(tmp_path: Path, monkeypa
     stored.write_text(stored.read_text()[:40])
     assert ran(store, task, "third").stages[-1].survey == found, "what is damaged is found out anew"
     assert ran(store, replace(task, robust=False), "fourth").stages[-1].survey is None
-    assert ran(store, replace(task, plugin="survey_fakes:PLUGIN"), "fifth").stages[-1].survey.message == "ZeroDivisionError: a stumble"  # type: ignore[union-attr]
+    assert ran(store, replace(task, plugin="real_chains:STUMBLING"), "fifth").stages[-1].survey.message == "ZeroDivisionError: a stumble"  # type: ignore[union-attr]
 
 
 def test_a_run_without_is_another_run_of_the_same_legs(tmp_path: Path):
