@@ -1,31 +1,41 @@
-"""What every method must do, run over the catalog: a new file in formulations/methods is tested by existing."""
+"""What every method must do, run over the catalog: a new file in formulations/methods is tested by existing. Options; promises of a plan that is called solved, broken on purpose; scenes that are impossible; and the free motion of those without inputs."""
 
 import re
-from dataclasses import asdict, fields
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+import sympy as sp
 from example_scenes import example_scene
+from wording import unsaid
 
-from formulations.method import Kind, Method, OptionError
-from formulations.pipelines import load_method, method_names
+from formulations import ContactFormulation, build_model
+from formulations.method import Kind, Method, OptionError, Options, option, read_options
+from formulations.methods.mpcc import MpccOptions
+from formulations.methods.softplus_dc import SoftplusDCOptions
+from formulations.pipelines import PIPELINES, load_method, method_names, pipelines_for
 from formulations.solution import Outcome, Solution
+from formulations.transcription.residuals import PlanResiduals
 from models.catalog import load_scene
-from models.errors import TrajectoryError
+from models.codegen.kernel import load_kernel
+from models.errors import SceneError, TrajectoryError
+from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
+from validate.judge.judgement import judge
 
-# What plans: every method but the free motion, which is for scenes that leave nothing to plan (test_methods_free_motion.py).
+# What plans: every method but the free motion, which is for scenes that leave nothing to plan (the last tests here).
 ALL = tuple(name for name in method_names() if name != "free_motion")
 BARE = example_scene("oscillator")
 SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 # The same for a method that says why SCENE is too much for it.
 LITTLE = SCENE.with_task(steps=6, step=0.15)
-
+PENDULUM = load_scene("wall_pendulum")
 # What a method may be begun with: a plan of each kind, of each mathematics behind it.
 PLANS = ("softplus_dc", "relaxed_lcp", "strict_lcp", "relu_gd")
-
 # Options that make little work of a method, where it has them: what is tested here holds for few iterations as for many.
 FEW = {"iterations": 5, "tolerances": (0.0, 0.05), "worlds": 2}
 
@@ -147,3 +157,184 @@ def test_it_refuses_a_plan_that_does_not_fit(name: str) -> None:
     shorter = Trajectory(t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1])
     with pytest.raises(TrajectoryError, match="steps"):
         solved(load_method(name), scene, shorter)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Base(Options):
+    weight: float = option(1.0, "of the goal", lower=0.0, unit="kg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Own(_Base):
+    rounds: int = option(3, "most rounds", lower=1, upper=10)
+    search: bool = option(True, "whether to search")
+    guess: str = option("line", "where it starts", choices=("line", "start"))
+    most: int | None = option(None, "none: no limit", lower=1)
+
+
+def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
+    assert list(asdict(_Own())) == ["weight", "rounds", "search", "guess", "most"]
+    assert repr(read_options(_Own, {"weight": 2, "search": False}, "m").weight) == "2", "keys of stored results hold what was given"
+    assert read_options(_Own, _Own(rounds=2), "m") == read_options(_Own, {"rounds": 2}, "m") == _Own(rounds=2)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"round": 1}, "method m: … no option 'round'; did you mean rounds?"),
+        ({"colour": 1}, "method m: … no option 'colour'; it has weight, rounds, search, guess, most."),
+        ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"), ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
+        ({"weight": True}, "method m: option weight is True … [0, inf] kg"), ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
+        ({"search": "no"}, "method m: option search is 'no' … True, False"), ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
+        (_Base(), "method m: … _Own, but _Base were given"),
+    ],
+)  # fmt: skip
+def test_one_sentence_says_what_is_wrong(given, sentence):
+    with pytest.raises(OptionError) as caught:
+        read_options(_Own, given, "m")
+    assert not unsaid(caught.value, sentence)
+
+
+def test_what_is_impossible_only_for_one_method_is_refused_too():
+    for name, given, words in (
+        ("randomised_smoothing", {"samples": 3}, "option samples is 3, but must be an even number"),
+        ("relu_gd", {"iterations": 2.5}, "option iterations is 2.5, but must be a whole number or left out"),
+    ):
+        with pytest.raises(OptionError, match=f"method {name}: {words}"):
+            load_method(name).read_options(given)
+
+
+def test_an_object_is_checked_when_it_is_made_and_belongs_to_its_method():
+    with pytest.raises(OptionError, match="option search is 3"):
+        MpccOptions(search=3)  # pyright: ignore[reportArgumentType] - what is tested
+    assert load_method("mpcc").read_options(MpccOptions(search=False)).search is False
+    with pytest.raises(OptionError, match="are MpccOptions, but SoftplusDCOptions"):
+        load_method("mpcc").read_options(SoftplusDCOptions())
+
+
+COMMON = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")
+PROMISED = {
+    "softplus_dc": (*COMMON, "contact_law", "regularised_friction"),
+    "relaxed_lcp": (*COMMON, "complementarity", "force_sign", "friction_cone", "friction_law"),
+    "strict_lcp": (*COMMON, "force_sign", "friction_cone", "friction_law", "physics"), "mpcc": (*COMMON, "force_sign"), "collocation": COMMON,
+}  # fmt: skip
+# Options that say how large a residual may be, where it is not the method's plan_tolerance; and what the relaxation adds.
+LIMITED_BY = {
+    ("strict_lcp", "physics"): ("physics_tolerance",),
+    ("strict_lcp", "terminal_error"): ("terminal_tolerance",),
+    ("mpcc", "terminal_error"): ("terminal_tolerance", "goal_tolerance"),
+}
+RELAXED = {("relaxed_lcp", "complementarity"): 1e-2, ("relaxed_lcp", "friction_law"): 2e-2}
+
+
+def limit(name: str, residual: str) -> float:
+    options = asdict(load_method(name).options())
+    return RELAXED.get((name, residual), 0.0) + sum(options[item] for item in LIMITED_BY.get((name, residual), ("plan_tolerance",)))
+
+
+def told(monkeypatch: pytest.MonkeyPatch, residual: str, value: float) -> None:
+    """Every plan is told to miss this residual by that much."""
+    true = PlanResiduals.of
+    monkeypatch.setattr(PlanResiduals, "of", lambda *given, **named: {**true(*given, **named), residual: value})
+
+
+@pytest.mark.parametrize("name", PROMISED)
+def test_it_is_solved_where_nothing_is_broken(name: str):
+    found = solved(load_method(name), PENDULUM)
+    assert found.outcome is Outcome.SOLVED, found.message
+    assert "Checked on the plan itself" not in found.message
+
+
+@pytest.mark.parametrize(("name", "residual"), [(name, residual) for name, residuals in PROMISED.items() for residual in residuals])
+def test_a_broken_promise_is_no_solution(name: str, residual: str, monkeypatch: pytest.MonkeyPatch):
+    told(monkeypatch, residual, 1.01 * limit(name, residual))
+    found = solved(load_method(name), PENDULUM)
+    assert found.outcome is Outcome.STALLED
+    assert "Checked on the plan itself" in found.message
+    assert f"{residual} is " in found.message
+    told(monkeypatch, residual, 0.99 * limit(name, residual))
+    assert solved(load_method(name), PENDULUM).outcome is Outcome.SOLVED
+
+
+def judged(scene: Scene) -> Any:
+    steps = scene.task.steps
+    still = np.tile(np.array(scene.task.start), (steps + 1, 1))
+    return judge(
+        scene,
+        Trajectory(
+            t=scene.task.step * np.arange(steps + 1), q=still[:, : scene.nq], v=still[:, scene.nq :], u=np.zeros((steps, scene.nu)),
+            lam=np.zeros((steps, scene.nl)),
+        ),
+    )  # fmt: skip
+
+
+def planned(name: str) -> Callable[[Scene], Any]:
+    def plan(scene: Scene) -> Any:
+        method = load_method(name)
+        if (reason := method.accepts(scene)) is not None:
+            pytest.skip(reason)
+        with method.open(scene, {}) as session:
+            return session.solve(eps=1e-2 if method.needs_eps else None, warm_start=None, time_limit=1.0)
+
+    return plan
+
+
+USES = {
+    "kernel": load_kernel, "FMU": build_fmu, "judge": judged, "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
+    **{name: planned(name) for name in method_names()},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("use", USES.values(), ids=USES.keys())
+def test_an_impossible_scene_is_refused(use: Callable[[Scene], Any]):
+    scene = load_scene("three_cart").with_task(steps=5)
+    endless = scene.potential_energy + sp.log(scene.coordinates[0].symbol - scene.task.start[0])
+    with pytest.raises(SceneError, match=r"^scene three_cart: potential_energy is zoo at the start"):
+        use(replace(scene, potential_energy=endless))
+
+
+METHOD = load_method("free_motion")
+
+
+@pytest.mark.parametrize("name", ["bouncing_mass", "two_body_collision"])
+def test_it_is_the_scenes_own_time_step_with_true_contact(name: str):
+    scene = load_scene(name)
+    with METHOD.open(scene) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
+    assert solution.outcome is Outcome.SOLVED
+    assert METHOD.kind is Kind.DIRECT
+    plan = solution.trajectory
+    expected = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((scene.task.steps, 0)), scene.task.step)
+    assert np.array_equal(plan.q, expected.q)
+    assert np.array_equal(plan.lam, expected.lam)
+    assert plan.lam.max() > 1.0
+    assert solution.cost == 0.0
+
+
+def test_a_scene_with_inputs_is_refused_with_a_reason():
+    scene = load_scene("three_cart")
+    assert "has inputs" in str(METHOD.accepts(scene))
+    with pytest.raises(OptionError, match="free_motion: scene three_cart has inputs"):
+        METHOD.open(scene)
+
+
+def test_a_step_beyond_the_stability_limit_diverges_and_says_so():
+    oscillator = example_scene("oscillator")
+    scene = oscillator.with_task(step=3.0, steps=2000)  # h w = 3, beyond 2
+    with METHOD.open(scene) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
+    assert solution.outcome is Outcome.DIVERGED
+    assert solution.trajectory is None
+    assert "use a smaller one" in solution.message
+
+
+def test_it_is_tried_only_where_nothing_can_be_planned():
+    assert "free_motion" not in [pipeline.name for pipeline in pipelines_for(load_scene("three_cart"))]
+    assert pipelines_for(load_scene("bouncing_mass")) == PIPELINES
+
+
+def test_eps_and_other_options_are_refused():
+    with METHOD.open(load_scene("bouncing_mass")) as session, pytest.raises(OptionError, match="takes no eps"):
+        session.solve(eps=0.1, warm_start=None, time_limit=1.0)
+    with pytest.raises(OptionError, match="colour"):
+        METHOD.open(load_scene("bouncing_mass"), {"colour": "red"})

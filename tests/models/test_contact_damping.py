@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy as sp
-from wording import saying
 
 from models.catalog import load_scene
 from models.codegen.emit import for_scene
@@ -18,7 +17,6 @@ from models.errors import SceneError
 from models.fmu.description import find_standard
 from models.fmu.package import fmu_texts
 from models.scene import Scene
-from models.scene.checks import check_expressions
 from models.scene.contacts import DampingLaw
 from models.scenes import damped_collision
 
@@ -73,24 +71,6 @@ def test_the_scene_has_the_derived_numbers():
     before = module.MASS_1 * module.START[2] + module.MASS_2 * module.START[3]
     after = module.MASS_1 * module.V1_BETWEEN + module.MASS_2 * module.V2_AFTER
     assert after == pytest.approx(before, abs=1e-14)
-
-
-def contact(**changes: object) -> Scene:
-    base = load_scene("bouncing_mass")
-    return replace(base, contacts=(replace(base.contacts[0], **changes),))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"damping": -1, "damping_law": DampingLaw.HUNT_CROSSLEY}, "the damping is -1 … s/m, but must not be negative"),
-        ({"damping": sp.Symbol("c")}, "contact floor: damping uses c … neither a parameter nor"),
-        ({"damping": "soft"}, "contact floor: damping … SymPy expression or a number, not str"),
-    ],
-)
-def test_a_wrong_damping_is_one_sentence(changes: dict, words: str):
-    with pytest.raises(SceneError, match=saying(words)):
-        check_expressions(contact(**changes))
 
 
 def texts(scene: Scene) -> dict[str, str]:

@@ -109,20 +109,6 @@ def test_tip_and_disc_push_and_rub_each_other_alike() -> None:
                     assert row[at + joint] == pytest.approx(expected, abs=CLOSE)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_coincident_centres_have_a_defined_normal(name: str) -> None:
-    """Stress case 11: the tip in the middle of the disc; no direction is better than another, so none is pushed, and all derivatives are finite."""
-    scene = load_scene(name)
-    kernel, start = load_kernel(scene), np.array(scene.task.start)
-    start[4:6] = tip(start, -1)[0]
-    u = np.full((4, 4), 0.05)
-    plan = kernel.rollout(start, u, scene.task.step)
-    assert not plan.diverged
-    assert plan.lam[0, 0] == pytest.approx(100.0 * (R + W / 2), rel=1e-4)
-    gradient, _ = kernel.adjoint(plan, u, plan.q, plan.v, cost_bar=1.0)
-    assert np.isfinite(gradient).all()
-
-
 @pytest.mark.parametrize(("law", "eps"), [(ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-60)])
 def test_the_adjoint_through_a_squeeze_that_sticks_and_slips(law: ContactLaw, eps: float | None) -> None:
     """The direction of the slip depends on the position: its share of the adjoint, against finite differences."""

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 import sympy as sp
-from wording import saying
 
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.contact_law import ContactLaw, sharpness
 from models.dynamics import derive
-from models.errors import SceneError, TrajectoryError
+from models.errors import TrajectoryError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene.checks import check_expressions
 from models.scene.contacts import Contact, Friction
 from models.scene.parts import goal_limits
 from models.trajectory import Trajectory
@@ -146,18 +144,3 @@ def test_friction_is_in_the_equations_and_in_the_plan() -> None:
     Trajectory(**plan, lam=np.zeros((2, 3))).check_fits(scene)
     with pytest.raises(TrajectoryError, match=r"lam has 1 columns, but .* has 3"):
         Trajectory(**plan, lam=np.zeros((2, 1))).check_fits(scene)
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"normal_force": None}, "friction belt: … must be given once"), ({"contact": "floor"}, "there are both"),
-        ({"contact": "wall", "normal_force": None}, "no contact 'wall' … its contacts are floor"), ({"slip": w1 * w2}, "is not linear in the velocities"),
-        ({"slip": x1 - x2}, "is not linear in the velocities"), ({"slip": sp.Integer(0)}, "the slip depends on no velocity"),
-        ({"slip": w2 - push}, "slip uses push"), ({"coefficient": -mu}, "the coefficient is -0.3"), ({"normal_force": -m * g}, "the normal_force is -20"),
-        ({"nominal": 0.0}, "nominal (a typical slip speed … must be positive"), ({"name": "x1 "}, "is not an identifier"),
-    ],
-)  # fmt: skip
-def test_mistakes_are_named(change: dict, sentence: str) -> None:
-    with pytest.raises(SceneError, match=saying(sentence)):
-        check_expressions(block_on_a_cart(**change))

@@ -1,40 +1,18 @@
 """`push_box` and `hopper_planar`: what physics keeps, and the quasi-static step that is no approximation."""
 
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import dblquad
 
-from models.catalog import load_scene
 from models.codegen.emit import emit_model
-from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
-from models.scene import Scene
 from models.scenes.push_box import mean_distance
+from tests.models.test_scene_bank import kernel_of, points, scene_of
 
 CLOSE = {"rel": 1e-10, "abs": 1e-10}
-
-
-@cache
-def scene_of(name: str) -> Scene:
-    return load_scene(name)
-
-
-@cache
-def kernel_of(name: str) -> Kernel:
-    return load_kernel(scene_of(name))
-
-
-def points(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Rows (q, v, u, forces): zeros, ones, 0101, 0123 and two random ones."""
-    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nl])
-    count = np.arange(int(sizes[-1]), dtype=float)
-    random = np.random.default_rng(7).normal(size=(2, len(count)))
-    rows = np.array([np.zeros_like(count), np.ones_like(count), count % 2, count, *random])
-    return tuple(np.split(rows, sizes, axis=1)[:4])
 
 
 def test_the_leg_changes_neither_momentum_nor_angular_momentum() -> None:

@@ -52,25 +52,6 @@ def test_a_sound_scene_is_accepted():
     assert (scene.nq, scene.nu, scene.nc) == (1, 1, 1)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"task": Task(start=(0.0,), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10)}, ["task.start", "1 numbers", "2 are needed"]),
-        ({"forces": (u, u)}, ["forces", "2 entries", "1 coordinates"]),
-        ({"parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=-1.0, unit="N/m"))}, ["wall", "stiffness"]),
-        ({"contacts": (wall(penetration=sp.Max(x, 0) - 1),)}, ["wall", "Max", "a contact of its own"]),
-        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]), ({"coordinates": ()}, ["no coordinates"]),
-        ({"name": "two words"}, ["two words", "identifier"]),
-    ],
-)  # fmt: skip
-def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
-    with pytest.raises(SceneError) as caught:
-        check_expressions(small_scene(**changes))
-    text = str(caught.value)
-    assert "\n" not in text
-    assert not unsaid(text, *words)
-
-
 def test_contact_bodies_are_shapes_or_fixed():
     """A scene that draws nothing may name its bodies as it likes."""
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
@@ -130,33 +111,6 @@ def test_a_limit_is_waived_with_a_reason():
     assert small_scene().limit("defect") is None, "then the default holds"
 
 
-def mend_of(missing: str) -> str:
-    return (
-        f"contact wall: {missing} must be given: between which bodies it acts and how deep they may press into each other before the model ends; "
-        'for example bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'
-    )
-
-
-@pytest.mark.parametrize("unit", ["", None, "newton", "N/", "m^x"])
-def test_a_bad_unit_is_refused(unit: object):
-    with pytest.raises(SceneError, match="unit"):
-        Parameter(symbol=m, value=1.0, unit=unit)  # pyright: ignore[reportArgumentType] - the mistake under test
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), "1"])
-def test_a_parameter_is_a_finite_number(value: object):
-    with pytest.raises(SceneError, match="finite"):
-        Parameter(symbol=m, value=value, unit="kg")  # pyright: ignore[reportArgumentType] - the mistake under test
-
-
-@pytest.mark.parametrize(
-    ("changes", "word"), [({"step": 0.0}, "step"), ({"step": float("nan")}, "step"), ({"steps": 0}, "steps"), ({"steps": 2.5}, "steps")]
-)
-def test_a_task_needs_a_grid(changes: dict, word: str):
-    with pytest.raises(SceneError, match=word):
-        replace(small_scene().task, **changes)
-
-
 def test_units_reduce_to_base_units():
     assert base_exponents("N s/m") == {"kg": 1, "s": -1}
     assert base_exponents("J") == {"kg": 1, "m": 2, "s": -2}
@@ -174,48 +128,6 @@ def test_catalog_lists_all_scenes():
     assert "three_cart" in scene_names()
     with pytest.raises(UnknownNameError, match="did you mean three_cart"):
         load_scene("three_carts")
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]), ({"forces": (None,)}, ["forces[0]", "NoneType"]),
-        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]), ({"forces": u}, ["forces must be a tuple"]),
-        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]), ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
-        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]), ({"contacts": wall()}, ["contacts must be a tuple"]),
-        ({"task": {}}, ["task must be a Task", "dict"]),
-    ],
-)  # fmt: skip
-def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
-    with pytest.raises(SceneError) as error:
-        small_scene(**changes)
-    assert not unsaid(error.value, "scene small", *words)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: part(Input, symbol=u, unit="N", lower="-1"), ["input u", "lower", "'-1'"]),
-        (lambda: part(Input, symbol=u, unit="N", upper=float("nan")), ["input u", "upper", "nan"]),
-        (lambda: part(Parameter, symbol=m, value=1.0, unit="kg", lower="0"), ["parameter m", "lower"]),
-        (lambda: part(Parameter, symbol=m, value=True, unit="kg"), ["parameter m", "True"]),
-        (lambda: part(Task, start=None, goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "None"]),
-        (lambda: part(Task, start="00", goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "'00'"]),
-        (lambda: part(Task, start=(0, 0), goal=(0, 0), running_cost="u**2", step=0.1, steps=1), ["running_cost", "str"]),
-        (lambda: part(Limit, metric="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
-        (lambda: part(Limit, metric="defect", value="1", reason=""), ["limit on defect", "'1'"]),
-        (lambda: part(Contact, name="wall", penetration=x - 1, stiffness=k), [mend_of("bodies, depth, depth_reason")]),
-        (lambda: wall(bodies="mass"), ["contact wall: bodies … two different bodies, not 'mass'"]),
-        (lambda: wall(bodies=("mass", 3)), ["contact wall: bodies", "3"]),
-        (lambda: wall(depth=float("nan")), ["contact wall: depth", "nan"]),
-        (lambda: part(Shape, name="a", kind="disc", x=x, y=x, size=(1, 2)), ["shape a", "disc", "1 lengths"]),
-        (lambda: part(Shape, name="a", kind="disc", x="x", y=x, size=(1,)), ["shape a: x", "str"]),
-    ],
-)
-def test_a_part_that_makes_no_sense_is_refused(make, words: list[str]):
-    with pytest.raises(SceneError) as error:
-        make()
-    assert not unsaid(error.value, *words)
 
 
 @pytest.mark.parametrize("assumption", ["positive", "integer", "nonnegative"])

@@ -23,6 +23,7 @@ from models.scenes.cart_chain import cart_chain
 from models.scenes.two_discs import RIGID_HIT, RIGID_HIT_WALL, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, rigid_hit_cost, two_discs
 from models.trajectory import uniform_grid
 from tests.formulations.transcription.rollouts import rolled_out
+from tests.models.test_fingers import tip
 from validate.judge.replay.run import replay
 
 NAMES = (
@@ -175,14 +176,19 @@ def test_a_chain_of_no_such_length_is_refused(n: object):
         cart_chain(n)  # pyright: ignore[reportArgumentType] - the mistake under test
 
 
-def test_coincident_centres_have_a_defined_normal():
-    """No direction is better than another: no force, and finite derivatives (stress case 11)."""
-    kernel = kernel_of("two_discs")
-    start = np.array([0.3, -0.2, 0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
-    plan = kernel.rollout(start, np.ones((5, 2)), 1e-3)
+@pytest.mark.parametrize(("name", "force"), [("two_discs", 5000.0 * 0.4), ("two_finger", 100.0 * 0.06), ("two_finger_lift", 100.0 * 0.06)])
+def test_coincident_centres_have_a_defined_normal(name: str, force: float):
+    """No direction is better than another: no force between discs, nor of a tip in the middle of one, and finite derivatives (stress case 11)."""
+    kernel, state = kernel_of(name), np.array(scene_of(name).task.start)
+    if name == "two_discs":
+        state[:] = 0.3, -0.2, 0.3, -0.2, 0.0, 0.0, 0.0, 0.0
+    else:
+        state[4:6] = tip(state, -1)[0]
+    u = np.full((5, scene_of(name).nu), 0.05)
+    plan = kernel.rollout(state, u, 1e-3)
     assert not plan.diverged
-    assert plan.lam[0, 0] == pytest.approx(5000.0 * 0.4, rel=1e-5)
-    gradient, _ = kernel.adjoint(plan, np.ones((5, 2)), plan.q, plan.v, cost_bar=1.0)
+    assert plan.lam[0, 0] == pytest.approx(force, rel=1e-4)
+    gradient, _ = kernel.adjoint(plan, u, plan.q, plan.v, cost_bar=1.0)
     assert np.isfinite(gradient).all()
 
 

@@ -1,16 +1,20 @@
-"""The quadratic program of fixed modes against Ipopt on the Pyomo model of the same modes: two roads that share no line."""
+"""The quadratic program of fixed modes against Ipopt on the Pyomo model of the same modes: two roads that share no line. Its banded LU, its models that are used again, and the signs of multipliers against costs: a negative one names the mode that is cheaper."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 from example_scenes import example_scene
 
+import formulations.transcription.compiled
 from formulations.contact_modes.dual_active_set import interior_point_active_set
-from formulations.contact_modes.linear import linear_scene, why_not_linear
+from formulations.contact_modes.linear import BandedLU, linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
-from formulations.contact_modes.quadratic import ModesProblem
+from formulations.contact_modes.quadratic import ModesProblem, classify
 from formulations.contact_modes.search import closed_steps
+from formulations.contact_modes.session import MpccSession
+from formulations.pipelines import load_method
 from formulations.transcription.method import SolveBudget
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -164,3 +168,132 @@ def test_what_modes_cost_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     nearer = problem.solve(BEST, below=answer.cost)
     assert nearer.cost < answer.cost
     assert len(factored) > once
+
+
+def random_band(seed: int, size: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """(dense, band): half of the band is zero, and so is most of the diagonal, as in an optimality system."""
+    random = np.random.default_rng(seed)
+    dense = random.normal(size=(size, size)) * (random.uniform(size=(size, size)) < 0.5)
+    np.fill_diagonal(dense, np.where(random.uniform(size=size) < 0.8, 0.0, random.normal(size=size)))
+    band = np.zeros((2 * width + 1, size), order="F")
+    for i in range(size):
+        for j in range(size):
+            if abs(i - j) <= width:
+                band[width + i - j, j] = dense[i, j]
+            else:
+                dense[i, j] = 0.0
+    return dense, band
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("size", "width"), [(1, 0), (3, 2), (40, 1), (60, 7), (9, 8)])
+def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int) -> None:
+    dense, band = random_band(seed, size, width)
+    lu, random = BandedLU(size, width), np.random.default_rng(seed)
+    is_regular = abs(np.linalg.det(dense)) > 0.0
+    if lu.factor(band):
+        right, several = random.normal(size=size), random.normal(size=(size, 3))
+        np.testing.assert_allclose(lu.product(right), dense @ right, atol=1e-12 * max(1.0, np.abs(dense).max() * size))
+        if np.linalg.cond(dense) < 1e8:
+            np.testing.assert_allclose(lu.solve(right), np.linalg.solve(dense, right), rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(dense @ lu.solve(several), several, atol=1e-8)
+    else:
+        assert not is_regular or np.linalg.cond(dense) > 1e8
+
+
+@pytest.mark.parametrize("several", [1, 2, 5, 13])
+def test_several_right_hand_sides_at_once_are_each_alone(several: int) -> None:
+    random, lu = np.random.default_rng(several), BandedLU(60, 7)
+    assert lu.factor(random_band(0, 60, 7)[1])
+    right = random.normal(size=(60, several)) * (random.uniform(size=(60, several)) < 0.2)  # with rows that are zero
+    for order in ("C", "F"):
+        together = lu.solve(np.array(right, order=order))
+        for k in range(several):
+            assert np.array_equal(together[:, k], lu.solve(right[:, k]))
+            assert np.array_equal(lu.product(np.array(right, order=order))[:, k], lu.product(right[:, k]))
+
+
+def test_a_matrix_with_an_empty_column_is_singular() -> None:
+    band = np.zeros((3, 5), order="F")
+    band[1] = 1.0
+    lu = BandedLU(5, 1)
+    assert lu.factor(band)
+    band = band.copy(order="F")
+    band[1, 3] = 0.0
+    assert not lu.factor(band)
+    assert lu.factor(np.asfortranarray(np.where(np.arange(3)[:, None] == 1, 2.0, 0.0) * np.ones(5))), "nothing of the failure is left"
+    np.testing.assert_allclose(lu.solve(np.ones(5)), 0.5)
+
+
+def opened(**options: object) -> MpccSession:
+    return cast(MpccSession, load_method("mpcc").open(ARM, {"search": False, **options}))
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The models that were translated."""
+    models: list[object] = []
+    compile_model = formulations.transcription.compiled.compile_model
+    monkeypatch.setattr(formulations.transcription.compiled, "compile_model", lambda model: (models.append(model), compile_model(model))[1])
+    return models
+
+
+@pytest.mark.slow
+def test_the_fifth_start_is_the_start_alone(compiled: list[object]) -> None:
+    several = opened(starts=5).solve(eps=None, warm_start=None, time_limit=600.0)
+    built = len(compiled)
+    assert built == 3, "two schedules of softplus, and the problem with modes fixed"
+    fifth = several.starts[4]
+    alone = opened(first_start=4).solve(eps=None, warm_start=None, time_limit=600.0)
+    assert fifth.cost == alone.cost
+    assert several.cost <= fifth.cost
+
+
+@pytest.mark.slow
+def test_another_radius_uses_the_same_models(compiled: list[object]) -> None:
+    wide = opened(goal_tolerance=0.05)
+    first = wide.solve(eps=None, warm_start=None, time_limit=600.0)
+    built = len(compiled)
+    second = wide.within(0.01).solve(eps=None, warm_start=first.trajectory, time_limit=600.0)
+    assert len(compiled) == built
+    assert first.residuals["terminal_error"] == pytest.approx(0.05, abs=1e-6)
+    assert second.residuals["terminal_error"] == pytest.approx(0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "letter", "least"),
+    [
+        ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0), ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
+        ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0), ([], "S", 0.0),
+    ],
+)  # fmt: skip
+def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) -> None:
+    force, separation = np.full((8, 1), 50.0), np.full((8, 1), -50.0)  # of pairs that are not biactive: they do not count
+    biactive = np.zeros((8, 1), dtype=bool)
+    for t, (of_force, of_separation) in enumerate(pairs):
+        force[t], separation[t], biactive[t] = of_force, of_separation, True
+    found = classify(force, separation, biactive)
+    assert (found.letter, found.biactive, found.least) == (letter, len(pairs), least)
+
+
+@pytest.mark.parametrize(("contact", "shift"), [(0, -2), (0, 2), (1, -2), (1, 2)])
+def test_a_negative_multiplier_names_a_cheaper_mode(contact: int, shift: int) -> None:
+    """Intervals that begin wrongly: where the pair that touches has a negative multiplier, the other mode there is cheaper."""
+    intervals = [[131, 179], [276, 307]]
+    intervals[contact][0] += shift
+    problem = ModesProblem(linear_scene(SCENE))
+    answer = problem.solve(closed_steps(tuple(((first, stop),) for first, stop in intervals), 500))
+    assert answer.cost > 490.5495306
+    negative = [
+        (t, c)
+        for t, c in zip(*np.nonzero(answer.active.touching), strict=True)
+        if (answer.of_force if not answer.closed[t, c] else answer.of_separation)[t, c] < -1e-6
+    ]
+    costs = []
+    for t, c in negative:
+        closed = answer.closed.copy()
+        closed[t, c] = not closed[t, c]
+        other = problem.solve(closed)
+        costs.append(np.inf if other is None else other.cost)
+    assert negative
+    assert min(costs) < answer.cost

@@ -1,4 +1,4 @@
-"""The parts of a certificate by hand: what is active, which class multipliers show, what they leave, and what is forced where pairs hold exactly."""
+"""The parts of a certificate by hand: what is active, which class multipliers show, what they leave, what is forced where pairs hold exactly, and what it says in words."""
 
 import math
 from collections.abc import Sequence
@@ -7,10 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyomo.environ as pyo
 import pytest
 import scipy.sparse as sparse
+from pyomo.mpec import Complementarity, complements
 from wording import unsaid
 
+from formulations.mpec import certify
 from formulations.mpec.certificate.active import (
     ANY,
     CHOICES,
@@ -38,6 +41,7 @@ from formulations.mpec.certificate.certificate import (
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
 from formulations.mpec.certificate.plan import PLAN_TOLERANCES
 from formulations.mpec.certificate.stationarity import affordable
+from tests.formulations.mpec.nearest import nearest
 
 S, M, C, A, W = list(Stationarity)[:5]
 INF = math.inf
@@ -371,3 +375,39 @@ def test_a_tree_is_searched_to_its_end_where_that_costs_little(variables: int, c
     """1024 leaves at most, fewer where 200 000 are not enough for each to have one of every variable, but always 8; else 12 nodes."""
     active: Any = SimpleNamespace(gradient=np.zeros(variables), both=np.arange(biactive))
     assert affordable(active, choices) == nodes
+
+
+def at(x: float | None, y: float | None) -> str:
+    """Of min (x - 1)^2 + (y - 2)^2, where x and y complement each other and x <= 3."""
+    m = nearest(x, y)
+    m.least = pyo.Constraint(expr=m.x <= 3)
+    return certify(m).sentence
+
+
+def test_a_stationary_point_has_a_class():
+    assert [part for part in ("class S", ", B-stationary", "0 of 1 pairs") if part not in at(0.0, 2.0)] == []
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "parts"),
+    [(5.0, 0.0, ["not feasible", "most in least", "in no class"]), (0.5, 0.5, ["not feasible, so", "in no class"]), (None, None, ["in no class"])],
+)  # fmt: skip
+def test_a_point_that_is_not_feasible_is_of_no_class(x, y, parts):
+    assert [part for part in parts if part not in at(x, y)] == []
+    assert "B-stationar" not in at(x, y)
+
+
+@pytest.mark.parametrize("x", [-1.0, 0.0, 0.5, 1.0, 2.0])
+def test_no_point_is_in_a_range_that_holds_no_number(x):
+    """1 <= x <= p at p = 0: x breaks one of the two by a half at least, wherever it is."""
+    m = pyo.ConcreteModel()
+    m.p = pyo.Param(initialize=0.0, mutable=True)
+    m.x, m.y = pyo.Var(initialize=x), pyo.Var(initialize=2.0)
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
+    m.pair = Complementarity(expr=complements(pyo.inequality(1, m.x, m.p), m.y))
+    found = certify(m)
+    assert not found.holds
+    assert found.primal >= 0.5
+    m.p.set_value(3.0)
+    m.y.set_value(0.0)
+    assert certify(m).primal == max(0.0, 1.0 - x)

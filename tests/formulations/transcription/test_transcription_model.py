@@ -1,4 +1,4 @@
-"""The Pyomo models themselves: what is in them, that they say what the compiled time step does; plans in and out of them, and their residuals."""
+"""The Pyomo models themselves: what is in them, that they say what the compiled time step does; plans in and out of them, and their residuals. The model Ipopt is given is as large as on paper, on every scene of the bank."""
 
 import doctest
 import importlib
@@ -27,9 +27,13 @@ from formulations import (
     relax,
     set_relaxation,
 )
+from formulations.ipopt import compile_model
+from formulations.pipelines import load_method
+from formulations.solution import ModelSize
 from formulations.transcription.build import load_first_guess
+from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import hold_modes, release_modes
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import RelaxationError
@@ -330,3 +334,30 @@ def test_held_modes_decide_every_pair_and_are_released_again() -> None:
     release_modes(model)
     assert all(pair.ccon.active and pair.v.ub is None for pair in model.complementarity_contact.values())
     assert all(lam.ub is None for lam in model.variable_lam.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contact", [ContactFormulation.SOFTPLUS, ContactFormulation.COMPLEMENTARITY])
+@pytest.mark.parametrize("name", scene_names())
+def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactFormulation):
+    for steps in (1, 6):
+        scene = load_scene(name).with_task(steps=steps)
+        problem = compile_model(build_model(scene, contact, eps=1e-2))
+        assert ModelSize(unknowns=problem.n, equations=problem.m) == size_on_paper(scene, contact)
+
+
+def test_counts_by_hand_of_the_papers_scene():
+    """6 states at 501 nodes, 2 inputs and 2 forces a step; 12 ends, 6 + 2 equations a step; complementarity: two more of each a step."""
+    scene = load_scene("three_cart")
+    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500)
+    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500)
+
+
+@pytest.mark.parametrize("method", ["softplus_dc", "relaxed_lcp", "strict_lcp"])
+def test_a_solution_says_how_large_its_model_was(method: str):
+    scene = load_scene("wall_pendulum")
+    found = load_method(method)
+    eps = None if method == "strict_lcp" else 1e-2
+    solution = found.open(scene).solve(eps=eps, warm_start=None, time_limit=60.0)
+    assert solution.size is not None
+    assert solution.size == solution.paper_size

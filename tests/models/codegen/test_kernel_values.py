@@ -1,4 +1,4 @@
-"""The compiled functions against the scene's own SymPy equations, evaluated by numpy, the rollout against a loop over them, and against physics."""
+"""The compiled functions and their derivatives, of damped contacts too: against the scene's own SymPy equations, evaluated by numpy, the rollout against a loop over them, finite differences, and physics."""
 
 from functools import cache
 from pathlib import Path
@@ -240,3 +240,146 @@ def test_bouncing_mass_meets_the_floor_when_it_should():
     touches = np.argmax(plan.lam[:, 0] > 0.0) * step
     assert touches == pytest.approx(answers["time of the first contact [s]"], abs=5 * step)
     assert kernel.penetration(plan.q).max() == pytest.approx(answers["largest depth [m]"], rel=1e-3)
+
+
+# A start in contact, away from the kink of the ReLU, for each scene.
+STARTS = {
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "two_link_arm": (0.3, 0.4, -0.5, 0.7), "two_body_collision": (0.0, 0.15, 1.0, -1.0),
+    "bouncing_mass": (-0.05, 0.3), "oscillator": (1.0, 0.2),
+}  # fmt: skip
+
+
+def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:
+    plan = kernel.rollout(start, u, h, law, eps)
+    q_bar, v_bar, lam_bar, cost_bar = bars
+    cost = kernel.cost(plan.q, plan.v, u)
+    return float((q_bar * plan.q).sum() + (v_bar * plan.v).sum() + (lam_bar * plan.lam).sum() + cost_bar * cost)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("law", "eps"), LAWS[:2])
+def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law: ContactLaw, eps: float | None):
+    """Every entry of u and start; the loss weighs every entry of q, v, lam and the running cost."""
+    kernel = kernel_of(name)
+    scene, steps, h = kernel.scene, 12, 0.002
+    random = np.random.default_rng(4)
+    u, start = random.normal(size=(steps, scene.nu)), np.array(STARTS[name])
+    bars = (
+        random.normal(size=(steps + 1, scene.nq)),
+        random.normal(size=(steps + 1, scene.nq)),
+        random.normal(size=(steps, scene.nc)),
+        0.7,
+    )
+    plan = kernel.rollout(start, u, h, law, eps)
+    assert not scene.nc or plan.lam.max() > 0.0
+    u_bar, start_bar = kernel.adjoint(plan, u, bars[0], bars[1], bars[2], bars[3])
+
+    delta = 1e-6  # central differences: error delta^2 of the curvature, rounding 1e-16/delta
+    for gradient, point in ((u_bar, u), (start_bar, start)):
+        for index in np.ndindex(point.shape):
+            values = []
+            for sign in (1.0, -1.0):
+                moved = point.copy()
+                moved[index] += sign * delta
+                values.append(_loss(kernel, *((start, moved) if point is u else (moved, u)), h, law, eps, bars))
+            assert gradient[index] == pytest.approx((values[0] - values[1]) / (2 * delta), rel=2e-6, abs=2e-6)
+
+
+def test_adjoint_without_contact_force_derivatives_is_the_one_with_zeros():
+    kernel = kernel_of("three_cart")
+    u = np.ones((10, 2))
+    plan = kernel.rollout(np.array(STARTS["three_cart"]), u, 0.01)
+    bar = np.ones((11, 3))
+    for left, right in zip(kernel.adjoint(plan, u, bar, bar), kernel.adjoint(plan, u, bar, bar, np.zeros((10, 2))), strict=True):
+        assert (left == right).all()
+
+
+def test_slope_of_both_laws_at_a_penetration_of_exactly_zero():
+    """ReLU: 0, as in the plan's own model before it touches; softplus: half the stiffness."""
+    kernel = kernel_of("bouncing_mass")
+    plan_start, u, h = np.zeros(2), np.zeros((1, 0)), 0.1
+    v_bar = np.array([[0.0], [1.0]])
+    for law, eps, slope in ((ContactLaw.RELU, None, 0.0), (ContactLaw.SOFTPLUS, 1e-3, 0.5)):
+        plan = kernel.rollout(plan_start, u, h, law, eps)
+        _, start_bar = kernel.adjoint(plan, u, np.zeros((2, 1)), v_bar)
+        assert start_bar[0] == pytest.approx(-h * slope * kernel.stiffness()[0], rel=1e-14)
+
+
+ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "damped_arm.py"))
+
+
+def states(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(3)
+    rows = [np.zeros(scene.nq), np.ones(scene.nq), np.arange(scene.nq) % 2, np.arange(scene.nq)]
+    q = np.vstack([*rows, random.normal(scale=0.5, size=(200, scene.nq))])
+    return q, np.vstack([*rows[::-1], random.normal(scale=3.0, size=(200, scene.nq))])
+
+
+def true_force(scene: Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    d = derive(scene)
+    push, phi = d.function(d.push, d.q, d.v), d.function(d.penetration, d.q)
+    return np.array([np.where(phi(x).ravel() > 0, np.maximum(push(x, y).ravel(), 0), 0) for x, y in zip(q, v, strict=True)])
+
+
+@pytest.mark.parametrize("scene", [ARM, load_scene("damped_collision")], ids=lambda scene: scene.name)
+def test_forces_are_those_of_the_law(scene: Scene):
+    kernel, (q, v) = load_kernel(scene), states(scene)
+    lam = kernel.contact_force(q, v=v)
+    assert lam == pytest.approx(true_force(scene, q, v), rel=1e-12, abs=1e-12)
+    damped = list(scene.damped)
+    closed = kernel.penetration(q)[:, damped] > 0
+    assert (lam[:, damped][closed] == 0).any()  # a released contact is among them
+    assert (lam[:, damped][closed] > 0).any()
+    push = kernel.contact_push(q, v)
+    assert np.maximum(push, 0) == pytest.approx(lam)  # what the score holds a plan's forces against
+    assert push[kernel.penetration(q) <= 0] == pytest.approx((kernel.stiffness() * kernel.penetration(q))[kernel.penetration(q) <= 0])
+
+
+def test_the_smoothed_law_is_that_of_the_springs_at_rest_and_the_true_one_in_the_limit():
+    kernel, (q, v) = load_kernel(ARM), states(ARM)
+    phi, k = kernel.penetration(q), kernel.stiffness()
+    b = -np.log(1e-3)
+    assert kernel.contact_force(q, ContactLaw.SOFTPLUS, 1e-3) == pytest.approx(k / b * np.logaddexp(0, b * phi), rel=1e-12)
+    assert (kernel.contact_force(q, ContactLaw.SOFTPLUS, 1e-3, v=v) >= 0).all()
+    away = np.abs(phi).min(axis=1) > 0.05
+    sharp = kernel.contact_force(q[away], ContactLaw.SOFTPLUS, 1e-300, v=v[away])
+    assert sharp == pytest.approx(true_force(ARM, q[away], v[away]), abs=0.5)  # k ln2 / b = 0.3 N
+
+
+@pytest.mark.parametrize(("law", "eps"), LAWS[:2])
+def test_the_adjoint_is_the_derivative(law: ContactLaw, eps: float | None):
+    kernel, task = load_kernel(ARM), ARM.task
+    random = np.random.default_rng(5)
+    u = random.normal(scale=[15.0, 4.0], size=(task.steps, 2))
+    start = np.array(task.start)
+
+    def run(start: np.ndarray, u: np.ndarray):
+        return kernel.rollout(start, u, task.step, law, eps)
+
+    found = run(start, u)
+    assert not found.diverged
+    assert (found.lam.max(axis=0)[:3] > 0.1).all()  # every contact takes part
+    q_bar, v_bar, lam_bar = (random.normal(size=rows.shape) for rows in (found.q, found.v, found.lam))
+    u_bar, start_bar = kernel.adjoint(found, u, q_bar, v_bar, lam_bar)
+
+    def loss(start: np.ndarray, u: np.ndarray) -> float:
+        rollout = run(start, u)
+        return float((q_bar * rollout.q).sum() + (v_bar * rollout.v).sum() + (lam_bar * rollout.lam).sum())
+
+    for _ in range(3):
+        ds, du, h = random.normal(size=start.shape), random.normal(size=u.shape), 1e-7
+        difference = (loss(start + h * ds, u + h * du) - loss(start - h * ds, u - h * du)) / (2 * h)
+        assert float(start_bar @ ds + (u_bar * du).sum()) == pytest.approx(difference, rel=2e-5)
+
+
+def test_momentum_is_kept_and_energy_only_lost():
+    scene = load_scene("damped_collision").with_task(steps=20_000, step=2e-5)
+    kernel = load_kernel(scene)
+    motion = kernel.rollout(np.array(scene.task.start), np.zeros((20_000, 0)), 2e-5)
+    m = np.array([parameter.value for parameter in scene.parameters[:2]])
+    assert (motion.v @ m)[-1] == pytest.approx((motion.v @ m)[0], abs=1e-12)
+    kinetic, _ = kernel.energy(motion.q, motion.v)
+    spring = (kernel.stiffness() * np.maximum(kernel.penetration(motion.q), 0) ** 2).sum(axis=1) / 2
+    assert np.diff(kinetic + spring).max() < 2e-5  # a time step may gain what it is wrong by: h c s^2 / mu h
+    assert kinetic[-1] < 0.6 * kinetic[0]

@@ -1,14 +1,30 @@
-"""Arithmetic of the generated C: counted rightly, and about what the equations cost on paper."""
+"""Arithmetic of the generated C: counted rightly, and about what the equations cost on paper; products with Jacobians over what expressions share; and single steps, linearised one by one and run with feedback."""
 
 import ctypes
+import re
+from functools import cache
 
 import numpy as np
 import pytest
 import sympy as sp
+from example_scenes import example_scene
 
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
+from models.codegen.c_function import (
+    Derivative,
+    SceneVectors,
+    Vector,
+    backward_function,
+    forward_function,
+    pull_back,
+    push_forward,
+    tangent,
+)
 from models.codegen.compiler import compile_shared, find_compiler
 from models.codegen.emit import Operations, cholesky_function, count_operations, emit_model, step_operations
+from models.codegen.kernel import KernelError, load_kernel
+from models.codegen.steps import Steps, load_steps
+from models.contact_law import ContactLaw
 from models.dynamics import derive
 from models.scenes.cart_chain import cart_chain
 
@@ -135,3 +151,162 @@ def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path
 def test_no_trigonometry_where_there_is_none():
     assert count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"].call == 0
     assert step_operations(load_scene("cart_pole_walls")).call > cholesky_on_paper(2).call
+
+
+X, P, W = Vector.of("x", ("a", "b", "c")), Vector.of("p", ("k",)), Vector.of("w", ("0", "1", "2"))
+
+
+def _numbers(derivative: Derivative, values: dict[sp.Symbol, float]) -> list[np.ndarray]:
+    known = dict(values)
+    for symbol, value in derivative.definitions:
+        known[symbol] = float(value.xreplace(known))
+    return [np.array([float(sp.sympify(entry).xreplace(known)) for entry in column]) for column in derivative.columns]
+
+
+def _values(random: np.random.Generator, *vectors: Vector) -> dict[sp.Symbol, float]:
+    return {symbol: float(value) for vector in vectors for symbol, value in zip(vector.symbols, random.normal(size=9), strict=False)}
+
+
+def _column() -> sp.Matrix:
+    a, b, c = X.symbols
+    (k,) = P.symbols
+    shared = sp.sin(a * b) + k * c**2
+    return sp.Matrix([shared**3 * sp.exp(-shared), shared / (1 + sp.cos(c) ** 2) + a, k * sp.tanh(shared) * sp.sqrt(1 + b**2)])
+
+
+def test_both_products_are_those_of_the_jacobian():
+    function, random = _column(), np.random.default_rng(3)
+    values = _values(random, X, P, W, tangent(X), tangent(P))
+    jacobian = [np.array(function.jacobian(x.column).xreplace(values).tolist(), dtype=float) for x in (X, P)]
+    along, weights = ([np.array([values[s] for s in tangent(x).symbols]) for x in (X, P)], np.array([values[s] for s in W.symbols]))
+
+    (pushed,) = _numbers(push_forward(function, [(X, tangent(X)), (P, tangent(P))]), values)
+    assert pushed == pytest.approx(jacobian[0] @ along[0] + jacobian[1] @ along[1], rel=1e-13)
+    pulled = _numbers(pull_back(function, W, [X, P]), values)
+    assert pulled[0] == pytest.approx(jacobian[0].T @ weights, rel=1e-13)
+    assert pulled[1] == pytest.approx(jacobian[1].T @ weights, rel=1e-13)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scene_names())
+def test_products_of_the_equations_of_motion_are_each_others_transposes(name: str):
+    """w . (df/dx dx) = (df/dx' w) . dx for the residual f - M a of every scene, along everything it depends on."""
+    x = SceneVectors.of(derive(load_scene(name)))
+    a = x.q.like("a")
+    residual = x.local(x.dynamics.generalised_force) - x.local(x.dynamics.mass_matrix) * a.column
+    moving = [vector for vector in (*x.arguments, a) if vector.symbols]
+    weights, random = x.q.like("w"), np.random.default_rng(7)
+    values = {symbol: float(random.uniform(0.3, 1.3)) for vector in (*moving, *map(tangent, moving), weights) for symbol in vector.symbols}
+    (pushed,) = _numbers(push_forward(residual, [(vector, tangent(vector)) for vector in moving]), values)
+    pulled = _numbers(pull_back(residual, weights, moving), values)
+    forward = pushed @ np.array([values[symbol] for symbol in weights.symbols])
+    terms = [bar @ np.array([values[s] for s in tangent(vector).symbols]) for vector, bar in zip(moving, pulled, strict=True)]
+    assert abs(forward) > 1e-3
+    assert sum(terms) == pytest.approx(forward, rel=1e-10, abs=1e-10 * sum(map(abs, terms)))
+
+
+def test_shared_subexpressions_are_differentiated_once():
+    """Thirty nested products: written out they have 2^30 terms."""
+    (x,) = (vector := Vector.of("x", ("a",))).symbols
+    value: sp.Expr = x
+    for _ in range(30):
+        value = sp.sin(value) * value
+    for derivative in (
+        push_forward(sp.Matrix([value]), [(vector, tangent(vector))]),
+        pull_back(sp.Matrix([value]), Vector.of("w", ("0",)), [vector]),
+    ):
+        assert sum(int(sp.count_ops(term)) for _, term in derivative.definitions) < 30 * 12
+
+
+def test_c_functions_define_before_they_use_and_leave_out_what_nothing_needs():
+    pushed = forward_function("void push", (X, P, tangent(X)), "df", _column(), [X])
+    pulled = backward_function("void pull", (X, P, W), sp.Matrix([X.symbols[0] ** 2 * P.symbols[0], 0, sp.sin(P.symbols[0])]), W, [X])
+    for text in (pushed, pulled):
+        lines = text.splitlines()
+        defined = {line.split()[2]: number for number, line in enumerate(lines) if line.startswith("    const double ")}
+        used = {name: [n for n, line in enumerate(lines) if re.search(rf"\b{name}\b", line.partition("=")[2])] for name in defined}
+        assert all(numbers and min(numbers) > defined[name] for name, numbers in used.items()), text
+    assert "sin" in pushed
+    assert "sin" not in pulled  # sin(k) does not depend on x
+
+
+def test_derivatives_of_empty_columns_are_empty():
+    nothing, empty = sp.zeros(0, 1), Vector.of("w", ())
+    assert push_forward(nothing, [(X, tangent(X))]).columns[0].shape == (0, 1)
+    assert pull_back(nothing, empty, [X]).columns[0] == sp.zeros(3, 1)
+
+
+LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
+# States in contact, away from kinks: (positions, velocities).
+STATES = {
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1), "acrobot_limits": (0.3, -0.5, 0.7, -0.4), "transport": (2.2, 1.0, 0.5, -0.4),
+    "cart_pole_walls": (0.7, 0.5, 0.2, -0.3), "damped_arm": (0.2, -0.06, 0.5, 0.3, -0.2, 0.4),
+}  # fmt: skip
+
+
+@cache
+def steps_of(name: str) -> Steps:
+    return load_steps(example_scene(name))
+
+
+@pytest.mark.parametrize("name", STATES)
+@pytest.mark.parametrize(("law", "eps"), LAWS)
+def test_jacobians_are_finite_differences_of_the_step(name: str, law: ContactLaw, eps: float | None):
+    steps = steps_of(name)
+    random = np.random.default_rng(1)
+    x = np.array(STATES[name]) + 0.01 * random.normal(size=(3, len(STATES[name])))
+    u = random.normal(size=(3, steps.scene.nu))
+    h = 0.005
+    found = steps.linearise(x, u, h, law, eps)
+    assert found is not None
+    delta = 1e-6
+    for index in range(x.shape[1]):
+        side = delta * np.eye(x.shape[1])[index]
+        ends = [steps.linearise(x + sign * side, u, h, law, eps) for sign in (1.0, -1.0)]
+        slope = (ends[0].next - ends[1].next) / (2 * delta)
+        np.testing.assert_allclose(found.A[:, :, index], slope, rtol=1e-6, atol=1e-7)
+    for index in range(steps.scene.nu):
+        side = delta * np.eye(steps.scene.nu)[index]
+        ends = [steps.linearise(x, u + sign * side, h, law, eps) for sign in (1.0, -1.0)]
+        slope = (ends[0].next - ends[1].next) / (2 * delta)
+        np.testing.assert_allclose(found.B[:, :, index], slope, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_steps_one_by_one_are_the_rollout_bit_for_bit(name: str):
+    steps, scene = steps_of(name), example_scene(name)
+    u = np.random.default_rng(2).normal(size=(40, scene.nu))
+    whole = load_kernel(scene).rollout(np.array(STATES[name]), u, 0.005)
+    x = np.hstack([whole.q, whole.v])
+    alone = steps.linearise(x[:-1], u, 0.005)
+    assert np.array_equal(alone.next, x[1:])
+    assert np.array_equal(alone.lam, whole.lam)
+    run = steps.follow(x[0], np.zeros((40, x.shape[1])), u, np.zeros((40, scene.nu, x.shape[1])), 0.005)
+    assert np.array_equal(run.x, x)
+    assert np.array_equal(run.u, u)
+    assert not run.diverged
+
+
+def test_feedback_jumps_and_bounds_are_what_the_docstring_says():
+    steps, scene = steps_of("cart_pole_walls"), load_scene("cart_pole_walls")
+    n, h, random = 20, scene.task.step, np.random.default_rng(3)
+    x_plan, u_plan = random.normal(size=(n, 4)), 3.0 * random.normal(size=(n, 1))
+    gain, jump = 5.0 * random.normal(size=(n, 1, 4)), 1e-3 * random.normal(size=(n, 4))
+    run = steps.follow(np.array(scene.task.start), x_plan, u_plan, gain, h, jump=jump)
+    asked = u_plan + np.einsum("tij,tj->ti", gain, run.x[:-1] - x_plan)
+    np.testing.assert_allclose(run.u, np.clip(asked, -4.0, 4.0), rtol=1e-12)
+    assert (np.abs(asked) > 4.0).any()
+    assert (np.abs(asked) < 4.0).any()
+    alone = steps.linearise(run.x[:-1], run.u, h)
+    np.testing.assert_allclose(run.x[1:], alone.next + jump, rtol=1e-12, atol=1e-14)
+
+
+def test_non_finite_steps_are_reported():
+    steps = steps_of("three_cart")
+    x = np.array([STATES["three_cart"]])
+    assert steps.linearise(x, np.array([[np.inf, 0.0]]), 0.01) is None
+    run = steps.follow(x[0], np.zeros((3, 6)), np.array([[0.0, 0.0], [np.nan, 0.0], [0.0, 0.0]]), np.zeros((3, 2, 6)), 0.01)
+    assert run.diverged
+    assert run.finite_steps == 1
+    with pytest.raises(KernelError, match=r"x has shape \(1, 5\)"):
+        steps.linearise(x[:, :5], np.zeros((1, 2)), 0.01)

@@ -1,31 +1,31 @@
-"""The FMU file: valid, reproducible, complete; and what a user does wrong is said in one sentence."""
+"""The FMU file: valid, reproducible, complete, with terminals, icon, build description and reference results, for other platforms too; and what a user does wrong is said in one sentence."""
 
 import dataclasses
+import importlib.util
+import io
+import re
+import shutil
+import struct
+import subprocess
 import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
+import fmpy.validation
+import numpy as np
 import pytest
 import sympy as sp
 from fmpy.validation import validate_fmu
+from lxml import etree
+from wording import unsaid
 
-from models.errors import SceneError, TouchstoneError, UnknownNameError
-from models.fmu import build_fmu, variable_names
-from models.fmu.description import render
+from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
+from models.fmu import build_fmu, reference, variable_names
+from models.fmu.description import ACCURACY, FOLDER, STANDARDS, experiment_texts, render
+from models.fmu.package import PLATFORMS, find_platforms, this_platform
 from models.scene import Parameter
 from models.scene.values import base_exponents
-
-
-@pytest.mark.slow
-def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch):
-    scene = scene_of("three_cart")
-    known = build_fmu(scene).read_bytes()
-    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
-    path = build_fmu(scene)
-    assert path.is_relative_to(tmp_path)
-    stamp = path.stat().st_mtime_ns
-    assert build_fmu(scene) == path
-    assert path.stat().st_mtime_ns == stamp
-    assert path.read_bytes() == known
 
 
 @pytest.mark.slow
@@ -41,25 +41,6 @@ def test_another_scene_or_date_is_another_fmu(scene_of, monkeypatch, tmp_path):
     assert fmpy.read_model_description(str(dated)).generationDateAndTime == "2023-11-14T22:13:20Z"
     with zipfile.ZipFile(dated) as archive:
         assert {entry.date_time for entry in archive.infolist()} == {(2023, 11, 14, 22, 13, 20)}
-
-
-def test_archive_has_everything_deflated_and_no_links(any_scene):
-    with zipfile.ZipFile(build_fmu(any_scene)) as archive:
-        entries = archive.infolist()
-        names = [entry.filename for entry in entries]
-        text = archive.read("documentation/index.html").decode()
-        licenses = archive.read("documentation/licenses/license.txt").decode()
-    assert names[0] == "modelDescription.xml"
-    assert {f"binaries/linux64/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h", "sources/fmi2Functions.h"} <= set(
-        names
-    )
-    assert len(set(names)) == len(names)
-    assert not any("\\" in name or name.startswith("/") for name in names)
-    assert {entry.compress_type for entry in entries} == {zipfile.ZIP_DEFLATED}
-    assert not any((entry.external_attr >> 16) & 0o170000 == 0o120000 for entry in entries)
-    assert any_scene.title.split("'")[0] in text
-    assert "MIT" in licenses
-    assert "2-clause BSD" in licenses
 
 
 def test_description_says_what_an_importer_needs(any_scene):
@@ -130,3 +111,198 @@ def test_bad_date_is_refused(scene_of, monkeypatch, epoch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
     with pytest.raises(TouchstoneError, match="SOURCE_DATE_EPOCH"):
         build_fmu(scene_of("three_cart"))
+
+
+both = pytest.mark.parametrize("version", STANDARDS)
+SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"
+LS = "{http://fmi-standard.org/fmi-ls-manifest}"
+
+
+def read(scene, version, name):
+    with zipfile.ZipFile(build_fmu(scene, version)) as archive:
+        return archive.read(name)
+
+
+def table(data):
+    return np.atleast_1d(np.genfromtxt(io.StringIO(data.decode()), delimiter=",", names=True))
+
+
+@both
+@pytest.mark.parametrize(
+    ("name", "schema"),
+    [
+        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+    ],
+)
+def test_xml_follows_the_schema(any_scene, version, name, schema):
+    etree.XMLSchema(etree.parse(SCHEMAS / schema)).assertValid(etree.fromstring(read(any_scene, version, name)))
+
+
+@both
+def test_terminals_name_variables_that_exist(any_scene, version):
+    names = variable_names(any_scene)
+    root = ElementTree.fromstring(read(any_scene, version, "terminalsAndIcons/terminalsAndIcons.xml"))
+    members = [member.get("variableName") for member in root.iter("TerminalMemberVariable")]
+    assert sorted(members) == sorted([*names.q, *names.v, *names.lam, *names.gap, *names.u])
+
+
+@both
+def test_icon_is_a_png_of_128_by_128_and_a_drawing(scene_of, version):
+    scene = scene_of("three_cart")
+    places = ["terminalsAndIcons/icon.png"] + (["model.png"] if version == "2.0" else [])
+    for place in places:
+        data = read(scene, version, place)
+        assert data.startswith(b"\x89PNG\r\n\x1a\n")
+        assert struct.unpack(">II", data[16:24]) == (128, 128)
+    assert ElementTree.fromstring(read(scene, version, "terminalsAndIcons/icon.svg")).tag.endswith("svg")
+
+
+@both
+def test_reference_results_are_declared(any_scene, version):
+    """By the layered standard FMI-LS-REF: its three attributes, and every file that is named is there and the other way round."""
+    with zipfile.ZipFile(build_fmu(any_scene, version)) as archive:
+        inside = {name.removeprefix(f"{FOLDER}/") for name in archive.namelist() if name.startswith(f"{FOLDER}/")}
+        manifest = ElementTree.fromstring(archive.read(f"{FOLDER}/fmi-ls-manifest.xml"))
+        experiment = ElementTree.fromstring(archive.read(f"{FOLDER}/validation.exp")).find("Experiment")
+        assert "documentation/fmi-ls-ref.html" in archive.namelist()
+        assert b"fmi-ls-ref.html" in archive.read("documentation/index.html")
+    assert manifest.tag == "fmiReferences"
+    assert manifest.get(f"{LS}fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
+    assert manifest.get(f"{LS}fmi-ls-version") == "1.0.0-alpha.1"
+    assert manifest.get(f"{LS}fmi-ls-description").startswith("Layered Standard")
+    related = {item.get("source"): item.get("role") for item in manifest.findall("Related")}
+    assert inside == {"fmi-ls-manifest.xml", *related}
+    assert related["validation.exp"] == "experiment/validation"
+    assert related["validation_results.csv"] == "result"
+    assert experiment.find("References").get("source") == "validation_results.csv"
+    assert (experiment.find("Stimuli") is not None) == (any_scene.nu > 0) == ("validation_inputs.csv" in related)
+    assert float(experiment.get("stopTime")) <= any_scene.task.horizon * (1 + 1e-12)
+
+
+@both
+def test_stock_importer_meets_the_reference_results(any_scene, version):
+    """FMPy's Co-Simulation under the inputs of the file, at every time of the file, in every output."""
+    want = table(read(any_scene, version, f"{FOLDER}/validation_results.csv"))
+    given = table(read(any_scene, version, f"{FOLDER}/validation_inputs.csv")) if any_scene.nu else None
+    interval = want["time"][1] - want["time"][0]
+    path = str(build_fmu(any_scene, version))
+    got = fmpy.simulate_fmu(path, fmi_type="CoSimulation", input=given, stop_time=want["time"][-1], output_interval=interval)
+    last = [np.flatnonzero(np.abs(got["time"] - t) < 1e-9)[0] for t in want["time"]]  # before the inputs change at a knot
+    names = variable_names(any_scene)
+    scale = max(coordinate.nominal for coordinate in any_scene.coordinates)
+    for name in (*names.q, *names.v):
+        np.testing.assert_allclose(got[name][last], want[name], rtol=0, atol=ACCURACY * scale, err_msg=name)
+    for name in set(want.dtype.names) - {"time", *names.q, *names.v, "input_power"}:
+        size = max(1.0, np.abs(want[name]).max())
+        np.testing.assert_allclose(got[name][last] / size, want[name] / size, rtol=0, atol=10 * ACCURACY, err_msg=name)
+    if any_scene.name in ("three_cart", "bouncing_mass", "two_body_collision"):
+        assert any(np.ptp(np.sign(want[name])) == 2 for name in names.gap), "no contact closes in the experiment"
+
+
+def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatch):
+    """A thousand times the damping: explicit steps would be a hundred times shorter than the task's."""
+    monkeypatch.setattr(reference, "BUDGET", 3000)
+    stiff = scene_of("three_cart").with_parameters(c=1e6).with_task(steps=8)
+    texts = experiment_texts(stiff)
+    assert "Radau IIA" in texts["documentation/fmi-ls-ref.html"]
+    assert np.isfinite(table(texts[f"{FOLDER}/validation_results.csv"].encode())["q1"]).all()
+
+
+@pytest.mark.slow
+def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(scene_of, monkeypatch):
+    monkeypatch.setattr(reference, "BUDGET", 20)
+    scene = scene_of("three_cart").with_task(steps=9)
+    path = build_fmu(scene)
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        page = archive.read("documentation/fmi-ls-ref.html").decode()
+        about = archive.read(f"{FOLDER}/fmi-ls-manifest.xml") + archive.read(f"{FOLDER}/validation.exp")
+    assert f"{FOLDER}/validation.exp" in names
+    assert f"{FOLDER}/validation_results.csv" not in names
+    assert b"result" not in about
+    assert not unsaid(page, "no results: scene three_cart: … more than 20 evaluations")
+    assert fmpy.validation.validate_fmu(str(path)) == []
+
+
+@pytest.mark.slow
+@both
+def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch, version):
+    known = build_fmu(scene_of("three_cart"), version).read_bytes()
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    path = build_fmu(scene_of("three_cart"), version)
+    assert path.is_relative_to(tmp_path)
+    assert path.read_bytes() == known
+    stamp = path.stat().st_mtime_ns
+    assert build_fmu(scene_of("three_cart"), version) == path
+    assert path.stat().st_mtime_ns == stamp
+
+
+@both
+def test_archive_has_everything_deflated_and_no_links(any_scene, version):
+    with zipfile.ZipFile(build_fmu(any_scene, version)) as archive:
+        entries = archive.infolist()
+        text = archive.read("documentation/index.html").decode()
+        licenses = archive.read("documentation/licenses/license.txt").decode()
+    names = [entry.filename for entry in entries]
+    binary = "linux64" if version == "2.0" else "x86_64-linux"
+    needed = {f"binaries/{binary}/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h"}
+    assert names[0] == "modelDescription.xml"
+    assert needed <= set(names)
+    assert any(name.startswith("sources/") and name.endswith(f"fmi{version[0]}Functions.h") for name in names)
+    assert len(set(names)) == len(names)
+    assert not any("\\" in name or name.startswith("/") or ".." in name for name in names)
+    assert {(entry.compress_type, entry.date_time) for entry in entries} == {(zipfile.ZIP_DEFLATED, (1980, 1, 1, 0, 0, 0))}
+    assert not any((entry.external_attr >> 16) & 0o170000 == 0o120000 for entry in entries)
+    assert any_scene.title.split("'")[0] in text
+    assert "MIT" in licenses
+    assert "2-clause BSD" in licenses
+
+
+# The first bytes of a shared library: ELF and Mach-O with their machine, and a Windows library.
+MAGIC = {
+    "x86_64-linux": lambda data: data[:5] == b"\x7fELF\x02" and data[18] == 62,
+    "aarch64-linux": lambda data: data[:5] == b"\x7fELF\x02" and data[18] == 183,
+    "x86_64-windows": lambda data: data[:2] == b"MZ" and data[data[60] + 256 * data[61] + 4 :][:2] == b"\x64\x86",
+    "x86_64-darwin": lambda data: data[:8] == b"\xcf\xfa\xed\xfe\x07\x00\x00\x01",
+    "aarch64-darwin": lambda data: data[:8] == b"\xcf\xfa\xed\xfe\x0c\x00\x00\x01",
+}
+
+
+def test_platforms_are_found_by_the_names_of_either_version():
+    names = [platform.name for platform in find_platforms(["win64", "linux64", "x86_64-linux"])]
+    assert names == ["x86_64-linux", "x86_64-windows"]
+    assert [platform.name for platform in find_platforms([])] == [this_platform()]
+    with pytest.raises(UnknownNameError, match=r"platform 'os2' is not offered; choose from x86_64-linux \(linux64\), "):
+        find_platforms(["linux64", "os2"])
+
+
+def test_without_the_cross_compiler_a_sentence_says_what_to_install(scene_of, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    other = next(platform.name for platform in PLATFORMS if platform.name != this_platform())
+    with pytest.raises(MachineError, match=r"a cross-compiler; install one with: pip install ziglang"):
+        build_fmu(scene_of("oscillator"), platforms=[other])
+
+
+@pytest.mark.peer
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_one_fmu_for_all_platforms(scene_of, tmp_path, monkeypatch, version):
+    if importlib.util.find_spec("ziglang") is None:
+        pytest.skip("the cross-compiler is not installed; it comes with the extra [compiler]")
+    monkeypatch.delenv("CC", raising=False)
+    scene = scene_of("two_link_arm")
+    with zipfile.ZipFile(build_fmu(scene, version, platforms=[platform.name for platform in PLATFORMS])) as archive:
+        for platform in PLATFORMS:
+            folder = platform.fmi2 if version == "2.0" else platform.name
+            data = archive.read(f"binaries/{folder}/{scene.name}{platform.suffix}")
+            assert MAGIC[platform.name](data), platform.name
+            assert str(tmp_path.parent.parent).encode() not in data
+        library = archive.read(f"binaries/{'linux64' if version == '2.0' else 'x86_64-linux'}/{scene.name}.so")
+    nm = shutil.which("nm")
+    if nm is None:
+        pytest.skip("nm is not installed")
+    (tmp_path / "model.so").write_bytes(library)
+    symbols = subprocess.run([nm, "-D", tmp_path / "model.so"], capture_output=True, text=True, check=True).stdout
+    needed = {tuple(map(int, found.split("."))) for found in re.findall(r"@GLIBC_([\d.]+)", symbols)}
+    assert needed
+    assert max(needed) <= (2, 17)

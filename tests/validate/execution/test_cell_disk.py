@@ -8,9 +8,9 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
+from killed_campaigns import FAKES_FOLDER
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
@@ -24,7 +24,6 @@ from validate.store.provenance import gather
 from validate.store.store import Store
 
 pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and forked supervisors are for Linux")]
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 _FOR_EVER = 2**62
 
 

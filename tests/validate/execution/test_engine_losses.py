@@ -8,14 +8,11 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from killed_campaigns import finished, processes, unfinished, untimed
+from killed_campaigns import finished, processes, records, unfinished, untimed
 from standing_cluster import come, standing_cluster
 from wording import unsaid
-
-from reports.records.record import RunRecord
 
 pytestmark = [
     pytest.mark.process,
@@ -26,11 +23,6 @@ FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 HALF = (*FAKES, "-k", "only_good or only_family", "-j", "1")
 
 
-def _outcomes(out: Path) -> dict[str, tuple[str, str]]:
-    records = [RunRecord.model_validate_json(content) for content in finished(out).values()]
-    return {record.pipeline: (record.outcome, record.message) for record in records}
-
-
 @pytest.mark.slow
 def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     """After the first loss the cell runs again; two are one more than is allowed here, and it has crashed. The other one waited on the worker both
@@ -39,12 +31,12 @@ def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     counts.mkdir()
     # A loaded machine takes longer than Dask's 15 s to start a worker anew: here every machine takes longer than is told.
     dask = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1", "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "100ms"}
-    asked = {"COUNTS": str(counts), "KILLS": "2", **dask}
-    done = cli("all", "--plugin", "engine_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
+    asked = {"COUNTS": str(counts), "KILL": "fatal", "KILLS": "2", **dask}
+    done = cli("all", "--plugin", "leg_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
     assert done.returncode == 1, done.stderr
-    outcomes = _outcomes(out)
-    assert outcomes["calm"][0] == "solved", done.stderr
-    assert outcomes["fatal"] == ("crashed", "2 workers of the Dask cluster were lost while they ran it.")
+    calm, fatal = (records(out)[name] for name in ("calm", "fatal"))
+    assert calm.outcome == "solved", done.stderr
+    assert (fatal.outcome, fatal.message) == ("crashed", "2 workers of the Dask cluster were lost while they ran it.")
     assert len(list(counts.glob("fatal-*"))) == 2
     assert len(list(counts.glob("calm-*"))) == 1
     assert unfinished(out) == []
@@ -130,7 +122,7 @@ for where in sys.argv[1:]:
 
 @pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_one_sentence(cli_environment):
-    wrong = ["nonsense://x", "127.0.0.1:notaport", "tcp://", "tls://127.0.0.1:9", "tcp://no.such.host.invalid:8786"]
+    wrong = ["nonsense://x", "127.0.0.1:notaport", "tcp://", "tls://127.0.0.1:9", "tcp://127.0.0.1:9", "tcp://no.such.host.invalid:8786"]
     with _silent() as silent:
         asked = [*wrong, silent]
         done = subprocess.run([sys.executable, "-c", _ASKED, *asked], capture_output=True, text=True, env=cli_environment, check=False)

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from killed_campaigns import finished, processes, unfinished, untimed
+from killed_campaigns import finished, processes, records, unfinished, untimed
 from standing_cluster import come, standing_cluster
 from wording import saying, unsaid
 
 from models.errors import MachineError
-from reports.records.record import RunRecord
 from validate.execution.engine import EngineError, check_engine
 
 pytestmark = pytest.mark.process
@@ -23,8 +22,6 @@ FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
-DASK = pytest.param("dask", marks=NEEDS_DASK)
-ENGINES = ["local", DASK]
 
 
 @pytest.fixture(scope="module")
@@ -48,11 +45,6 @@ def expected(cli, tmp_path_factory) -> Path:
     return out
 
 
-def _records(out: Path) -> dict[str, RunRecord]:
-    records = [RunRecord.model_validate_json(content) for content in finished(out).values()]
-    return {record.pipeline: record for record in records}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", [pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path):
@@ -61,7 +53,7 @@ def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path)
     assert untimed(tmp_path / "out") == untimed(expected)
     assert set(finished(tmp_path / "out")) == set(finished(expected))
     assert unfinished(tmp_path / "out") == []
-    theirs, ours = _records(expected), _records(tmp_path / "out")
+    theirs, ours = records(expected), records(tmp_path / "out")
     assert {name: record.message for name, record in ours.items()} == {name: record.message for name, record in theirs.items()}
     assert ours["only_good"].provenance.cpu == theirs["only_good"].provenance.cpu
     shared = [stage.shared_from for record in ours.values() for stage in record.stages if stage.shared_from]
@@ -69,8 +61,9 @@ def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
+@pytest.mark.parametrize("engine", [pytest.param(name, marks=NEEDS_DASK) for name in ("dask", "standing")], indirect=True)
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
+    """What the local engine does then, test_campaign_worker.py shows."""
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path), "-j", "1")
     process = start_cli(*arguments)
     come(lambda: len(processes(tmp_path)) >= 4 and len(finished(tmp_path)) == 1)  # the cell, its supervisor and both its children
@@ -103,7 +96,7 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
     assert done.returncode == 1
     assert done.stderr.count("only_segfault crashed and will be tried again") == 1
     assert not unsaid(done.stderr, "first failure (-x)", "1 of 2 runs are stored in ")
-    assert {name: record.outcome for name, record in _records(tmp_path).items()} == {"only_segfault": "crashed"}
+    assert {name: record.outcome for name, record in records(tmp_path).items()} == {"only_segfault": "crashed"}
     assert processes(tmp_path) == []
     assert unfinished(tmp_path) == []
 
@@ -121,20 +114,6 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
     (tmp_path / "runs" / asked["mark"]).mkdir(parents=True)
     with pytest.raises(MachineError, match=r"sources, libraries or compiler.*not those of the campaign"):
         dask_cell.run_on_worker(cast("Any", None), "", **asked, sources="another")
-
-
-@pytest.mark.slow
-@NEEDS_DASK
-def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
-    done = cli(
-        "all", *FAKES, "-k", "only_good", "--engine", "dask:tcp://127.0.0.1:9", "--out", str(tmp_path / "out"),
-        DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1 s",
-    )  # fmt: skip
-    assert done.returncode == 3, done.stderr
-    (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
-    assert "no Dask scheduler answers there" in sentence
-    assert "Traceback" not in done.stderr
-    assert unfinished(tmp_path / "out") == []
 
 
 @pytest.mark.parametrize(

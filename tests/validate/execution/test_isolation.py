@@ -1,4 +1,4 @@
-"""Isolated calls: every way to misbehave has its own ending, good calls beside it are unchanged, nothing is left running or on disk."""
+"""Isolated calls, of our own code and of somebody else's: every way to misbehave has its own ending, good calls beside it are unchanged, nothing is left running or on disk."""
 
 import errno
 import faulthandler
@@ -15,15 +15,16 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
+from killed_campaigns import FAKES_FOLDER, numbers_of
 
+from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from validate.execution import isolated, process
 from validate.execution.isolated import FOLDER_PREFIX, Ending, IsolatedCalls, Limits, run_isolated
 
 pytestmark = pytest.mark.process
-
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 
 
 @pytest.fixture(autouse=True)
@@ -38,16 +39,7 @@ def own_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 def processes_of(place: Path) -> list[int]:
-    mark = f"TEST_MARK={place}".encode()
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (entry / "environ").read_bytes().split(b"\0")
-        except OSError:
-            continue
-        if mark in environment:
-            found.append(int(entry.name))
-    return found
+    return numbers_of(f"TEST_MARK={place}\0".encode())
 
 
 def call(name: str, request=None, ours: bool = False, **limits):
@@ -220,43 +212,30 @@ def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
     assert list(own_place.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["starts_and_hangs", "nested"])
-def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, own_place: Path):
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("starts_and_hangs", ""), ("nested", ""),
+        pytest.param("waits", ", ours=True", marks=pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")),
+    ],
+)  # fmt: skip
+def test_nothing_is_left_when_the_parent_is_killed(name: str, more: str, tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
-    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
+    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r}{more})"
     parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=FAKES_FOLDER.parents[2])
     deadline = time.monotonic() + 300
-    while not (marker.exists() and marker.read_text() == "inner"):
+    while not (marker.exists() and marker.read_text() not in ("", "started")):
         assert time.monotonic() < deadline
         assert parent.poll() is None
         time.sleep(0.02)
+    if more:  # a fork: it tells its number
+        assert f"PPid:\t{parent.pid}\n" in Path("/proc", marker.read_text(), "status").read_text()
     parent.send_signal(signal.SIGKILL)
     parent.wait()
     while (processes_of(own_place) or list(own_place.glob(f"{FOLDER_PREFIX}*"))) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert processes_of(own_place) == []
-    assert list(own_place.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")
-def test_nothing_is_left_of_a_fork_when_its_parent_is_killed(tmp_path: Path, own_place: Path):
-    marker = tmp_path / "marker"
-    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:waits', {str(marker)!r}, ours=True)"
-    environment = {**os.environ, "TMPDIR": str(own_place)}
-    parent = subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=FAKES_FOLDER.parents[2])
-    deadline = time.monotonic() + 300
-    while not (marker.exists() and marker.read_text()):
-        assert time.monotonic() < deadline
-        assert parent.poll() is None
-        time.sleep(0.02)
-    child = Path("/proc", marker.read_text())
-    assert f"PPid:\t{parent.pid}\n" in (child / "status").read_text()
-    parent.send_signal(signal.SIGKILL)
-    parent.wait()
-    while (child.exists() or list(own_place.iterdir())) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not child.exists()
     assert list(own_place.iterdir()) == []
 
 
@@ -278,3 +257,65 @@ def test_one_child_answers_many_calls_until_one_ends_it(own_place: Path):
         assert [said("a"), said("b")] == [1, 2]
     assert list(own_place.iterdir()) == []
     assert processes_of(own_place) in ([], [os.getpid()])
+
+
+_SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process
+THROWS = """
+#include <new>
+#include <stdexcept>
+extern "C" void throw_out() { throw std::runtime_error("nobody catches this"); }
+extern "C" void refused_by_new() { volatile char *p = new char[(unsigned long)1 << 44]; p[0] = 1; }
+"""
+_CALLS = (
+    ("one_huge_allocation", Ending.MEMORY_LIMIT, "memory limit of 4 GiB"), ("null_pointer", Ending.SIGNAL, "SIGSEGV"),
+    ("endless_recursion", Ending.SIGNAL, "SIGSEGV"), ("exit_in_a_thread", Ending.NO_RESULT, "exit code 0"), ("change_folder", Ending.OK, ""),
+    ("close_files", Ending.OK, ""), ("ignore_signals", Ending.TIME_LIMIT, "time limit of 2 s"), ("start_daemon", Ending.OK, ""),
+    ("start_daemon_and_crash", Ending.SIGNAL, "SIGSEGV"), ("remove_what_is_there", Ending.OK, ""), ("take_all_limits", Ending.NO_RESULT, "without a result"),
+    ("jump_out", Ending.SIGNAL, "it crashed"), ("break_the_heap", Ending.ABORT, "SIGABRT"), ("crash_when_unloaded", Ending.OK, ""),
+    ("stop_the_group", Ending.SIGNAL, "SIGTERM"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    library = tmp_path_factory.mktemp("calls") / "calls.so"
+    command = [
+        *find_compiler().command, "-O0", "-w", f"-DSLEEP={_SLEEP}", "-shared", "-fPIC", "-pthread", "-o", str(library),
+        str(FAKES_FOLDER / "foreign_calls.c"),
+    ]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True)
+    return library
+
+
+def call_code(library: Path, name: str, seconds: float = 60.0):
+    limits = Limits(seconds=seconds, memory=4 * 1024**3)  # far above what Python and numpy take for themselves
+    return run_isolated("isolated_functions:calls", [str(library), name], limits=limits, what="model.fmu")
+
+
+def sleepers() -> set[str]:
+    """Numbers of the processes that sleep as the daemon does."""
+    commands = ((item.pid, item.info["cmdline"] or []) for item in psutil.process_iter(["cmdline"]))
+    return {str(number) for number, words in commands if words[:2] == ["sleep", str(_SLEEP)]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "ending", "words"), _CALLS)
+def test_it_ends_as_it_should_and_leaves_nothing(name: str, ending: Ending, words: str, library: Path, own_place: Path):
+    before = sleepers()
+    done = call_code(library, name, seconds=2.0 if ending is Ending.TIME_LIMIT else 60.0)
+    assert done.ending is ending, done
+    assert words in done.sentence
+    assert done.strays == (1 if "daemon" in name else 0)
+    assert sleepers() <= before
+    assert list(own_place.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "ending"), [("throw_out", Ending.ABORT), ("refused_by_new", Ending.MEMORY_LIMIT)])
+def test_exceptions_of_cplusplus(name: str, ending: Ending, tmp_path: Path):
+    source, library = tmp_path / "throws.cpp", tmp_path / "throws.so"
+    source.write_text(THROWS, encoding="utf-8")
+    try:
+        subprocess.run(["c++", "-shared", "-fPIC", "-o", str(library), str(source)], check=True, capture_output=True)
+    except FileNotFoundError:
+        pytest.skip("no C++ compiler")
+    assert call_code(library, name).ending is ending

@@ -15,6 +15,7 @@ from typing import TypeAlias
 
 import psutil
 import pytest
+from killed_campaigns import numbers_of
 from standing_cluster import come
 
 from models.errors import MachineError
@@ -259,19 +260,8 @@ def test_nothing_is_left_when_we_are_killed(tmp_path, cli_environment, kind):
     with subprocess.Popen([sys.executable, "-c", _PARENT, kind, str(folder), str(kept)], env=environment) as parent:
         come(lambda: _begun(folder))
         parent.kill()
-
-    def living() -> list[Path]:
-        return [entry for entry in Path("/proc").glob("[0-9]*") if mark.encode() in _shown(entry)]
-
-    come(lambda: not living() and _sleepers() <= before and not folder.exists() and not kept.exists())
+    come(lambda: not numbers_of(mark.encode()) and _sleepers() <= before and not folder.exists() and not kept.exists())
     assert other.exists()
-
-
-def _shown(entry: Path) -> bytes:
-    try:
-        return (entry / "environ").read_bytes()
-    except OSError:
-        return b""
 
 
 def test_a_folder_whose_name_says_that_it_is_finished_is_not_removed_by_a_supervisor(tmp_path):

@@ -19,28 +19,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hostile_folders import (
-    compare_suite,
-    read_scheduler,
-    resume,
-    spoilt_folder,
-    spoilt_scheduler,
-    spoilt_stored_leg,
-    spoilt_suite,
-    take_leg,
-)
 from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
-from hostile_records import read_record, spoilt_campaign
-from hostile_results import (
+from hostile_records import (
+    compare_suite,
     read_answer,
+    read_record,
+    read_scheduler,
     read_spoilt_library,
     read_table,
     recover,
+    resume,
     spoilt_answer,
+    spoilt_campaign,
+    spoilt_folder,
     spoilt_leg,
     spoilt_library,
+    spoilt_scheduler,
+    spoilt_stored_leg,
+    spoilt_suite,
     spoilt_table,
-)
+    take_leg,
+)  # fmt: skip
 
 from models.errors import TouchstoneError
 from reports.records.load import ReportError

@@ -1,11 +1,20 @@
-"""A campaign's folder with spoilt records, and all that reads one: load, results, `report` and `show`."""
+"""A campaign's folder with spoilt records and files, and all that reads one: load, results, `report`, `show`, resume, `plan`, --lf, `compare`, shared stages; spoilt results of a planner, a compiler, a cell, an isolated call; and what reads them."""
 
+import hashlib
 import json
 import random
+import shutil
+import struct
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hostile_mutations import spoilt_json
+import numpy as np
+from hostile_mutations import spoilt_bytes, spoilt_json, spoilt_text
+
+from models.errors import TouchstoneError
+from reports.records.load import ReportError
 
 KEY = "a" * 64
 
@@ -59,3 +68,246 @@ def read_record(path: Path) -> None:
     with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         for record in records:
             command.main([record.key, "--in", str(path)], standalone_mode=False)
+
+
+# ---- somebody's plan --------------------------------------------------------------------------------------------------------------------------
+def spoilt_table(rng: random.Random, folder: Path) -> Path:
+    mark = rng.choice([",", ";", "\t"])
+    rows = [["t", "x", "v_x", "F"], *([f"{0.1 * row:.1f}", "0", "1e-3", "" if row == 5 else "1"] for row in range(6))]
+    path = folder / "foreign.csv"
+    path.write_bytes(spoilt_text(rng, "# a plan\n" + "\n".join(mark.join(row) for row in rows)))
+    return path
+
+
+def read_table(path: Path) -> None:
+    from models.plan_table import PlanTable
+
+    table = PlanTable(path)
+    table.check_form()
+    for name in {"t", "x", "v_x", "F"} & set(table.names):
+        table.column(name, last_is_open=name == "F")
+
+
+# ---- a library --------------------------------------------------------------------------------------------------------------------------------
+def library() -> bytes:
+    """A library for 64 bits, of nothing but its tables: it exports one function and needs the C library."""
+    texts = b"\0fmi3DoStep\0libc.so.6\0GLIBC_2.34\0"
+    symbols = struct.pack("<IBBHQQ", 0, 0, 0, 0, 0, 0) + struct.pack("<IBBHQQ", 1, 0x12, 0, 7, 64, 8)
+    dynamic = struct.pack("<QQ", 1, 12) + struct.pack("<QQ", 0, 0)
+    content, at, places = b"", 64, []
+    for part in (texts, symbols, dynamic):
+        places.append((at + len(content), len(part)))
+        content += part
+    table = [(0, 0, 0, 0, 0), (3, *places[0], 0, 0), (11, *places[1], 1, 24), (6, *places[2], 1, 16)]
+    sections = b"".join(
+        struct.pack("<IIQQQQIIQQ", 0, kind, 0, 0, offset, size, link, 0, 0, entry) for kind, offset, size, link, entry in table
+    )
+    identity = b"\x7fELF\x02\x01\x01" + bytes(9)
+    header = identity + struct.pack("<HHIQQQIHHHHHH", 3, 62, 1, 0, 0, at + len(content), 0, 64, 0, 0, 64, len(table), 1)
+    return header + content + sections
+
+
+def spoilt_library(rng: random.Random, folder: Path) -> Path:
+    path = folder / "hostile.so"
+    data = bytearray(library())
+    for _ in range(rng.randint(1, 3)):  # a number of a table, which random bytes seldom make small, or large
+        at, size = rng.randrange(len(data) - 8), rng.choice([2, 4, 8])
+        data[at : at + size] = rng.choice([0, 1, 2, 2**15, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(8, "little")[:size]
+    path.write_bytes(spoilt_bytes(rng, bytes(data)) if rng.random() < 0.3 else bytes(data))
+    return path
+
+
+def read_spoilt_library(path: Path) -> None:
+    from validate.fmu_check.files import NotElf, read_library
+
+    try:
+        read_library(path.read_bytes())
+    except NotElf as error:
+        raise TouchstoneError(str(error)) from error
+
+
+# ---- what a child left ------------------------------------------------------------------------------------------------------------------------
+def spoilt_leg(rng: random.Random, folder: Path) -> Path:
+    """What a run that was lost left of its first leg."""
+    content = {
+        "key": KEY, "pipeline": "p", "limit": None, "profile": {"solve": 1.0}, "files": {},
+        "stages": [{**good_record()["stages"][0], "has_plan": False}],
+    }  # fmt: skip
+    (folder / "leg_1").mkdir(exist_ok=True)
+    (folder / "leg_1" / "leg.json").write_bytes(spoilt_json(rng, content))
+    return folder
+
+
+def recover(path: Path) -> None:
+    from validate.tasks.leg import PlannedLeg, legs_in
+
+    if not legs_in(path, [PlannedLeg(0, 1, KEY, KEY)]):
+        raise TouchstoneError("there is none")
+
+
+def spoilt_answer(rng: random.Random, folder: Path) -> Path:
+    """What an isolated call left: foreign code runs in the same process, and may write there, too."""
+    from validate.execution.isolated import ANSWER, TAKEN
+
+    np.savez(folder / TAKEN, allow_pickle=False, t=np.arange(3.0), q=np.zeros((3, 2)))
+    if rng.random() < 0.5:
+        (folder / TAKEN).write_bytes(spoilt_bytes(rng, (folder / TAKEN).read_bytes()))
+    told = {"ending": rng.choice(["OK", "ERROR", "MACHINE", "EXCEPTION"]), "value": {"a": 1}, "sentence": "a sentence"}
+    (folder / ANSWER).write_bytes(json.dumps(told).encode() if rng.random() < 0.3 else spoilt_json(rng, told))
+    return folder
+
+
+def read_answer(path: Path) -> None:
+    from validate.execution.isolated import left_by
+
+    answer, arrays = left_by(path)
+    if not answer or not {"value", "sentence"} <= answer.keys() or any(not isinstance(array, np.ndarray) for array in arrays.values()):
+        raise TouchstoneError("it left no result")
+
+
+_PLAN = b"no plan, and not read: no stage says that it has one"
+
+
+def _each(*reads: Callable[[], object]) -> None:
+    """All are tried. Raises the last refusal where there was one."""
+    refused: list[Exception] = []
+    for read in reads:
+        try:
+            read()
+        except (TouchstoneError, ReportError) as error:
+            refused.append(error)
+    if refused:
+        raise refused[-1]
+
+
+def spoilt_folder(rng: random.Random, folder: Path) -> Path:
+    """As spoilt_campaign; what is stored ended in different ways, so that it is asked how long it was allowed to run."""
+    path = spoilt_campaign(rng, folder)
+    run = path / "runs" / KEY
+    if rng.random() < 0.5:
+        (run / "record.json").write_text(
+            json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
+        )
+    request = {"task": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
+    (run / "task.json").write_bytes(spoilt_json(rng, request))
+    (run / "files.json").write_bytes(spoilt_json(rng, {"trajectory_0.nc": 10}))
+    return path
+
+
+@cache
+def _entry() -> Any:
+    from formulations.method import Leg, Pipeline
+    from models.catalog import load_scene
+    from validate.plan.runs import PlannedRun
+    from validate.tasks.path import LoadedRun
+    from validate.tasks.task import RunTask
+
+    pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
+    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)
+    return PlannedRun(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
+
+
+def resume(path: Path) -> None:
+    from reports.records.load import load
+    from validate.cli.compare import compare
+    from validate.execution.campaign import time_steps
+    from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
+    from validate.store.store import Store
+    from validate.store.stored import campaign_text, earlier_schema
+
+    store, settings = Store(path), CampaignSettings(out=path)
+    store.prepare()
+    found = with_stored([_entry()], store, settings)
+    reasons(found, store)
+    store.damaged_file(KEY)
+    earlier_schema(path)
+    time_steps((), path)
+    campaign_text(path)
+    good = path.with_name("good")
+    if not good.exists():
+        spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))
+        shutil.move(spare, good)
+    _each(lambda: only_last_failed(found, store), lambda: compare(load(good), load(path)), lambda: compare(load(path), load(good)))
+
+
+class _Unspoilt(random.Random):
+    """Decides against every mutation."""
+
+    def random(self) -> float:
+        return 1.0
+
+
+def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
+    """A stored leg, what it says spoilt."""
+    stage = good_record()["stages"][0]
+    content = {
+        "key": KEY, "pipeline": "p", "limit": None, "profile": {}, "stages": [{**stage, "has_plan": False}],
+        "files": {"trajectory_1.nc": hashlib.sha256(_PLAN).hexdigest()},
+    }  # fmt: skip
+    source = folder / "legs" / KEY
+    source.mkdir(parents=True, exist_ok=True)
+    (source / "trajectory_1.nc").write_bytes(_PLAN)
+    (source / "leg.json").write_bytes(spoilt_json(rng, content))
+    return folder
+
+
+def take_leg(path: Path) -> None:
+    from validate.tasks.leg import take
+
+    run = path / "run"
+    run.mkdir(exist_ok=True)
+    taken = take(path / "legs", KEY, 1.0, 1, run / "leg_1", _entry().scene)
+    shutil.rmtree(run)
+    if taken is None:
+        raise TouchstoneError("it is put aside")
+
+
+def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
+    path = folder / "scheduler.json"
+    path.write_bytes(spoilt_json(rng, {"type": "Scheduler", "id": "x", "address": "tcp://127.0.0.1:9", "services": {}, "workers": {}}))
+    return path
+
+
+def read_scheduler(path: Path) -> None:
+    from validate.execution.engine import check_engine
+
+    check_engine(f"dask:{path}")
+
+
+@cache
+def _suite() -> dict[str, Any]:
+    row = {
+        "stage": "solve", "title": "t", "by": "touchstone", "n": 3, "steps": 100, "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
+        "memory_mib": [9.0] * 5,
+    }  # fmt: skip
+    rows = [
+        row,
+        {**row, "by": "peer"},
+        {**row, "stage": "yardstick"},
+        {**row, "stage": "build", "cpu_s": [], "memory_mib": [], "failed": "f"},
+    ]
+    provenance = good_record()["provenance"]
+    return {"kind": "suite", "rows": rows, "figures": [], "repeats": 5, "load": [0.5, 0.5], "provenance": provenance}
+
+
+def spoilt_suite(rng: random.Random, folder: Path) -> Path:
+    path = folder / "suite.json"
+    path.write_bytes(spoilt_json(rng, _suite()))
+    return path
+
+
+def compare_suite(path: Path) -> None:
+    """Both ways, since a campaign's own figures are read by its report."""
+    import click
+
+    from benchmarks.records import SuiteRecord
+    from benchmarks.suite.command import read_suite
+    from benchmarks.suite.compare import compare
+
+    good = SuiteRecord.model_validate(_suite())
+    try:
+        earlier = read_suite(path)
+    except click.UsageError as error:
+        raise TouchstoneError(error.message) from error
+    compare(earlier, good)
+    compare(good, earlier)

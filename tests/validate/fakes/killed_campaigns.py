@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -69,7 +70,7 @@ def environment(cache: Path) -> dict[str, str]:
 
 def family(out: Path) -> list[str]:
     """Living processes that a campaign of `start` brought about in whatever way, workers of its own cluster too, and its cells' processes."""
-    return _named(_numbers(f"{_MARK}={out}\0".encode())) + processes(out)
+    return _named(numbers_of(f"{_MARK}={out}\0".encode())) + processes(out)
 
 
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
@@ -94,6 +95,14 @@ def finished(out: Path) -> dict[str, bytes]:
     return {path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")}
 
 
+def records(out: Path) -> dict[str, Any]:
+    """The records of its runs, by pipeline."""
+    from reports.records.record import RunRecord
+
+    found = [RunRecord.model_validate_json(content) for content in finished(out).values()]
+    return {record.pipeline: record for record in found}
+
+
 def _stored(out: Path) -> int:
     return len(list((out / "runs").glob("[!.]*/record.json")))
 
@@ -105,10 +114,10 @@ def unfinished(out: Path) -> list[str]:
 
 def processes(out: Path) -> list[str]:
     """Living processes that belong to cells of this folder, or were started by them: they have their temporary files there, or are there."""
-    return _named(_numbers(f"TMPDIR={out}".encode(), out))
+    return _named(numbers_of(f"TMPDIR={out}".encode(), out))
 
 
-def _numbers(word: bytes, folder: Path | None = None) -> list[int]:
+def numbers_of(word: bytes, folder: Path | None = None) -> list[int]:
     """The living processes whose environment shows this word, if there is one, or which are somewhere in this folder."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
@@ -193,7 +202,7 @@ def _hits(kill: Kill, campaign: subprocess.Popen[bytes], out: Path, scheduler: C
 
 def _above_a_cell(out: Path) -> dict[str, int]:
     """Numbers of the processes to which a cell at work in this folder is owed, by their names in Kill."""
-    for number in _numbers(b"", out):
+    for number in numbers_of(b"", out):
         above = [psutil.Process(number), *psutil.Process(number).parents()]
         supervisors = [process.pid for process in above[1:] if "validate.execution.supervisor" in process.cmdline()]
         if supervisors:

@@ -1,6 +1,6 @@
-"""Pipelines that begin alike, of methods that count how often they ran and can kill their campaign.
+"""Pipelines that begin alike, of methods that count how often they ran and can kill their campaign; and of engines that lose their workers.
 
-COUNTS names a folder; each run of a method leaves a file in it. KILL names a method whose first run ends the
+COUNTS names a folder; each run of a method leaves a file in it. KILL names a method whose first runs, as many as KILLS says or one, end the
 process its cell was started by: for campaigns that run one cell at a time, or two may be the first. ONLY names the pipelines in order, if not all; those of ASKED only
 run if named there.
 """
@@ -12,7 +12,7 @@ import uuid
 from dataclasses import replace
 from pathlib import Path
 
-from begun_by import begun_by
+import psutil
 from campaign_fakes import PLUGIN, FakeMethod, FakeOptions
 
 from formulations.method import Clock, Kind, Leg, Pipeline, Session
@@ -21,12 +21,20 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 
+def _begun_by() -> int:
+    """The number of the process, a campaign or a Dask worker, above the supervisor of this child and what that was forked from."""
+    above = (
+        parent for parent in psutil.Process().parents() if not any("validate.execution.supervisor" in word for word in parent.cmdline())
+    )
+    return next(above).pid
+
+
 def _counted(name: str, outcome: Outcome = Outcome.SOLVED):
     def act() -> Outcome:
         folder = Path(os.environ["COUNTS"])
         (folder / f"{name}-{uuid.uuid4().hex}").touch()
-        if os.environ.get("KILL") == name and len(list(folder.glob(f"{name}-*"))) == 1:
-            os.kill(begun_by(), signal.SIGKILL)
+        if os.environ.get("KILL") == name and len(list(folder.glob(f"{name}-*"))) <= int(os.environ.get("KILLS", "1")):
+            os.kill(_begun_by(), signal.SIGKILL)
             time.sleep(1000)  # we die with it
         return outcome
 
@@ -105,4 +113,8 @@ def _pipelines(scene: Scene) -> tuple[Pipeline, ...]:
     return PIPELINES if only is None else tuple(every[name] for name in only.split())
 
 
+LOSING = replace(
+    PLUGIN, load_method={name: FakeMethod(name, _counted(name)) for name in ("fatal", "calm")}.__getitem__,
+    pipelines_for=lambda scene: tuple(Pipeline(name=name, title=f"only {name}", legs=(Leg(method=name),)) for name in ("fatal", "calm")),
+)  # fmt: skip
 SHARING = replace(PLUGIN, load_method=METHODS.__getitem__, pipelines_for=_pipelines)

@@ -1,4 +1,5 @@
 """Real chains of real methods, three of which begin with the same stages, and one that shares nothing; none of them imports PyTorch, which takes longer than all they do.
+And a plugin that stumbles where plans are tried in perturbed worlds.
 
 python -m validate all --plugin real_chains:PLUGIN        # with this folder on PYTHONPATH
 """
@@ -16,3 +17,10 @@ PIPELINES = (
     Pipeline(name="alone", title="shares nothing", legs=(Leg(method="collocation"),)),
 )
 PLUGIN = replace(DEFAULT, pipelines_for=lambda scene: PIPELINES, checks=lambda scenes: ())
+
+
+def _stumble(*_: object):
+    raise ZeroDivisionError("a stumble")
+
+
+STUMBLING = replace(DEFAULT, survey=_stumble)

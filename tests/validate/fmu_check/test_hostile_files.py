@@ -5,9 +5,8 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from hostile_folders import resume, spoilt_folder
 from hostile_inputs import READERS, Reader, tried
-from hostile_records import KEY
+from hostile_records import KEY, resume, spoilt_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,7 +41,7 @@ def test_what_was_mended_stays_so(name: str, seed: int, tmp_path: Path):
 
 def test_what_is_spoilt_was_good(tmp_path: Path):
     """Else every mutation is refused for what was wrong before it."""
-    from hostile_results import library
+    from hostile_records import library
 
     from validate.fmu_check.files import read_library
 

@@ -1,5 +1,6 @@
-"""The key of a cell: another one for every option, eps, order and scene, the same for the same."""
+"""The key of a cell: another one for every option, eps, order and scene, and for a changed module beside a scene's file, the same for the same; scenes and plans as the report reads them."""
 
+import ast
 import math
 import os
 import platform
@@ -7,12 +8,25 @@ from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import sympy as sp
+from killed_campaigns import FAKES_FOLDER
 
 from formulations.method import Leg, Pipeline
 from formulations.pipelines import load_method, method_names
-from validate.execution.campaign import CampaignSettings, select
+from models.catalog import load_scene
+from models.netcdf import read_columns
+from models.scene.text import scene_text
+from models.trajectory import Trajectory, uniform_grid
+from models.trajectory_netcdf import write_netcdf
+from validate.cli.narrator import PlainNarrator
+from validate.execution.campaign import CampaignSettings, run_campaign, select
+from validate.execution.process import ROOT
+from validate.plan.runs import with_stored
 from validate.store import provenance
+from validate.store.provenance import content_key, source_digests
+from validate.store.store import Store
 from validate.tasks.task import CheckTask
 
 
@@ -130,3 +144,126 @@ def test_a_record_says_where_it_came_from():
             line.partition(":")[2].strip() for line in information.read_text(encoding="utf-8").splitlines() if line.startswith("model name")
         }
         assert not models or any(model in told.cpu for model in models)
+
+
+SCENE = load_scene("three_cart")
+OSCILLATOR = Path(__file__).parents[2] / "scenes" / "oscillator.py"
+
+
+def _plan(steps: int = 500) -> Trajectory:
+    q = np.tile([2.0, 2.6, 3.0], (steps + 1, 1))  # gaps 0.1 and -0.1
+    q[:, 0] += np.linspace(0.0, 0.05, steps + 1)
+    return Trajectory(t=uniform_grid(0.01, steps), q=q, v=np.zeros_like(q), u=np.ones((steps, 2)), lam=np.full((steps, 2), 2.0))
+
+
+def test_files_of_plans_have_gaps_and_poses(tmp_path):
+    write_netcdf(tmp_path / "trajectory.nc", _plan(), SCENE)
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    assert columns["gap_left"].values[0] == pytest.approx(0.1)
+    assert columns["gap_left"].values[-1] == pytest.approx(0.05)
+    assert columns["gap_right"].values[0] == pytest.approx(-0.1)
+    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx([2.05, 0.25, 0.0])
+    assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
+
+
+def test_a_key_is_content():
+    stages = [("strict_lcp", None, {"a": "1"})]
+    key = content_key(SCENE, stages, ["strict_lcp"])
+    assert key == content_key(load_scene("three_cart"), [list(stages[0])], ["strict_lcp"])
+    others = [
+        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]), content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
+        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]), content_key(SCENE, stages, ["strict_lcp"], "another judge"),
+    ]  # fmt: skip
+    assert len({key, *others}) == 5
+
+
+def test_a_scene_text_sees_assumptions_and_every_field():
+    contact = SCENE.contacts[0]
+    weaker = replace(contact, penetration=sp.Symbol("d") - sp.Symbol("q2"))
+    stronger = replace(contact, penetration=sp.Symbol("d", positive=True) - sp.Symbol("q2"))
+    assert scene_text(weaker) != scene_text(stronger)
+    assert "replay_terminal_velocity_error" in scene_text(SCENE)
+
+
+def _imported_reports(name: str) -> set[str]:
+    """Modules of the room of reports that a file of ours imports when it runs."""
+    tree = ast.parse((ROOT / name).read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = [ast.Pass()]
+    found = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    return {f"{module.replace('.', '/')}.py" for module in found if module.startswith("reports.")}
+
+
+@pytest.mark.slow
+def test_whatever_writes_records_is_part_of_their_keys():
+    """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
+    counted = provenance._source_digests()
+    # the last is of a page of one plan, which no run stores
+    telling = {"reports/records/load.py", "reports/render.py", "reports/records/robustness_record.py"}
+    imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
+    assert "reports/records/record.py" in imported["validate/tasks/records.py"]
+    assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
+    # a cell's record holds columns of numbers and the paper's figures
+    assert {"reports/records/record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
+    assert "reports/records/check_record.py" not in source_digests(["strict_lcp"])
+
+
+def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp_path):
+    scene = load_scene(str(OSCILLATOR))
+    assert (scene.nc, scene.nu) == (0, 0)
+    nodes = 4
+    q = np.linspace(0.0, 0.3, nodes)[:, None]
+    write_netcdf(
+        tmp_path / "trajectory.nc", Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))), scene
+    )
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    moving = {name for name in columns if not name.startswith("pose_")}
+    assert moving == {"t", scene.coordinates[0].name, scene.coordinates[0].velocity_name}
+    assert columns[scene.coordinates[0].name].values == pytest.approx(q[:, 0])
+
+
+OWN_SCENE = """
+import sympy as sp
+from dataclasses import replace
+from models.catalog import load_scene
+from parts_ import Soft, START
+
+scene = load_scene("three_cart")
+SCENE = replace(scene, name="own", potential_energy=Soft(scene.coordinates[0].symbol), task=replace(scene.task, start=START))
+"""
+PARTS = """
+import sympy as sp
+START = (0.0, 1.0, 2.0, 0.0, 0.0, 0.0)
+
+class Soft(sp.Function):
+    def fdiff(self, argindex=1):
+        return {stiffness} * self.args[0]
+
+    def _ccode(self, printer):
+        return f"({stiffness} * pow({{printer._print(self.args[0])}}, 2) / 2)"
+
+    def _eval_evalf(self, prec):
+        return ({stiffness} * self.args[0] ** 2 / 2).evalf()
+"""
+
+
+@pytest.mark.slow
+def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PYTHONPATH", str(FAKES_FOLDER))
+    monkeypatch.chdir(tmp_path)
+    scene, parts, out = tmp_path / "scenes" / "own.py", tmp_path / "scenes" / "parts_.py", tmp_path / "out"
+    scene.parent.mkdir()
+    scene.write_text(OWN_SCENE)
+
+    def settings(stiffness: float) -> CampaignSettings:
+        parts.write_text(PARTS.format(stiffness=stiffness))
+        return CampaignSettings(out=out, plugin="campaign_fakes:PLUGIN", scenes=("scenes/own.py",), expression="=only_good")
+
+    (first,) = run_campaign(settings(1.0), PlainNarrator()).records
+    assert first.outcome == "solved", first.log_tail
+    (harder,) = run_campaign(settings(2.0), PlainNarrator()).records  # of which the expressions of the scene say nothing
+    assert first.key != harder.key
+    assert len(list((out / "runs").iterdir())) == 2
+    (back,) = with_stored(select(settings(1.0))[0], Store(out), settings(1.0))
+    assert back.stored == first

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
 from validate.cli.narrator import PlainNarrator
@@ -17,7 +18,6 @@ from validate.store.store import Store
 
 pytestmark = pytest.mark.slow
 
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 FAKES = ("--plugin", "campaign_fakes:PLUGIN", "--scene", "three_cart")
 CHOICE = "only_good or only_raises or only_exit_seven"
 
@@ -97,13 +97,6 @@ def test_stop_at_the_first_failure(cli, tmp_path):
     assert not unsaid(done.stderr, "first failure (-x)", f"1 of 3 runs are stored in {tmp_path}")
     assert names(tmp_path) == ["only_exit_seven"]
     assert done.stdout.splitlines()[-1].endswith(" -x -j 1"), "the command as it was typed"
-
-
-def test_a_crash_is_tried_again(cli, tmp_path):
-    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_good", "--retry", "2")
-    assert done.returncode == 1
-    assert done.stderr.count("three_cart x only_exit_seven crashed and will be tried again") == 2
-    assert names(tmp_path) == ["only_exit_seven", "only_good"]
 
 
 def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):

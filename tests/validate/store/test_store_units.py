@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -17,11 +18,9 @@ from reports.records.record import SCHEMA_VERSION, LegRecord, RunRecord
 from tests.reports import record_factory as factory
 from validate.execution.campaign import CampaignSettings, select, with_stored
 from validate.execution.worker import record_for_crash
-from validate.judge.score import metric_names
 from validate.plan.runs import only_last_failed, reasons
 from validate.store import store as module
 from validate.store.provenance import gather, machine
-from validate.store.results import COLUMNS, RESULTS, tables
 from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
 from validate.store.stored import (
     CAMPAIGN,
@@ -63,11 +62,8 @@ def test_who_is_at_work(dead: int):
 
 def test_a_machine_may_have_a_name_of_several_parts(dead: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(socket, "gethostname", lambda: "my-own-host")
-    assert [_owner_lives(f".partial-a-token-{dead}-{host}") for host in ("my-own-host", "my-own-host-old", "my-host")] == [
-        False,
-        False,
-        True,
-    ]
+    hosts = {"my-own-host": False, "my-own-host-old": False, "my-host": True}
+    assert {host: _owner_lives(f".partial-a-token-{dead}-{host}") for host in hosts} == hosts
 
 
 @pytest.fixture
@@ -229,17 +225,16 @@ CHECK = {"kind": "stress", "name": "h01", "scene": "push_box"}
 
 def test_what_tasks_are_called():
     assert [title_of(task) for task in (RUN, PART, CHECK)] == ["three_cart x strict", "three_cart x strict (2 of 3)", "stress: h01"]
-    assert (
-        len({identity(task) for task in (RUN, PART, CHECK, {**CHECK, "scene": None}, {**CHECK, "kind": "FMU"}, {**CHECK, "name": "h02"})})
-        == 6
+    others = (
+        {**CHECK, "scene": None},
+        {**CHECK, "kind": "FMU"},
+        {**CHECK, "name": "h02"},
+        {**RUN, "scene_name": "x"},
+        {**RUN, "pipeline": {"name": "x"}},
     )
-    assert (
-        identity({**RUN, "key": "other"})
-        == identity(RUN)
-        == identity({**RUN, "pipeline": {"name": "strict"}})
-        == identity({**RUN, "pipeline": {"name": "strict", "part": []}})
-    )
-    assert len({identity(RUN), identity({**RUN, "scene_name": "x"}), identity({**RUN, "pipeline": {"name": "x"}})}) == 3
+    assert len({identity(task) for task in (RUN, PART, CHECK, *others)}) == 8
+    same = ({**RUN, "key": "other"}, {**RUN, "pipeline": {"name": "strict"}}, {**RUN, "pipeline": {"name": "strict", "part": []}})
+    assert {identity(task) for task in same} == {identity(RUN)}
     assert identity({"pipeline": "damaged", **CHECK}) == identity(CHECK)
 
 
@@ -341,23 +336,6 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry
     assert (found.stored is not None) is used_again
 
 
-def test_results_have_the_columns_of_the_design(entry):
-    design = (
-        "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
-        "replay_terminal_error, replay_terminal_position_error, replay_terminal_velocity_error, replay_error, max_penetration, ghost_impulse, "
-        "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, stage_cpu_s, total_s, replay_s, judged, "
-        "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
-    )
-    first = tuple(design.split(", "))
-    last = ("worlds", "share_arriving", "share_arriving_with_feedback", "weakest", "weakest_sizes")
-    assert (*first, *(name for name in metric_names() if name not in first), *last) == COLUMNS
-    assert len(set(COLUMNS)) == len(COLUMNS)
-    header, row = tables([_record(entry, "infeasible")], (), ())[RESULTS].splitlines()
-    assert header == ",".join(COLUMNS)
-    told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}
-    assert row.split(",") == [told.get(name, "") for name in COLUMNS]
-
-
 HARMS = {
     "stored, but trajectory.nc is gone or cut off": lambda folder: (folder / "trajectory.nc").unlink(),
     "stored, but replay.nc is gone or cut off": lambda folder: (folder / "replay.nc").write_bytes(b""),
@@ -411,10 +389,7 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
         run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}", verdict=verdict)
         stages = tuple(stage.model_copy(update={"verdict": verdict}) for stage in run.stages)
         runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages}))
-    store = Store(factory.store(tmp_path / "all", runs))
-    for number, run in enumerate(runs):
-        cell = {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": f"p{number}", "part": None, "legs": []}}
-        (store.runs / run.key / "task.json").write_text(json.dumps({"task": cell}), encoding="utf-8")
+    store = _store_of(tmp_path, runs, [run.pipeline for run in runs])
     with pytest.raises(CampaignError, match="nothing that is selected failed") as error:
         only_last_failed((), store)
     said = str(error.value)
@@ -434,42 +409,36 @@ def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_pa
     for change in ({"keys": ["a"]}, {"quick": True}, {"violation": [1]}):
         (tmp_path / "campaign.json").write_text(json.dumps({**told, **change}))
         assert campaign_text(tmp_path) != before
-
-
-@pytest.mark.parametrize("text", ["", "[1]", "{half"])
-def test_a_campaign_that_cannot_be_read_is_no_text(tmp_path: Path, text: str) -> None:
-    (tmp_path / "campaign.json").write_text(text)
-    assert campaign_text(tmp_path) == ""
+    for unreadable in ("", "[1]", "{half"):
+        (tmp_path / "campaign.json").write_text(unreadable)
+        assert campaign_text(tmp_path) == ""
 
 
 def _asked(pipeline: str) -> dict:
     return {"scene_name": "three_cart", "scene": "three_cart", "pipeline": {"name": pipeline, "part": None, "legs": []}}
 
 
+def _store_of(folder: Path, runs: list[RunRecord], names: Iterable[str]) -> Store:
+    """A campaign of these runs, of which those with a name say what was asked for."""
+    store = Store(factory.store(folder / "all", runs))
+    for run, name in zip(runs, names, strict=False):
+        (store.runs / run.key / REQUEST).write_text(json.dumps({"task": _asked(name)}), encoding="utf-8")
+    return store
+
+
 @pytest.mark.parametrize(
     ("part", "keys"),
-    [
-        (["b"], "abc"),
-        (["c", "a"], "cab"),
-        (["d"], "abcd"),
-        (["b", "d"], "abcd"),
-        (["B"], "aBc"),  # the same run, of other code
-        ([], "abc"),
-    ],
-)
+    [(["b"], "abc"), (["c", "a"], "cab"), (["d"], "abcd"), (["b", "d"], "abcd"), (["B"], "aBc"), ([], "abc")],
+)  # B: the same run, of other code
 def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
-    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
-    for key in "abc":
-        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
+    store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "abc")
     earlier, found = with_others(store, {identity(_asked(key.lower())): key for key in part})
     assert earlier is not None
     assert "".join(found) == keys
 
 
 def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
-    store = Store(factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"]))
-    for key in "ab":
-        (store.runs / key / "task.json").write_text(json.dumps({"task": _asked(key)}), encoding="utf-8")
+    store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "ab")
     (store.runs / "b" / "record.json").unlink()
     assert with_others(store, {identity(_asked("d")): "d"})[1] == ("a", "d")
     (store.folder / CAMPAIGN).unlink()

@@ -1,4 +1,11 @@
-"""A pipeline in parts: one cell a part, one row of results; certificates from the campaign's own judge; starts.csv and front.csv."""
+"""A pipeline in parts: one cell a part, one row of results; certificates from the campaign's own judge. Plans that hold are tried in perturbed worlds: once for a plan, stored by its content, left out where that is asked for."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +15,13 @@ from formulations.pipelines import STARTS, find_pipeline, parts_of, stage_plan
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
-from validate.execution.campaign import CampaignSettings, select
+from reports.records.record import RunRecord
+from validate.execution.campaign import CampaignSettings, select, with_stored
 from validate.plan.runs import PlannedCheck, PlannedRun
+from validate.store.provenance import content_key, gather
+from validate.store.store import Store
+from validate.tasks.path import run_path
+from validate.tasks.task import RunTask
 
 SCENE = load_scene("three_cart").with_task(steps=20)
 
@@ -84,3 +96,61 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
     every, _ = select(CampaignSettings(out=tmp_path))
     assert {entry.scene.name for entry in every if isinstance(entry, PlannedRun)} == set(scenes)
+
+
+def planned(out: Path, *, robust: bool = True) -> PlannedRun:
+    (entry,), _ = select(
+        CampaignSettings(out=out, scenes=("wall_pendulum",), expression="=mpcc and not global and not multistart and not best_exact", robust=robust),
+    )  # fmt: skip
+    assert isinstance(entry, PlannedRun)
+    return entry
+
+
+def ran(store: Store, task: RunTask, name: str) -> RunRecord:
+    folder = store.runs / name
+    folder.mkdir(parents=True)
+    return run_path(task, gather("a test"), folder, time.monotonic())
+
+
+@pytest.mark.slow
+def test_a_plan_is_tried_once_and_stored_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fakes"))
+    store, task = Store(tmp_path), planned(tmp_path).task
+    found = ran(store, task, "first").stages[-1].survey
+    assert found is not None
+    assert found.alone is not None
+    assert 0.6 < found.alone.share < 0.9
+    assert (found.message, found.weakest, found.by) == ("", "l", "replay_cost")
+    (stored,) = store.surveys.iterdir()
+    assert json.loads(stored.read_text())["weakest"] == "l"
+    stored.write_text(stored.read_text().replace('"l"', '"as stored"'))
+    again = ran(store, task, "second").stages[-1].survey
+    assert again is not None
+    assert again.weakest == "as stored"
+    stored.write_text(stored.read_text()[:40])
+    assert ran(store, task, "third").stages[-1].survey == found, "what is damaged is found out anew"
+    assert ran(store, replace(task, robust=False), "fourth").stages[-1].survey is None
+    assert ran(store, replace(task, plugin="real_chains:STUMBLING"), "fifth").stages[-1].survey.message == "ZeroDivisionError: a stumble"  # type: ignore[union-attr]
+
+
+def test_a_run_without_is_another_run_of_the_same_legs(tmp_path: Path):
+    tried, untried = planned(tmp_path).task, planned(tmp_path, robust=False).task
+    assert tried.key != untried.key
+    assert tried.legs == untried.legs
+    assert (tried.robust, untried.robust) == (True, False)
+    scene = planned(tmp_path).scene
+    assert content_key(scene, [], ()) != content_key(scene, [], (), robust=True), "what tries plans decides nothing of how they are found"
+
+
+@pytest.mark.slow
+def test_a_run_that_ended_before_its_plan_was_tried_is_run_again_where_there_is_more_time(tmp_path: Path):
+    store, entry = Store(tmp_path), planned(tmp_path)
+    store.prepare()
+    record = ran(store, replace(entry.task, robust=False), entry.task.key)
+    folder = store.runs / entry.task.key
+    (folder / "record.json").write_text(record.model_copy(update={"key": entry.task.key}).model_dump_json())
+    (folder / "files.json").write_text(json.dumps({path.name: path.stat().st_size for path in folder.glob("*.nc")}))
+    for limit, again in ((240.0, False), (100.0, True)):
+        (folder / "task.json").write_text(json.dumps({"task": {"time_limit": limit}}))
+        (found,) = with_stored([entry], store, CampaignSettings(out=tmp_path))
+        assert (found.stored is None) is again, found.why

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
 from reports.records.record import RunRecord
@@ -23,8 +24,6 @@ from validate.tasks.path import run_path
 from validate.tasks.task import RunTask
 
 pytestmark = pytest.mark.process
-
-FAKES_FOLDER = Path(__file__).parents[1] / "fakes"
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """A leg that several pipelines of a scene have runs once, and gives the same numbers as if it had run in each."""
 
-import csv
 import json
 import shutil
 import subprocess
@@ -9,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from killed_campaigns import records, untimed
 
 from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
-from reports.records.record import RunRecord
 from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
 
 pytestmark = pytest.mark.slow
@@ -29,16 +28,6 @@ def _path(name: str) -> list[tuple[int, int, str, str]]:
     plan = planned_stages(pipeline, {leg.method: load_method(leg.method) for leg in pipeline.legs})
     legs = planned_legs(plan, lambda stages: json.dumps([planned.asked() for planned in stages]))
     return [(leg.first, leg.end, leg.key, leg.alone) for leg in legs]
-
-
-def _records(out: Path) -> dict[str, RunRecord]:
-    records = [RunRecord.model_validate_json(path.read_bytes()) for path in out.glob("runs/*/record.json")]
-    return {record.pipeline: record for record in records}
-
-
-def _untimed(out: Path) -> list[dict[str, str]]:
-    rows = csv.DictReader((out / "results.csv").read_text().splitlines())
-    return [{name: value for name, value in row.items() if not name.endswith("_s")} for row in rows]
 
 
 def _counted(folder: Path) -> dict[str, int]:
@@ -96,34 +85,34 @@ def test_the_key_of_a_leg_is_of_all_that_decides_it():
 
 def test_a_leg_runs_once(whole):
     assert _counted(whole.counts) == ONCE, whole.done.stderr
-    records = _records(whole.out)
-    assert records["begin+picky"].outcome == "refused"
-    owners = {stage.shared_from or name for name in ("begin+one", "begin+two", "begin") for stage in records[name].stages[:3]}
+    found = records(whole.out)
+    assert found["begin+picky"].outcome == "refused"
+    owners = {stage.shared_from or name for name in ("begin+one", "begin+two", "begin") for stage in found[name].stages[:3]}
     assert len(owners) == 1
-    first, second = (records[name].stages[2] for name in ("begin+one", "begin+two"))
+    first, second = (found[name].stages[2] for name in ("begin+one", "begin+two"))
     assert first.model_copy(update={"shared_from": ""}) == second.model_copy(update={"shared_from": ""})
-    assert [stage.shared_from for stage in records["late+two"].stages] == ["", ""]
+    assert [stage.shared_from for stage in found["late+two"].stages] == ["", ""]
 
 
 def test_fresh_takes_nothing_over(whole, fakes):
     shutil.copytree(whole.out, whole.out.with_name("anew"))
     again = fakes("anew", "--fresh", ONLY="begin+one begin+two")
     assert _counted(again.counts) == {"relaxing": 3, "one": 1, "two": 1}, again.done.stderr
-    assert _untimed(again.out) == _untimed(whole.out)
+    assert untimed(again.out) == untimed(whole.out)
 
 
 def test_a_session_that_leaves_its_plan_is_the_beginning_of_another(whole, lost):
     """The stage in the midst and the cold one are one and the same, whichever ran first, and what follows starts from its plan."""
     for ran, owner in ((whole, "cold"), (lost, "begin+cold+two")):
-        records = _records(ran.out)
-        midst, cold = records["begin+cold+two"].stages[3], records["cold"].stages[0]
+        found = records(ran.out)
+        midst, cold = found["begin+cold+two"].stages[3], found["cold"].stages[0]
         assert {midst.shared_from, cold.shared_from} == {"", owner}
         assert _counted(ran.counts)["cold"] == 1
         assert midst.cost == cold.cost == 0.0  # from no plan
         assert (midst.index, cold.index) == (3, 0)
         assert midst.seconds.stage == cold.seconds.stage == cold.seconds.total
-        assert [stage.cost for stage in records["begin+cold+two"].stages[4:]] == [1000.0]
-        (plan,) = (ran.out / "runs" / records["begin+cold+two"].key).glob("trajectory_4.nc")
+        assert [stage.cost for stage in found["begin+cold+two"].stages[4:]] == [1000.0]
+        (plan,) = (ran.out / "runs" / found["begin+cold+two"].key).glob("trajectory_4.nc")
         assert read_netcdf(plan, load_scene("three_cart")).u[0, 0] == 0.0
 
 
@@ -136,24 +125,24 @@ def lost(fakes) -> Ran:
 
 def test_a_leg_is_stored_before_what_comes_after_it(lost):
     """The run that made it is lost later on, and leaves it; its own record keeps it."""
-    records = _records(lost.out)
-    assert (records["soft+falls"].outcome, records["soft+one"].outcome) == ("crashed", "solved")
+    found = records(lost.out)
+    assert (found["soft+falls"].outcome, found["soft+one"].outcome) == ("crashed", "solved")
     assert _counted(lost.counts)["relaxing"] == 1 + 3
-    assert records["soft+one"].stages[0].shared_from == "soft+falls"
-    assert [stage.outcome for stage in records["soft+falls"].stages] == ["solved", "crashed"]
+    assert found["soft+one"].stages[0].shared_from == "soft+falls"
+    assert [stage.outcome for stage in found["soft+falls"].stages] == ["solved", "crashed"]
     told = {"shared_from", "seconds", "survey"}  # a run that is lost tries no plan in other worlds
-    kept, taken = (records[name].stages[0].model_dump(exclude=told) for name in ("soft+falls", "soft+one"))
+    kept, taken = (found[name].stages[0].model_dump(exclude=told) for name in ("soft+falls", "soft+one"))
     assert kept == taken
-    assert (lost.out / "runs" / records["soft+falls"].key / "trajectory_1.nc").exists()
+    assert (lost.out / "runs" / found["soft+falls"].key / "trajectory_1.nc").exists()
 
 
 def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
-    records = _records(lost.out)
+    found = records(lost.out)
     assert _counted(lost.counts)["slow"] == 1
     for name in ("slow+one", "slow+two"):
-        assert [stage.outcome for stage in records[name].stages] == ["time_limit", "time_limit"], name
-        assert "used up" in records[name].stages[1].message
-    assert sorted(records[name].stages[0].shared_from for name in ("slow+one", "slow+two"))[0] == ""
+        assert [stage.outcome for stage in found[name].stages] == ["time_limit", "time_limit"], name
+        assert "used up" in found[name].stages[1].message
+    assert sorted(found[name].stages[0].shared_from for name in ("slow+one", "slow+two"))[0] == ""
     (late,) = (path.name for path in (lost.out / "legs").iterdir() if path.name.endswith("s"))
     key, scene = late.rpartition("-")[0], load_scene("three_cart")
     taken = take(lost.out / "legs", key, 12.0, 1, tmp_path / "leg_1", scene)
@@ -166,7 +155,7 @@ def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
 
 
 def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
-    for record in _records(whole.out).values():
+    for record in records(whole.out).values():
         total = 0.0
         for stage in record.stages:
             total += stage.seconds.stage
@@ -179,9 +168,9 @@ def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
 def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
     names = ["begin+one shorter late+one", "begin+tune+two"]
     apart = [fakes(f"apart{number}", ONLY=only) for number, only in enumerate(names)]
-    rows = [row for ran in apart for row in _untimed(ran.out)]
+    rows = [row for ran in apart for row in untimed(ran.out)]
     assert len(rows) == 4 + 2 + 2 + 5
-    together = _untimed(whole.out)
+    together = untimed(whole.out)
     assert all(row in together for row in rows)
 
 
@@ -197,10 +186,10 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     assert _counted(ran.counts)[method] == 1
     again = fakes(f"killed_{method}", KILL=method, ONLY=only)
     assert again.done.returncode == 0, again.done.stderr
-    together = [row for row in _untimed(whole.out) if row["pipeline"] in only.split()]
-    assert _untimed(again.out) == together
+    together = [row for row in untimed(whole.out) if row["pipeline"] in only.split()]
+    assert untimed(again.out) == together
     assert _counted(again.counts)[method] == 1 + {"relaxing": 3, "two": 2}[method]
-    assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in _records(again.out).values()}
+    assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in records(again.out).values()}
 
 
 @pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
@@ -242,7 +231,7 @@ def test_legs_of_a_run_are_read_up_to_the_first_that_is_not_whole(whole, tmp_pat
 def test_plans_of_legs_lie_in_the_run(whole):
     scene = load_scene("three_cart")
     for name in ("begin+one", "begin+two", "begin"):
-        record = _records(whole.out)[name]
+        record = records(whole.out)[name]
         folder = whole.out / "runs" / record.key
         plans = [f"trajectory_{number}.nc" for number in range(1, len(record.stages))] + ["trajectory.nc"]
         assert sorted(path.name for path in folder.glob("trajectory*.nc")) == sorted(plans)

@@ -372,31 +372,29 @@ EQUATIONS = {
 }
 
 
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch):
+    """written(scene): its equations as plain text."""
+    monkeypatch.setattr(module, "presentation", str)
+    return lambda scene: [f"{item.caption}: {item.mathml}" for item in equations(derive(scene))]
+
+
 @pytest.mark.parametrize("name", EQUATIONS)
-def test_each_equation_stands_in_its_place(name: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "presentation", str)
-    found = [f"{item.caption}: {item.mathml}" for item in equations(derive(load_scene(name)))]
-    assert found == [line.strip() for line in EQUATIONS[name].strip().splitlines()]
+def test_each_equation_stands_in_its_place(name: str, written):
+    assert written(load_scene(name)) == [line.strip() for line in EQUATIONS[name].strip().splitlines()]
 
 
-def test_the_cost_of_the_last_state_is_added_to_the_sum(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "presentation", str)
-    last = equations(derive(load_scene("two_discs")))[-1]
-    assert (last.caption, last.mathml) == ("cost of the last state, added to that sum", "Eq(J_T, x2**2 + y2**2)")
+def test_the_cost_of_the_last_state_is_added_to_the_sum(written):
+    assert written(load_scene("two_discs"))[-1] == "cost of the last state, added to that sum: Eq(J_T, x2**2 + y2**2)"
 
 
-def test_what_friction_is_limited_by_is_named_as_the_forces_are(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "presentation", str)
-    limits = [item.mathml for item in equations(derive(load_scene("push_box"))) if "friction" in item.caption]
-    assert any("lambda_" in text for text in limits)
-    assert not any("lam_" in text for text in limits)
-
-
-def test_a_force_is_greek_by_the_beginning_of_its_name_alone(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "presentation", str)
+def test_forces_are_greek_by_the_beginning_of_their_names_alone_where_they_limit_friction_too(written):
+    limits = " ".join(text for text in written(load_scene("push_box")) if "friction" in text.partition(":")[0])
+    assert "lambda_" in limits
+    assert "lam_" not in limits
     scene = load_scene("transport")
     first, *others = scene.contacts
-    found = " ".join(item.mathml for item in equations(derive(replace(scene, contacts=(replace(first, name="slam_wall"), *others)))))
+    found = " ".join(written(replace(scene, contacts=(replace(first, name="slam_wall"), *others))))
     assert "lambda_slam_wall" in found
     assert "slambda" not in found
 
@@ -425,6 +423,9 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
     def said(items):
         return tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in items)
 
+    def number(expression):
+        return float(sp.sympify(expression).subs(values))
+
     assert (record.name, record.title, record.source, record.unstable) == (scene.name, scene.title, scene.source, scene.unstable)
     assert record.coordinates == said(scene.coordinates)
     assert record.inputs == said(scene.inputs)
@@ -436,25 +437,18 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
         QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
     )
     assert record.contacts == tuple(
-        ContactRecord(
-            name=item.name,
-            unit="N/m",
-            description=item.description,
-            bodies=item.bodies,
-            value=float(sp.sympify(item.stiffness).subs(values)),
-        )
+        ContactRecord(name=item.name, unit="N/m", description=item.description, bodies=item.bodies, value=number(item.stiffness))
         for item in scene.contacts
     )
     assert record.frictions == tuple(
-        QuantityRecord(name=item.force_name, unit="1", description=item.description, value=float(sp.sympify(item.coefficient).subs(values)))
+        QuantityRecord(name=item.force_name, unit="1", description=item.description, value=number(item.coefficient))
         for item in scene.frictions
     )
     assert record.answers == tuple(
         QuantityRecord(name=item.quantity, unit="", description=item.source, value=item.value) for item in scene.answers
     )
-    assert [(item.name, item.kind, item.size) for item in record.shapes] == [
-        (item.name, item.kind, tuple(float(sp.sympify(size).subs(values)) for size in item.size)) for item in scene.shapes
-    ]
+    shapes = [(item.name, item.kind, tuple(map(number, item.size))) for item in scene.shapes]
+    assert [(item.name, item.kind, item.size) for item in record.shapes] == shapes
     assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
     assert record.operations == vars(step_operations(scene))
     assert record.absent == derive(scene).absent
