@@ -41,8 +41,7 @@ from validate.judge.replay.run import EVENT_BUDGET, OWN_STEP, foreign_job, in_pl
 from validate.judge.replay.run import FINENESS as JUDGED
 from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
-from validate.judge.replay.wiring import Feedback
-from validate.judge.replay.world import World, WorldInputs
+from validate.judge.replay.wiring import Feedback, World, WorldInputs
 from validate.judge.robustness.worlds import nominal_world
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
