@@ -29,8 +29,8 @@ from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
 from validate.fmi.description import Package, read_package
 from validate.judge.replay import Replay
-from validate.judge.replay.run import Foreign, Track, replay, replay_foreign
-from validate.judge.replay.subject import Subject
+from validate.judge.replay.run import Track, replay, replay_foreign
+from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
 

@@ -21,8 +21,7 @@ from validate.fmi.description import REAL, Package
 from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
-from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.subject import Foreign, ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.

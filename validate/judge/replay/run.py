@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ from validate.judge.replay.error_estimate import (
 from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Difference, Event, Growth, Recorded, Replay, ReplayError, ReplayOutcome, Run
-from validate.judge.replay.subject import ForeignModel, Subject, find_variables, recorded
+from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
 from validate.judge.replay.wiring import Feedback, Variables, measure_effort
 
@@ -47,30 +47,6 @@ _CLOSER_LOOKS = 6
 Track = bool | Callable[[Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class Foreign:
-    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
-
-    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
-    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
-    """
-
-    model: ForeignModel
-    variables: Variables
-    scale: np.ndarray
-    offset: np.ndarray
-    input_scale: np.ndarray
-    input_offset: np.ndarray
-    start: np.ndarray
-    parameters: tuple[int, ...] = ()
-
-    @property
-    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Scale and offset of positions and velocities, and of the inputs."""
-        nx = len(self.variables.q) + len(self.variables.v)
-        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
 
 def replay(
@@ -176,10 +152,7 @@ def replay_foreign(
         applied = (_applied(simulated, job.plan) - foreign.input_offset) / foreign.input_scale
         return _assemble(foreign.model, job, in_plan_units(foreign, simulated)), applied
 
-    def design() -> tuple[Feedback, Growth | None]:
-        return design_foreign(foreign.model, package, foreign.variables, trajectory, foreign.units, foreign.start, limits)
-
-    return _with_tracked(run(None)[0], track, design, run, trajectory)
+    return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
 
 
 def foreign_job(

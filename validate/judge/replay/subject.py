@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from models.dynamics import derive
 from models.scene import Scene
 from models.scene.parts import Limit
 from models.scene.scene import Counted
+from models.trajectory import grouped_names
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.result import Recorded, Run
@@ -135,6 +136,30 @@ class ForeignModel(Counted):
         return tuple(contact.depth for contact in self.contacts)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Foreign:
+    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
+
+    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
+    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
+    """
+
+    model: ForeignModel
+    variables: Variables
+    scale: np.ndarray
+    offset: np.ndarray
+    input_scale: np.ndarray
+    input_offset: np.ndarray
+    start: np.ndarray
+    parameters: tuple[int, ...] = ()
+
+    @property
+    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Scale and offset of positions and velocities, and of the inputs."""
+        nx = len(self.variables.q) + len(self.variables.v)
+        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
+
+
 Subject = Scene | ForeignModel
 
 
@@ -187,14 +212,7 @@ def find_variables(package: Package, scene: Scene) -> Variables:
 
     Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
     """
-    groups = {
-        "q": tuple(item.name for item in scene.coordinates),
-        "v": tuple(item.velocity_name for item in scene.coordinates),
-        "u": tuple(item.name for item in scene.inputs),
-        "lam": tuple(item.force_name for item in scene.contacts),
-        "gap": tuple(item.gap_name for item in scene.contacts),
-        "friction": tuple(item.force_name for item in scene.frictions),
-    }
+    groups = {**grouped_names(scene), "gap": tuple(item.gap_name for item in scene.contacts)}
     by_name = {variable.name: variable for variable in package.description.modelVariables}
 
     def reference(name: str) -> int | None:
@@ -203,7 +221,7 @@ def find_variables(package: Package, scene: Scene) -> Variables:
             raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
         return None if variable is None else int(variable.valueReference)
 
-    found: dict[str, tuple[int, ...]] = {}
+    found: dict[str, Any] = {}
     for which, group in groups.items():
         references = [reference(name) for name in group]
         missing = [name for name, item in zip(group, references, strict=True) if item is None]
@@ -239,6 +257,5 @@ def find_variables(package: Package, scene: Scene) -> Variables:
         zero=frozenset(name for name, is_absent in absent.items() if is_absent),
         parameters=tuple(parameters),
         start=found["q"] + found["v"],
-        choices=(),
         internal_step=reference(INTERNAL_STEP),
     )

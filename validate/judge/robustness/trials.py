@@ -367,8 +367,7 @@ class FmuArena(Arena):
 
 def _feedback(wired: WiredFmu) -> Feedback | None:
     """The judge's, where the FMU tells derivatives of its states."""
-    foreign = wired.foreign
     try:
-        return design_foreign(foreign.model, wired.package, foreign.variables, wired.plan, foreign.units, foreign.start, wired.limits)[0]
+        return design_foreign(wired.foreign, wired.package, wired.plan, wired.limits)[0]
     except TrackingError:
         return None

@@ -18,8 +18,7 @@ from validate.judge.replay import Difference, ReplayError, ReplayOutcome
 from validate.judge.replay import run as run_module
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Run
-from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, recorded
+from validate.judge.replay.subject import Foreign, ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, recorded
 from validate.judge.replay.wiring import Feedback
 
 MODEL = ForeignModel(
@@ -184,9 +183,9 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
         assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
         assert found.tracked.effort.peak == (2.0,)
     assert jobs[-1][3].lower.tolist() == [-89.0]
-    (model, _, variables, given, units, start, _) = designed[0]
-    assert (model, variables, given, start) == (MODEL, VARIABLES, plan, START)
-    assert [[part.tolist() for part in pair] for pair in units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
+    (wired, _, given, _) = designed[0]
+    assert (wired.model, wired.variables, given, wired.start) == (MODEL, VARIABLES, plan, START)
+    assert [[part.tolist() for part in pair] for pair in wired.units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
     assert run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: False).tracked is None
 
     def refuses(*given: Any) -> Any:
