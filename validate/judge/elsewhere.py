@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -101,10 +102,8 @@ class _Matrix:
         self.replay, self.nominal = judgement.replay, nominals(scene)[: scene.nq]
         self.feedback: Feedback | None = None
         if self.plan.has_states and scene.nu:
-            try:
+            with suppress(TrackingError):
                 self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
-            except TrackingError:
-                self.feedback = None
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
