@@ -17,7 +17,6 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -27,8 +26,8 @@ from models.scene import Scene
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import Job
-from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
-from validate.judge.replay.subject import Outputs, Subject, find_variables
+from validate.judge.replay.result import Difference, Recorded, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.wiring import Feedback, Variables
 
 # Steps within the contact that was overlooked; and steps in all that are taken for it.
@@ -102,9 +101,8 @@ def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Fe
     if run.outcome is not ReplayOutcome.OK:
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return without_estimate(replayed, note)
-    lag, estimate = difference(Outputs(scene, twice, run, run.knots), ReplayNodes(replayed)), replayed.error.estimate
-    both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
-    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
+    lag = difference(recorded(scene, twice, run, run.knots), replayed.rows(replayed.knots))
+    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=by_entry(operator.add, replayed.error.estimate, lag)))
 
 
 def without_estimate(replayed: Replay, note: str) -> Replay:
@@ -112,16 +110,12 @@ def without_estimate(replayed: Replay, note: str) -> Replay:
     return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
 
 
-class ReplayNodes:
-    """A replay at the plan's nodes."""
-
-    def __init__(self, replay: Replay) -> None:
-        self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
-
-
-def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
-    """A function of each entry of some differences."""
-    return Difference(**{name: function(*(getattr(item, name) for item in of)) for name in ("position", "state", "gap")})
+def by_entry(function: Callable[..., float], *of: Difference | None) -> Difference | None:
+    """A function of each entry of some differences; None if one of them is not known."""
+    known = [item for item in of if item is not None]
+    if len(known) < len(of):
+        return None
+    return Difference(**{name: function(*(getattr(item, name) for item in known)) for name in ("position", "state", "gap")})
 
 
 # The everyday replay is explained by its own step error if it is within this factor of its step halving: to first order the
@@ -129,16 +123,8 @@ def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
 _EXPLAINED = 3.0
 
 
-class AtNodes(Protocol):
-    """A simulation at the plan's nodes: q, v (nodes, nq), gap (nodes, nc)."""
-
-    q: np.ndarray
-    v: np.ndarray
-    gap: np.ndarray
-
-
-def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
-    """Largest difference over the nodes, or None if one of the two did not get to the end."""
+def difference(one: Recorded | None, other: Recorded | None) -> Difference | None:
+    """Largest difference of two simulations over the nodes, or None if one of the two did not get to the end."""
     if one is None or other is None:
         return None
     state = np.hypot(np.linalg.norm(one.q - other.q, axis=1), np.linalg.norm(one.v - other.v, axis=1))
@@ -155,7 +141,7 @@ _ROUNDING = 1e-11
 _SAME = 1e-13
 
 
-def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
+def heeds_step(coarse: Recorded | None, fine: Recorded | None) -> bool:
     """Whether half the communication step changes anything. If not, the FMU has a step of its own, and what is wrong with that one does not show."""
     if coarse is None or fine is None:
         return True
@@ -163,7 +149,7 @@ def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
     return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
 
 
-def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
+def local_errors(fine: Recorded | None, coarse_steps: Recorded | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
     """What halving each step changed in that step, summed over the steps.
 
     Parameters
@@ -204,9 +190,7 @@ def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.n
 
 def larger(one: Difference | None, other: Difference | None) -> Difference | None:
     """Entry by entry, or the one there is."""
-    if one is None or other is None:
-        return other if one is None else one
-    return _by_entry(max, one, other)
+    return by_entry(max, one, other) or one or other
 
 
 def _larger_where_stated(measured: float, stated: float) -> float:
@@ -237,14 +221,12 @@ def estimate(
         measured = larger(step, rollback)
         if stated is not None:
             source = f"{source}, stated" if source else "stated"
-            measured = stated if measured is None else _by_entry(_larger_where_stated, measured, stated)
+            measured = by_entry(_larger_where_stated, measured, stated) or stated
         return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
     # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
     judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
-    if tolerance is not None and step is not None and everyday is not None:
-        judged = _by_entry(_judged, tolerance, step, everyday)
     return ReplayError(
-        estimate=judged,
+        estimate=by_entry(_judged, tolerance, step, everyday) or judged,
         tolerance=tolerance,
         step=step,
         everyday=everyday,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +30,8 @@ from validate.judge.replay.error_estimate import (
 )
 from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
-from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome, Run
-from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
+from validate.judge.replay.result import Difference, Event, Growth, Recorded, Replay, ReplayError, ReplayOutcome, Run
+from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
 from validate.judge.replay.wiring import Feedback, Variables, measure_effort
 
@@ -47,30 +47,6 @@ _CLOSER_LOOKS = 6
 Track = bool | Callable[[Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class Foreign:
-    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
-
-    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
-    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
-    """
-
-    model: ForeignModel
-    variables: Variables
-    scale: np.ndarray
-    offset: np.ndarray
-    input_scale: np.ndarray
-    input_offset: np.ndarray
-    start: np.ndarray
-    parameters: tuple[int, ...] = ()
-
-    @property
-    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Scale and offset of positions and velocities, and of the inputs."""
-        nx = len(self.variables.q) + len(self.variables.v)
-        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
 
 def replay(
@@ -176,10 +152,7 @@ def replay_foreign(
         applied = (_applied(simulated, job.plan) - foreign.input_offset) / foreign.input_scale
         return _assemble(foreign.model, job, in_plan_units(foreign, simulated)), applied
 
-    def design() -> tuple[Feedback, Growth | None]:
-        return design_foreign(foreign.model, package, foreign.variables, trajectory, foreign.units, foreign.start, limits)
-
-    return _with_tracked(run(None)[0], track, design, run, trajectory)
+    return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
 
 
 def foreign_job(
@@ -216,7 +189,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
     reference, everyday, judged = simulated.reference, simulated.everyday, simulated.judged
     variables = job.variables
     # A run that ended the process has no other beside it: what is compared must be there twice.
-    nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
+    nodes = [recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
     first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
     is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
@@ -229,29 +202,18 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
         rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
         stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
-    out = Outputs(subject, variables, judged)
     names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
     names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
     # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
     named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in judged.events)
     return Replay(
+        **vars(recorded(subject, variables, judged)),
         scene=subject.name,
         outcome=judged.outcome,
         message=" ".join(_notes(subject, simulated, error, is_known, own_step=not job.tolerances)),
         method="reference" if reference else "everyday",
         t=np.array(judged.t, dtype=float),
-        q=out.q,
-        v=out.v,
-        lam=out.lam,
-        gap=out.gap,
-        friction=out.friction,
         knots=np.array(judged.knots, dtype=np.int64),
-        kinetic_energy=out.kinetic,
-        potential_energy=out.potential,
-        contact_energy=out.contact,
-        input_work=out.work("input_power"),
-        dissipated_work=out.work("dissipated_power"),
-        contact_impulse=out.contact_impulse,
         events=tuple(
             Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes)
             for time, index, closes in judged.events
@@ -289,18 +251,9 @@ def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known:
     return notes
 
 
-def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
+def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Recorded | None, carried: bool) -> Difference | None:
     if fine is None or len(run.local) != len(run.t) - 1:
         return None
     coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
-    return local_errors(
-        fine,
-        Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)),
-        np.array(run.t),
-        carried,
-        heeds=variables.internal_step is not None or not carried,
-    )
-
-
-def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
-    return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
+    ends = recorded(subject, variables, Run(t=run.t[1:], outputs=coarse))
+    return local_errors(fine, ends, np.array(run.t), carried, heeds=variables.internal_step is not None or not carried)

@@ -154,6 +154,8 @@ UNDECIDED: Final = "undecided"
 NOT_ASKED: Final = "not asked"
 # Of the replay, and so only as sure as the judge is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
+# Of the plan alone, which feedback cannot mend.
+_NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
 # Whether a plan's own motion is consistent, so that it can be followed: the one that was asked.
 _CONSISTENCY = ("unexplained_force", "defect")
 
@@ -177,8 +179,7 @@ def answer(metrics: Iterable[Metric]) -> Answer:
 
 def answers(metrics: Sequence[Metric]) -> dict[Question, Answer]:
     """Of every question, by metrics of the plan and of the replay of its inputs alone; what feedback did is left out."""
-    own = [metric for metric in metrics if not is_of_feedback(metric.name)]
-    return _by_question(own)
+    return _by_question([metric for metric in metrics if not is_of_feedback(metric.name)])
 
 
 def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, Answer]:
@@ -212,12 +213,7 @@ def wants_feedback(metrics: Sequence[Metric]) -> bool:
     fails.
     """
     found = answers(metrics)
-    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in (
-        found[Question.TASK],
-        found[Question.GOAL],
-        found[Question.FORCES],
-        found[Question.SCHEME],
-    ):
+    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in [found[question] for question in _NOT_MENDED]:
         return False
     consistency = [metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged]
     return bool(consistency) and all(ok is True for ok in consistency)

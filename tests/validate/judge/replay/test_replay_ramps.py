@@ -13,7 +13,7 @@ from models.fmu import build_fmu
 from models.scene import Coordinate, Input, Limit, Parameter, Scene, Task
 from models.trajectory import Hold, Trajectory, read_csv, write_csv
 from models.trajectory_netcdf import read_netcdf, write_netcdf
-from validate.execution.isolated import Limits
+from validate.execution.isolated import Limits, packed, unpacked_from
 from validate.judge.replay.run import replay
 from validate.judge.replay.wiring import Effort, Feedback, HeldInputs, Variables, measure_effort
 
@@ -165,9 +165,10 @@ def test_an_effort_is_weighed_by_time_scale_and_what_the_plan_asks_itself():
     assert (still.plan_share, still.saturated) == (0.0, 0.0)
 
 
-def test_outputs_and_rates_of_a_replay_stand_in_one_order():
+def test_references_reach_a_child_as_they_are():
     given = Variables(
         q=(1, 2), v=(3,), u=(4,), lam=(5,), gap=(6,), energies={"kinetic_energy": 7}, powers={"input_power": 8}, zero=frozenset({"a", "b"}),
         parameters=((9, 1.5),), start=(10, 11), internal_step=12, choices=((13, 2),), friction=(14,),
     )  # fmt: skip
+    assert unpacked_from(packed(given)) == (given,)
     assert (given.outputs, given.rates) == ((1, 2, 3, 5, 6, 14, 7), (5, 8))
