@@ -241,7 +241,7 @@ def _ours(
     if kind == "CS":
         with CheckedInstance(subject, kind).begin(during=given) as instance:
             for step in range(steps):
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             values = instance.get(watched)
         return subject.time(steps), values, _SAME_STEPS * np.maximum(np.abs(values), watched.scales)
     variables, values = given

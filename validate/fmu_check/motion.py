@@ -183,7 +183,7 @@ def run(
                 else:
                     instance.set(subject.continuous_inputs, values)
             if mover is None:
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             else:
                 mover.advance(subject.time(step + 1))
             if observe == "each":

@@ -232,6 +232,11 @@ class Subject:
         return Block(item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous")
 
     @cached_property
+    def clocks(self) -> Block:
+        """Variables that tell the time."""
+        return Block(item for item in self.variables if item.causality == "independent" and item.is_float)
+
+    @cached_property
     def exact(self) -> Block:
         """Variables whose start is their value in initialisation."""
         return Block(item for item in self.variables if item.start is not None and (item.initial == "exact" or item.causality == "input"))
@@ -407,11 +412,15 @@ class CheckedInstance(Instance):
             self.settle()
         return self
 
+    def make_step(self, step: int) -> None:
+        """One communication step of the subject's grid. Raises FMICallException, Fault."""
+        self.do_step(self.subject.time(step), self.subject.step)
+
     def live(self, steps: int, *, completed: bool = False) -> None:
         """So many communication steps; of Model Exchange as many evaluations, if it has states; completed: whether each is told to be an accepted step."""
         for step in range(steps):
             if self.kind == "CS":
-                self.do_step(self.subject.time(step), self.subject.step)
+                self.make_step(step)
             elif self.state_count:
                 self.move(self.subject.time(step), self.states())
                 self.rates()
