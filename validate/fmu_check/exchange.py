@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
@@ -51,9 +51,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
 
         look(0)
         run(instance, 0, steps, after=lambda step: look(step + 1), observe="end")
-        if worst:
-            return failed(f"{worst[0]}.")
-    return passed(f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
+    return unless(worst[:1], f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
 
 
 def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
@@ -72,8 +70,9 @@ def nominals(subject: Subject, kind: str) -> Finding:
         return not_offered("there are no continuous states.")
     with CheckedInstance(subject, kind) as instance:
         values = instance.begin().nominals()
-    if not (np.isfinite(values) & (values > 0.0)).all():
-        return failed(f"a nominal is {values[~(np.isfinite(values) & (values > 0.0))][0]:g}; it must be positive.")
+    wrong = values[~(np.isfinite(values) & (values > 0.0))]
+    if wrong.size:
+        return failed(f"a nominal is {wrong[0]:g}; it must be positive.")
     declared = [item.nominal for item in subject.states for _ in range(item.size)]
     for place, (value, nominal) in enumerate(zip(values, declared, strict=False)):
         if nominal is not None and not np.isclose(value, nominal, rtol=1e-6):
@@ -91,10 +90,9 @@ def indicators(subject: Subject, kind: str) -> Finding:
             if (reported := instance.fmu.getNumberOfEventIndicators()) != count:
                 return failed(f"the binary says {reported} event indicators, the description lists {count}.")
             listed = subject.of(subject.description.eventIndicators)
-            if len(listed) == len(subject.description.eventIndicators) and count:
-                wrong = _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)
-                if wrong:
-                    return failed(f"{wrong[0]}.")
+            all_listed = count and len(listed) == len(subject.description.eventIndicators)
+            if all_listed and (wrong := _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)):
+                return failed(f"{wrong[0]}.")
         steps = subject.long_steps(kind)
         size = np.abs(instance.indicators()) if count else np.empty(0)
         mover = Exchange(instance, _RTOL)
@@ -109,9 +107,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                 if count:
                     now = np.abs(instance.indicators())
                     size = np.maximum(size, now)
-                    if (
-                        (now <= _ZERO * size) & (size > 0)
-                    ).any():  # the look falls on an event, which its indicator announces by being zero
+                    # The look falls on an event, which its indicator announces by being zero.
+                    if ((now <= _ZERO * size) & (size > 0)).any():
                         continue
                 mover.update_unannounced()
                 if mover.record.surprises:
@@ -130,9 +127,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     f"event indicator {place} jumps over zero at t = {time:.10g} s: it is {values[place]:.4g} there, but it should be continuous."
                 )
     state_events = sum(bool(event[1]) for event in mover.record.events)
-    return passed(
-        f"{count} indicators; {state_events} state events and {len(mover.record.events) - state_events} others by t = {mover.time:.4g} s."
-    )
+    others = len(mover.record.events) - state_events
+    return passed(f"{count} indicators; {state_events} state events and {others} others by t = {mover.time:.4g} s.")
 
 
 _RTOLS = (1e-7, 1e-9)

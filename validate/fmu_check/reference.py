@@ -35,7 +35,7 @@ from validate.fmi.references import (
 )  # fmt: skip
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
-from validate.fmu_check.motion import Crowded, Exchange
+from validate.fmu_check.motion import Crowded, Exchange, Record
 from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
@@ -245,8 +245,7 @@ def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: B
             instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
         instance.begin(during=(signals.variables, signals.values[0]))
-        mover = Exchange(instance, rtol, method, drive if lines.variables else None)
-        mover.record.most = _EVENTS
+        mover = Exchange(instance, rtol, method, drive=drive if lines.variables else None, record=Record(most=_EVENTS))
 
         def jump(time: float) -> None:
             instance.fmu.enterEventMode()
