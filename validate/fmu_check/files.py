@@ -27,7 +27,7 @@ from fmpy.validation import validate_model_description
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from validate.fmi.archive import DESCRIPTION, FmuError, binary_name, problems
+from validate.fmi.archive import ARCHIVE_CHECKS, DESCRIPTION, FmuError, binary_name, problems
 from validate.fmi.description import read_description, without_garbage
 from validate.fmi.instance import CLASSES
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
@@ -128,8 +128,6 @@ def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-# Of the checks of the archive: those that are not about its content.
-ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")

@@ -24,15 +24,7 @@ from validate.fmi.archive import FmuError
 from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
-from validate.fmi.references import (
-    LS_REF,
-    StoredResult,
-    Table,
-    missing_attributes,
-    read_table,
-    read_text,
-    stored_results,
-)  # fmt: skip
+from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_table, read_text, stored_results
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, Record
@@ -327,12 +319,8 @@ def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tup
         raise FmuError("it has neither outputs nor states that are numbers: there is nothing to write.")
     with _in_words():
         found = solve(subject, request["type"], times, signals, watched)
-    value = {
-        "names": [item.name for item in watched],
-        "sizes": [item.size for item in watched],
-        "how": found.how,
-        "events": len(found.events),
-    }
+    names, sizes = [item.name for item in watched], [item.size for item in watched]
+    value = {"names": names, "sizes": sizes, "how": found.how, "events": len(found.events)}
     return value, {"values": found.values, "bars": found.bars}
 
 
