@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,36 +39,6 @@ class _DerivativeColumn:
     value: np.ndarray
     error: np.ndarray
     kink: np.ndarray
-
-
-def _column(
-    evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST
-) -> _DerivativeColumn:
-    """The column of entry `place` of x at x; size: the typical magnitude of that entry."""
-    middle = evaluate(x)
-    central, forward, backward, noise = [], [], [], []
-    for number in range(_COUNT):
-        step = max(size, abs(x[place])) * largest / 4.0**number
-        above, below = x.copy(), x.copy()
-        above[place] += step
-        below[place] -= step
-        up, down = evaluate(above), evaluate(below)
-        right, left = above[place] - x[place], x[place] - below[place]
-        central.append((up - down) / (right + left))
-        forward.append((up - middle) / right)
-        backward.append((middle - down) / left)
-        noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
-    d, rounding = np.array(central), np.array(noise)
-    extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
-    error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
-    error = np.where(np.isfinite(error), error, np.inf)
-    best = np.argmin(error, axis=0)
-    columns = np.arange(d.shape[1])
-    gap = np.abs(np.array(forward) - np.array(backward))
-    # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
-    here, before = gap[best + 2, columns], gap[best + 1, columns]
-    kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
-    return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
 
 def _rounding(claimed: np.ndarray) -> float:
@@ -126,7 +96,31 @@ class _CheckedPoint:
 
     def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
         """The derivatives by entry `place` of x, by finite differences."""
-        return _column(self.evaluate, self.x, place, self.knowns.scales[place], largest)
+        x = self.x
+        middle = self.evaluate(x)
+        central, forward, backward, noise = [], [], [], []
+        for number in range(_COUNT):
+            step = max(self.knowns.scales[place], abs(x[place])) * largest / 4.0**number
+            above, below = x.copy(), x.copy()
+            above[place] += step
+            below[place] -= step
+            up, down = self.evaluate(above), self.evaluate(below)
+            right, left = above[place] - x[place], x[place] - below[place]
+            central.append((up - down) / (right + left))
+            forward.append((up - middle) / right)
+            backward.append((middle - down) / left)
+            noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
+        d, rounding = np.array(central), np.array(noise)
+        extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
+        error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
+        error = np.where(np.isfinite(error), error, np.inf)
+        best = np.argmin(error, axis=0)
+        columns = np.arange(d.shape[1])
+        gap = np.abs(np.array(forward) - np.array(backward))
+        # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
+        here, before = gap[best + 2, columns], gap[best + 1, columns]
+        kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
+        return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
     def entries(self) -> list[tuple[int, FmuVariable]]:
         """(place in x, known) of the entries to look at: all, or some of a large FMU."""
