@@ -85,6 +85,7 @@ DESCRIPTION = "modelDescription.xml"
 _XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
 # What Python raises while it reads a damaged entry.
 _DAMAGED = (NotImplementedError, EOFError, RuntimeError, ValueError, zlib.error, LZMAError)
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
@@ -96,22 +97,9 @@ class Problem:
     sentence: str
 
 
-CHECKS = (
-    "zip",
-    "size",
-    "ratio",
-    "entries",
-    "names",
-    "links",
-    "duplicates",
-    "encryption",
-    "xml",
-    "description",
-    "version",
-    "kind",
-    "scheduled",
-    "binary",
-)
+# Those that are not about what is inside; then all.
+ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
+CHECKS = ("zip", *ARCHIVE_CHECKS, "description", "version", "kind", "scheduled", "binary")
 
 
 class FmuError(TouchstoneError):
@@ -184,15 +172,12 @@ class _ArchiveCheck:
     def archive(self) -> FmuArchive:
         """What was found, where there are no problems."""
         present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
+        with open(self._path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
         return FmuArchive(
-            path=self._path,
-            digest=_digest(self._path),
-            version=self._root.get("fmiVersion", ""),
-            kinds=present,
-            platforms=self._platforms(),
-            entries=len(self._items),
-            unpacked=sum(item.file_size for item in self._items),
-        )
+            path=self._path, digest=digest, version=self._root.get("fmiVersion", ""), kinds=present, platforms=self._platforms(),
+            entries=len(self._items), unpacked=sum(item.file_size for item in self._items),
+        )  # fmt: skip
 
     def problems(self) -> Iterator[Problem]:
         """Those that make further reading unsafe end it."""
@@ -303,7 +288,7 @@ class _ArchiveCheck:
 
     def _of_description(self) -> Iterator[Problem]:
         version = self._root.get("fmiVersion", "")
-        if not _is_two(version) and not _is_three(version):
+        if version != "2.0" and not _is_three(version):
             yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
             return
         only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
@@ -324,34 +309,17 @@ class _ArchiveCheck:
 
 
 def binary_name(version: str, identifier: str) -> str:
-    """Where the archive has the binary for this machine."""
-    return f"binaries/{_platform_folder(version)}/{identifier}{_ENDINGS.get(_system(), '.so')}"
-
-
-def _platform_folder(version: str) -> str:
-    """FMI's name of this machine in `binaries/`, which FMI 3 changed."""
-    bits = "64" if sys.maxsize > 2**32 else "32"
+    """Where the archive has the binary for this machine; FMI 3 changed the names of machines."""
+    system, machine = platform.system().lower(), platform.machine().lower()
     if _is_three(version):
-        machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
-        return f"{machine}-{_system()}"
-    return {"linux": "linux", "darwin": "darwin", "windows": "win"}.get(_system(), _system()) + bits
-
-
-def _system() -> str:
-    return platform.system().lower()
-
-
-def _is_two(version: str) -> bool:
-    return version == "2.0"
+        folder = f"{_MACHINES.get(machine, machine)}-{system}"
+    else:
+        folder = f"{'win' if system == 'windows' else system}{'64' if sys.maxsize > 2**32 else '32'}"
+    return f"binaries/{folder}/{identifier}{_ENDINGS.get(system, '.so')}"
 
 
 def _is_three(version: str) -> bool:
     return re.fullmatch(r"3\.0(\.\d+)?(-[0-9A-Za-z.]+)?", version) is not None
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _size(count: int) -> str:

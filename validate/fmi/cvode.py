@@ -10,6 +10,7 @@ scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of eve
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib.util
 from collections.abc import Callable
@@ -133,7 +134,7 @@ class Cvode:
         self.time, self.roots = 0.0, np.zeros(count, dtype=np.int32)
         self.memory = self.vector = 0  # addresses, 0 without a solver
         self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in (rates, indicators, data))
-        self._made: list[tuple[Callable[[Any], Any], Any]] = []  # what is to be freed, and by what
+        self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:
         """A new solver from y at `time` [s]. Raises RuntimeError where CVODE refuses what it is given."""
@@ -142,13 +143,12 @@ class Cvode:
         call, size, context = functions(), len(self.y), ctypes.c_void_p()
 
         def made(pointer: int | None, free: Callable[[Any], Any]) -> int:
-            if not pointer:
-                raise RuntimeError(f"CVODE refused to be set up at t = {time:.6g} s")
-            self._made.append((free, pointer))
-            return pointer
+            self._accepted(0 if pointer else -1)
+            self._made.callback(free, pointer)
+            return pointer or 0
 
         self._accepted(call.SUNContext_Create(0, ctypes.byref(context)))
-        self._made.append((lambda _: call.SUNContext_Free(ctypes.byref(context)), None))
+        self._made.callback(call.SUNContext_Free, ctypes.byref(context))
         call.SUNContext_ClearErrHandlers(context)
         self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
@@ -156,9 +156,8 @@ class Cvode:
             ctypes.memmove(array_of(vector), values.ctypes.data, 8 * size)
         matrix = made(call.SUNDenseMatrix(size, size, context), call.SUNMatDestroy)
         linear = made(call.SUNLinSol_Dense(self.vector, matrix, context), call.SUNLinSolFree)
-        memory = self.memory = made(
-            call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place)))
-        )
+        memory = made(call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place))))
+        self.memory = memory
         self._accepted(
             call.CVodeSetUserData(memory, self._data),
             call.CVodeInit(memory, self._rates, time, self.vector),
@@ -169,9 +168,8 @@ class Cvode:
         )
         if len(self.roots):
             self.roots[:] = 0  # in whichever direction
-            self._accepted(
-                call.CVodeRootInit(memory, len(self.roots), self._indicators), call.CVodeSetRootDirection(memory, self.roots.ctypes.data)
-            )
+            self._accepted(call.CVodeRootInit(memory, len(self.roots), self._indicators))
+            self._accepted(call.CVodeSetRootDirection(memory, self.roots.ctypes.data))
         self._accepted(
             call.CVodeSetInitStep(memory, 0.0),
             call.CVodeSetMinStep(memory, self.min_step),
@@ -200,7 +198,5 @@ class Cvode:
 
     def close(self) -> None:
         """Free what CVODE holds."""
-        while self._made:
-            free, place = self._made.pop()
-            free(place)
+        self._made.close()
         self.memory = self.vector = 0

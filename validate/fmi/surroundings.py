@@ -70,6 +70,15 @@ def surroundings() -> dict[str, Any]:
     return found
 
 
+# By how a thing's name begins what is said of it where it is gone, new, or another one; of others what it is and was.
+_SAID = {
+    "file descriptor": ("closed", "", "another file"),
+    "the handler": ("another one", "another one", "another one"),
+    _FILE: ("gone", "new or changed", "new or changed"),
+    "the environment": ("gone", "new", "another one"),
+}
+
+
 def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True) -> list[str]:
     """What is not as it was, in words. more: also what was not there before, but for file descriptors, which may stay open while an FMU lives."""
     said = []
@@ -78,16 +87,8 @@ def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True)
         one, two = before.get(name), after.get(name)
         if one == two or (moved and name.startswith(_FILE)) or (one is None and (not more or name.startswith("file descriptor"))):
             continue
-        if name.startswith("file descriptor"):
-            said.append(f"{name} is {'closed' if two is None else 'another file'}")
-        elif name.startswith("the handler"):
-            said.append(f"{name} is another one")
-        elif name.startswith(_FILE):
-            said.append(f"{name} is {'gone' if two is None else 'new or changed'}")
-        elif name.startswith("the environment"):
-            said.append(f"{name} is {'gone' if two is None else 'new' if one is None else 'another one'}")
-        else:
-            said.append(f"{name} is {two}, it was {one}")
+        words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
+        said.append(f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}")
     return said
 
 

@@ -22,7 +22,7 @@ from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, f
 from validate.fmi.archive import DESCRIPTION
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed, Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.communication import MIGHT_RETURN, StepLog, step_to, with_events
+from validate.fmu_check.communication import MIGHT_RETURN, Stepping
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
 from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
@@ -251,7 +251,7 @@ def ticking(subject: Subject, kind: str) -> Finding:
 
 def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Clock]) -> _Log:
     """A run through twenty ticks of the fastest clock, with whatever other events the FMU has."""
-    with _Ticking(subject, kind, options=None if kind == "ME" else with_events(subject.can(kind, MIGHT_RETURN))) as instance:
+    with _Ticking(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
         instance.log, instance.outputs = _Log([*clocks, *outputs]), outputs
         instance.setup()
         instance.enter_initialisation()
@@ -259,7 +259,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         instance.fmu.exitInitializationMode()
         instance.settle()
         if kind == "CS":
-            step_to(instance, schedule.end, StepLog())
+            instance.step_to(schedule.end)
             return instance.log
         mover = Exchange(instance, TOLERANCE)
         mover.renew(subject.start_time)
@@ -269,7 +269,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         return instance.log
 
 
-class _Ticking(CheckedInstance):
+class _Ticking(Stepping):
     """An instance whose clocks tick when their time comes: a tick is a time event of it."""
 
     log: _Log

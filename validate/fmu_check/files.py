@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import math
 import platform
 import re
@@ -18,7 +19,7 @@ import sys
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from fmpy.model_description import ValidationError, read_model_description
@@ -26,11 +27,10 @@ from fmpy.validation import validate_model_description
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from validate.fmi.archive import DESCRIPTION, FmuError, binary_name, problems
+from validate.fmi.archive import ARCHIVE_CHECKS, DESCRIPTION, FmuError, binary_name, problems
 from validate.fmi.description import read_description, without_garbage
 from validate.fmi.instance import CLASSES
-from validate.fmi.surroundings import listed
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.subject import FmuVariable, Subject
 
 # Names that are legal by either naming convention (FMI 2.0.4, 2.2.9; 3.0.2, 2.4.7.5.1).
@@ -42,6 +42,26 @@ _MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
 _DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
 _NEEDED, _UNDEFINED = 1, 0
 _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
+
+
+class _Layout(NamedTuple):
+    """What a file of 32 or 64 bits has where, as struct takes it.
+
+    table, counts: where the section table begins, the size of its rows and their number, each with its place in the file; section: kind, offset, length,
+    link and size of a row; symbol: name, info and section; dynamic: tag and value.
+    """
+
+    table: tuple[str, int]
+    counts: tuple[str, int]
+    section: str
+    symbol: str
+    dynamic: str
+
+
+_LAYOUTS = {
+    32: _Layout(("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
+    64: _Layout(("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
+}
 
 
 class NotElf(ValueError):  # noqa: N818 - says what the file is not
@@ -74,51 +94,40 @@ def read_library(data: bytes) -> Library:
 
 
 def _read(data: bytes, bits: int, order: str) -> Library:
-    wide = bits == 64
-    (machine,) = struct.unpack_from(f"{order}H", data, 18)
-    (table,) = struct.unpack_from(f"{order}{'Q' if wide else 'I'}", data, 40 if wide else 32)
-    size, count, _ = struct.unpack_from(f"{order}HHH", data, 58 if wide else 46)
-    header = f"{order}IIQQQQIIQQ" if wide else f"{order}IIIIIIIIII"
-    sections = [struct.unpack_from(header, data, table + number * size) for number in range(count)]
-    if sum(section[5] for section in sections if section[1] in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+    layout = _LAYOUTS[bits]
+
+    def read(form: str, at: int) -> tuple[int, ...]:
+        return struct.unpack_from(f"{order}{form}", data, at)
+
+    (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
+    sections = [read(layout.section, table + number * size) for number in range(count)]
+    if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
         raise NotElf("its tables are larger than the file")
     exported: set[str] = set()
     needed: list[str] = []
-    texts = b""
-    for _, kind, _, _, offset, length, link, _, _, entry in sections:
+    strings = b""
+    for kind, offset, length, link, entry in sections:
         if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
             continue
-        strings = data[sections[link][4] : sections[link][4] + sections[link][5]]
-        texts = strings
+        strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
         for at in range(offset, offset + length, entry):
             if kind == _SYMBOL_SECTION:
-                name, info, section = _symbol(data, at, order, wide)
+                name, info, section = read(layout.symbol, at)
                 if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
                     exported.add(_text(strings, name))
             else:
-                tag, value = struct.unpack_from(f"{order}{'QQ' if wide else 'II'}", data, at)
+                tag, value = read(layout.dynamic, at)
                 if tag == _NEEDED:
                     needed.append(_text(strings, value))
-    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", texts)]
+    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
     glibc = ".".join(map(str, max(versions))) if versions else ""
     return Library(bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
-
-
-def _symbol(data: bytes, at: int, order: str, wide: bool) -> tuple[int, int, int]:
-    """(name, info, section index) of a row of the symbol table."""
-    if wide:
-        name, info, _, section = struct.unpack_from(f"{order}IBBH", data, at)
-    else:
-        name, _, _, info, _, section = struct.unpack_from(f"{order}IIIBBH", data, at)
-    return name, info, section
 
 
 def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-# Of the checks of the archive: those that are not about its content.
-ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
@@ -137,10 +146,8 @@ def archive(path: Path) -> Finding:
     wrong += [
         f"the entry {item.filename!r} is packed by a method other than deflate" for item in items if item.compress_type not in _METHODS
     ]
-    if wrong:
-        return failed(f"{listed(wrong)}.")
     unpacked = sum(item.file_size for item in items)
-    return passed(f"{len(items)} entries, {path.stat().st_size} bytes, {unpacked} unpacked.")
+    return unless(wrong, f"{len(items)} entries, {path.stat().st_size} bytes, {unpacked} unpacked.")
 
 
 def library_path(subject: Subject, kind: str) -> Path:
@@ -276,9 +283,7 @@ def valid(path: Path) -> Finding:
     # Looks at the unpacked folder; comes before the description is read without validation.
     with without_garbage():
         problems = [" ".join(str(problem).split()).rstrip(".") for problem in _by_fmpy(path)] + _of_terminals(path)
-    if problems:
-        return failed(f"{listed(problems)}.")
-    return passed("0 problems.")
+    return unless(problems, "0 problems.")
 
 
 def _by_fmpy(path: Path) -> list[str]:
@@ -325,14 +330,10 @@ def _of_terminals(folder: Path) -> list[str]:
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
-    wrong = [problem for item in subject.variables for problem in _of_variable(item)]
-    wrong += _of_aliases(subject)
-    wrong += _of_derivatives(subject)
+    wrong = [*itertools.chain.from_iterable(map(_of_variable, subject.variables)), *_of_aliases(subject), *_of_derivatives(subject)]
     if not subject.description.guid:
         wrong.append("the GUID or instantiation token is empty")
-    if wrong:
-        return failed(f"{listed(wrong)}.")
-    return passed(f"{len(subject.variables)} variables.")
+    return unless(wrong, f"{len(subject.variables)} variables.")
 
 
 def _of_variable(item: FmuVariable) -> list[str]:

@@ -15,7 +15,6 @@ import importlib.util
 import io
 import sys
 from collections.abc import Callable
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -159,48 +158,22 @@ _SAME_STEPS, _OTHER_SOLVER = 1e-6, 1e-5
 _BEFORE = 0.9
 
 
-def _job(subject: Subject, kind: str, watched: Block, given: Settings, steps: list[tuple[float, float]]) -> dict[str, Any]:
-    """What an importer is asked for."""
-    variables, values = given
-    return {
-        "path": str(subject.path.resolve()),
-        "folder": str(subject.folder),
-        "fmi": "2.0" if subject.major == 2 else "3.0",
-        "type": kind,
-        "identifier": subject.interface(kind).modelIdentifier,
-        "token": subject.description.guid,
-        "names": watched.names,
-        "references": [item.reference for item in watched],
-        "inputs": [[item.name, item.reference, value] for item, value in zip(variables, values.tolist(), strict=True)],
-        "steps": steps,
-    }
-
-
-def _asked(importer: Importer, job: dict[str, Any]) -> tuple[str, Any, str]:
+def _asked(importer: Importer, subject: Subject, job: dict[str, Any]) -> tuple[str, Any, str]:
     """Its name with the version, what it answered, and why it did not."""
     who = f"{importer.title} {importlib.metadata.version(importer.package)}"
-    done = run_isolated("validate.fmu_check.importers:run_importer", {**job, "importer": importer.title}, limits=_LIMITS, what=who)
+    job |= {"importer": importer.title, "path": str(subject.path.resolve()), "fmi": "2.0" if subject.major == 2 else "3.0"}
+    done = run_isolated("validate.fmu_check.importers:run_importer", job, limits=_LIMITS, what=who)
     return who, done.value["values"] if done.ok else None, "" if done.ok else done.sentence.rstrip(".")
 
 
-def _absent(importer: Importer) -> Finding | None:
-    if importlib.util.find_spec(importer.module) is not None:
-        return None
-    return not_offered(f"{importer.title} is not installed; it comes with the extra [fmu-check].")
-
-
 def _complaints(importer: Importer, subject: Subject) -> Finding:
-    if absent := _absent(importer):
-        return absent
-    who, told, problem = _asked(importer, {"path": str(subject.path.resolve()), "fmi": "2.0" if subject.major == 2 else "3.0"})
+    who, told, problem = _asked(importer, subject, {})
     if problem or told:
         return advice(f"{problem or f'{who}: ' + '; '.join(told)}.")
     return passed(f"{who} finds nothing.")
 
 
 def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
-    if absent := _absent(importer):
-        return absent
     if (subject.major, kind) not in importer.takes:
         return not_offered(f"{importer.title} takes no FMI {subject.major}.0 as {kind}.")
     plain = all(_is_plain(item) for item in subject.continuous_inputs)  # else they stay at their starts
@@ -217,8 +190,13 @@ def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
     points = [subject.start_time + (end - subject.start_time) * place / steps for place in range(steps + 1)]
     if kind == "CS":
         points = [subject.time(place) for place in range(steps + 1)]
-    job = _job(subject, kind, block, given, [(begin, subject.step if kind == "CS" else after - begin) for begin, after in pairwise(points)])
-    who, theirs, problem = _asked(importer, job)
+    job = {
+        "folder": str(subject.folder), "type": kind, "identifier": subject.interface(kind).modelIdentifier, "token": subject.description.guid,
+        "names": block.names, "references": [item.reference for item in block],
+        "inputs": [[item.name, item.reference, value] for item, value in zip(given[0], given[1].tolist(), strict=True)],
+        "steps": [(begin, subject.step if kind == "CS" else after - begin) for begin, after in pairwise(points)],
+    }  # fmt: skip
+    who, theirs, problem = _asked(importer, subject, job)
     if problem:
         return advice(f"{problem}.")
     size = np.maximum(np.abs(ours), block.scales)
@@ -241,7 +219,7 @@ def _ours(
     if kind == "CS":
         with CheckedInstance(subject, kind).begin(during=given) as instance:
             for step in range(steps):
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             values = instance.get(watched)
         return subject.time(steps), values, _SAME_STEPS * np.maximum(np.abs(values), watched.scales)
     variables, values = given
@@ -256,17 +234,15 @@ def _ours(
     return end, found.values[-1], found.bars[-1] + _OTHER_SOLVER * np.maximum(np.abs(found.values[-1]), watched.scales)
 
 
-def _checks() -> tuple[Check, ...]:
-    made = []
-    for importer in IMPORTERS.values():
-        function: Callable[..., Finding] = partial(_compared if importer.takes else _complaints, importer)
-        function.__doc__ = (  # type: ignore[attr-defined]
-            "It runs, and its numbers are ours: in the same steps, or as exact as the integrators"
-            if importer.takes
-            else "It complains of nothing"
-        )
-        made.append(check(f"importer {importer.title}", Scope.EACH if importer.takes else Scope.FILE)(function))
-    return tuple(made)
+def _check(importer: Importer) -> Check:
+    def by_it(*arguments: Any) -> Finding:
+        if importlib.util.find_spec(importer.module) is None:
+            return not_offered(f"{importer.title} is not installed; it comes with the extra [fmu-check].")
+        return (_compared if importer.takes else _complaints)(importer, *arguments)
+
+    claim = "It runs, and its numbers are ours: in the same steps, or as exact as the integrators"
+    by_it.__doc__ = claim if importer.takes else "It complains of nothing"
+    return check(f"importer {importer.title}", Scope.EACH if importer.takes else Scope.FILE)(by_it)
 
 
-CHECKS = _checks()
+CHECKS = tuple(map(_check, IMPORTERS.values()))

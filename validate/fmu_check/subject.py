@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import DESCRIPTION, interfaces
 from validate.fmi.description import interface_of, without_garbage
@@ -231,6 +232,11 @@ class Subject:
         return Block(item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous")
 
     @cached_property
+    def clocks(self) -> Block:
+        """Variables that tell the time."""
+        return Block(item for item in self.variables if item.causality == "independent" and item.is_float)
+
+    @cached_property
     def exact(self) -> Block:
         """Variables whose start is their value in initialisation."""
         return Block(item for item in self.variables if item.start is not None and (item.initial == "exact" or item.causality == "input"))
@@ -390,6 +396,14 @@ class CheckedInstance(Instance):
         self.set(*during)
         return self.finish_initialisation()
 
+    def begin_varied(self) -> Self:
+        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
+        try:
+            return self.begin(before=self.subject.varied)
+        except FMICallException:
+            self.fmu.reset()
+            return self.begin()
+
     def finish_initialisation(self) -> Self:
         """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
         self.fmu.exitInitializationMode()
@@ -397,6 +411,21 @@ class CheckedInstance(Instance):
         if self.kind == "ME":
             self.settle()
         return self
+
+    def make_step(self, step: int) -> None:
+        """One communication step of the subject's grid. Raises FMICallException, Fault."""
+        self.do_step(self.subject.time(step), self.subject.step)
+
+    def live(self, steps: int, *, completed: bool = False) -> None:
+        """So many communication steps; of Model Exchange as many evaluations, if it has states; completed: whether each is told to be an accepted step."""
+        for step in range(steps):
+            if self.kind == "CS":
+                self.make_step(step)
+            elif self.state_count:
+                self.move(self.subject.time(step), self.states())
+                self.rates()
+                if completed:
+                    self.completed()
 
     def get(self, variables: Sequence[FmuVariable]) -> np.ndarray:
         """Values of variables in the order given; one call a type.
