@@ -39,16 +39,12 @@ def test_derivatives_outputs_and_indicators_equal_numpy(any_scene, drive, refere
         for driver in (me, cs):
             names = driver.names
             expected = {
-                **dict(zip(names.der_q, v, strict=True)),
-                **dict(zip(names.der_v, a, strict=True)),
-                **dict(zip(names.lam, lam, strict=True)),
-                **dict(zip(names.gap, -phi, strict=True)),
-                names.kinetic_energy: truth.value("kinetic_energy", "q", "v")(q, v).item(),
-                names.potential_energy: truth.value("potential_energy", "q")(q).item(),
-                names.contact_energy: np.sum(lam * phi) / 2,
+                **dict(zip(names.der_q, v, strict=True)), **dict(zip(names.der_v, a, strict=True)), **dict(zip(names.lam, lam, strict=True)),
+                **dict(zip(names.gap, -phi, strict=True)), names.kinetic_energy: truth.value("kinetic_energy", "q", "v")(q, v).item(),
+                names.potential_energy: truth.value("potential_energy", "q")(q).item(), names.contact_energy: np.sum(lam * phi) / 2,
                 names.input_power: truth.value("input_power", "q", "v", "u")(q, v, u).item(),
                 names.dissipated_power: truth.value("dissipated_power", "q", "v")(q, v).item(),
-            }
+            }  # fmt: skip
             absent = expected.pop(None, 0.0)
             assert absent == 0.0  # what the FMU leaves out is zero in the equations
             assert set(expected) == set(calculated(names))
@@ -159,12 +155,9 @@ def test_description_says_what_the_binary_offers(any_scene, drive, unpacked):
     }
     assert offered["ModelExchange"] == both | {"needsCompletedIntegratorStep"}
     assert offered["CoSimulation"] == both | {
-        "canHandleVariableCommunicationStepSize",
-        "providesIntermediateUpdate",
-        "mightReturnEarlyFromDoStep",
-        "canReturnEarlyAfterIntermediateUpdate",
-        "hasEventMode",
-    }
+        "canHandleVariableCommunicationStepSize", "providesIntermediateUpdate", "mightReturnEarlyFromDoStep",
+        "canReturnEarlyAfterIntermediateUpdate", "hasEventMode",
+    }  # fmt: skip
     assert xml.find("ScheduledExecution") is None
     assert [row.variable.name for row in description.eventIndicators] == list(names.gap)
     assert [row.variable.name for row in description.derivatives] == [*names.der_q, *names.der_v]
