@@ -89,7 +89,6 @@ def command(scenes: tuple[str, ...], engines: str, plans: Path, seconds: float, 
         click.echo(f"{name}: {judgement.verdict.value}")
         found = elsewhere(judgement, asked, limits=Limits(seconds=seconds), jobs=usable_cores(), tell=lambda text: click.echo(f"  {text}"))
         rows[name] = (PIPELINES[name], judgement.verdict.value, found)
-        if markdown is not None:
-            write(markdown, as_markdown(asked, rows))
+        write(markdown, lambda: as_markdown(asked, rows))
     click.echo(as_markdown(asked, rows))
     return 0

@@ -1,14 +1,21 @@
-"""The metrics of a stage by question, of the inputs alone and with feedback; and where its motions end.
+"""A stage as it was judged: its metrics by question, of the inputs alone and with feedback; where its motions end; why a plan has its verdict.
 
 questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->  "replay_error", 0.6, 0.004
+deciding(stage).name, cause_of(run).advice   ->  "replay_terminal_position_error", "Take a smaller time step, or collocation."
+by_cause(runs)                               ->  each cause once, with its runs, the most frequent first
+
+The judge tells causes apart (`StageRecord.cause`); here they have their words. A record's own sentence (`StageRecord.why`) has the numbers.
 """
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from reports.records.record import FEEDBACK, TRACKED, MetricRecord, SceneRecord, StageRecord
-from reports.wording import measured
+from reports.records.check_record import CheckRecord
+from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, SceneRecord, StageRecord
+from reports.wording import capital, measured, spaced
 
 _JUDGE, SHOWN = "Is the judge well?", "Shown, not judged"
 
@@ -100,3 +107,128 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
     if not parts and whole is not None and whole.value is not None:
         parts.append(f"error {measured(whole.value, whole.unit)}")
     return ", ".join(parts)
+
+
+_EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
+_AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
+# Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
+_CAUSES = {
+    "start_error": ("The plan does not start where the task starts", "Plan from the task's start."),
+    "duration_error": ("The plan does not last as long as the task", "Plan over the whole task."),
+    "bound_violation": ("The inputs leave their bounds", "Give the bounds to the method."),
+    "velocity_bound_violation": ("The planned velocities leave their bounds", "Give the bounds to the method."),
+    "physics_scaled": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
+    "contact_law_error": ("Relaxed contact: the planned forces are not those of contact", _EXACT),
+    "law_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "discrete_terminal_position_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "discrete_terminal_velocity_error": ("Relaxed contact: exact contact on the plan's own grid gives another motion", _EXACT),
+    "force_sign_violation": ("A planned contact force pulls", "Bound the contact forces from below by zero."),
+    "friction_violation": ("Planned friction exceeds its cone", _EXACT),
+    "friction_dissipation_error": ("Planned friction does not oppose the slip", _EXACT),
+    "unexplained_force": ("The plan moves by forces that neither its inputs nor contact give", "Plan with the scene's own equations."),
+    "max_penetration": ("Bodies penetrate deeper than the contact's model reaches", "Push more slowly, or give the scene a contact model that reaches deeper."),
+    "ghost_impulse": ("Force at a distance: the plan is pushed where the replay touches nothing", _EXACT),
+    "missed_impulse": ("The replay touches where the plan does not", "Plan with exact contact on a finer grid."),
+    "defect": ("The plan does not solve its own discrete equations", "Tighten the solver's tolerance."),
+    "relaxed contact": ("Relaxed contact: the inputs do not give the planned motion", _EXACT),
+    "coarse grid": ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation."),
+    "unstable": (
+        "Unstable in the open loop: small errors grow until the plan is lost",
+        "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
+    ),
+    "motion": ("The inputs do not give the planned motion", "Look at the error over time on the page of the run."),
+}  # fmt: skip
+_AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What went wrong, and what to do; each a sentence."""
+
+    sentence: str
+    advice: str
+
+
+def deciding(stage: StageRecord) -> MetricRecord | None:
+    """The metric that decided a verdict: the first one, by questions, that is beyond its limit or open; of a plan that holds the one nearest to its limit.
+
+    None where nothing was judged.
+    """
+    judged = sorted((metric for metric in stage.metrics if metric.limit is not None), key=lambda metric: metric.question or 7)
+    alone = [metric for metric in judged if not metric.name.startswith((TRACKED, FEEDBACK))]
+    if stage.verdict == "violates":
+        return next((metric for metric in (*(item for item in alone if item.question), *judged) if metric.ok is False), None)
+    if stage.verdict == "undecided":
+        unsure = [metric for metric in alone if metric.ok is not True]
+        return next((metric for metric in unsure if metric.question is None), None) or next(iter(unsure), None)
+    if stage.verdict in HOLD:
+        counted = [metric for metric in judged if metric.name.startswith((TRACKED, FEEDBACK))] if stage.is_tracked else alone
+        return max((metric for metric in counted if metric.value is not None and metric.question), key=_share, default=None)
+    return None
+
+
+def _share(metric: MetricRecord) -> float:
+    """Of its limit."""
+    return abs(metric.value or 0.0) / metric.limit if metric.limit else 0.0
+
+
+def cause_of(run: RunRecord) -> Cause | None:
+    """Why a run does not hold; None where it does, or where nothing was asked of it."""
+    stage = run.last
+    if run.verdict in (*HOLD, "not applicable", "consistent"):
+        return None
+    if stage is None or run.verdict == "no plan":
+        advice = stage.advice if stage is not None and stage.outcome == run.outcome else _AGAIN
+        return Cause(f"No plan: {spaced(run.outcome)}", advice)
+    cause = stage.cause
+    if not cause:
+        return Cause(f"{capital(run.verdict)}: {stage.why.split('. ')[0].rstrip('.') or 'the record does not say why'}", stage.advice)
+    if run.verdict == "undecided":
+        return Cause(f"Undecided: the replay's own error leaves {spaced(cause)} open", "Replay with tighter tolerances.")
+    if cause in ("cost", "replay_cost"):
+        return Cause(f"{_DEAR} ({spaced(stage.outcome)})", stage.advice)
+    if cause.startswith("terminal"):
+        return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
+    return Cause(*_CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice)))
+
+
+def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:
+    """Each cause once, with the runs that fail by it in their order; the most frequent first."""
+    found: dict[Cause, list[RunRecord]] = {}
+    for run in runs:
+        cause = cause_of(run)
+        if cause is not None:
+            found.setdefault(cause, []).append(run)
+    return sorted(found.items(), key=lambda item: -len(item[1]))
+
+
+# Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
+_KEPT = ("--scene", "--plugin", "--tools", "--time-limit")  # --tools: in records from before it was called --plugin
+_WITH_A_WORD = (*_KEPT, "-k", "-j", "--jobs", "--out", "--retry", "--engine")
+
+
+def again(record: RunRecord | CheckRecord) -> str:
+    """Into a folder of its own, because a campaign of one run would take the place of the whole one; the recorded command, if it is no campaign's."""
+    try:
+        words = shlex.split(record.provenance.command)
+    except ValueError:
+        return record.provenance.command
+    if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
+        return record.provenance.command
+    title = record.title if isinstance(record, CheckRecord) else f"{record.scene.name} x {record.pipeline}"
+    quoted = title.replace('"', '""')
+    return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"])
+
+
+def _kept(words: list[str]) -> list[str]:
+    """Of the words of a campaign's command those that say which runs there are: the options above and the campaign's file."""
+    kept: list[str] = []
+    place = 0
+    while place < len(words):
+        word = words[place]
+        width = 2 if word in _WITH_A_WORD else 1
+        # What belongs to no option is the campaign's file, whatever it is called.
+        if word in _KEPT or word.startswith(tuple(f"{option}=" for option in _KEPT)) or not word.startswith("-"):
+            kept += words[place : place + width]
+        place += width
+    return kept

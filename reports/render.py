@@ -29,49 +29,43 @@ from markupsafe import Markup
 
 from reports import wording
 from reports.pages import (
+    campaign,
+    checks,
     errata,
-    failures,
-    fmus,
     overview,
     pareto,
-    provenance,
     robustness,
     run,
-    runs,
     scene,
     simulators,
-    stress_cases,
     sweeps,
     table1,
-    tightening,
-    time_spent,
     tolerance,
-    truth,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
 from reports.records.check_record import CheckRecord
+from reports.records.engines_record import TruthRecord
 from reports.records.load import ReportError, Stored, load, record_files
 from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
-from reports.records.truth_record import TruthRecord
 
 SINGLE = "single.html"
 _HERE = Path(__file__).parent
 # What report.html shows before its index of the other pages.
-_TOP = (overview.build, table1.build, failures.build)
+_TOP = (overview.build, table1.build, overview.what_failed)
 # What the page of a scene shows.
-_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.build, tightening.build, scene.model)
+_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.build, sweeps.tightening, scene.model)
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
-    "runs": (runs.build,),
+    "runs": (run.all_runs,),
     "robustness": (robustness.build,),
     "simulators": (simulators.build,),
     "sweeps": (sweeps.build,),
-    "stress-cases": (stress_cases.build,),
-    "fmus": (fmus.build,),
+    "stress-cases": (checks.stress_cases,),
+    "fmus": (checks.fmus,),
     "errata": (errata.build, errata.violation),
-    "time-spent": (time_spent.build,),
-    "provenance": (provenance.build,),
+    "time-spent": (campaign.time_spent,),
+    "provenance": (campaign.provenance,),
 }
 _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
@@ -186,7 +180,7 @@ def render_players(folder: Path) -> dict[str, str]:
 def render_checks(records: Sequence[CheckRecord]) -> str:
     """The text of the page of FMUs that were checked outside of any campaign; at least one."""
     names = ", ".join(record.name for record in records)
-    return page(Templates(), [fmus.of(records)], title="FMUs under the check", lead=names, again="")
+    return page(Templates(), [checks.fmus_of(records)], title="FMUs under the check", lead=names, again="")
 
 
 def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None = None, folder: Path | None = None) -> str:
@@ -197,7 +191,7 @@ def render_robustness(record: RobustnessRecord, plan: str, run: RunRecord | None
 
 def render_truth(record: TruthRecord, again: str) -> str:
     """The text of the page of the truth suite. again: the command that makes it anew."""
-    return page(Templates(), [truth.build(record)], title="The contact truth suite", lead=record.summary, again=again)
+    return page(Templates(), [simulators.truth(record)], title="The contact truth suite", lead=record.summary, again=again)
 
 
 def page(

@@ -311,8 +311,7 @@ def _tell(out: Path, name: str, rows: list[dict[str, Any]], published: dict[str,
     store_tables(out, name, f"MPECs: {name}", (__doc__ or "").split("\n\n")[0], tables, rows, quiet=True)
     with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([_COLUMNS, *lines])
-    if markdown is not None:
-        write(markdown, "\n".join(as_markdown(told) for told in (_page(table), *tables[1:])))
+    write(markdown, lambda: "\n".join(as_markdown(told) for told in (_page(table), *tables[1:])))
     click.echo("\n".join(table.notes))
 
 

@@ -166,8 +166,7 @@ def command(
             compared(runs.values())
             _store(out, runs, quiet=True)
     costs = _store(out, runs, quiet=False)
-    if markdown is not None:
-        write(markdown, as_markdown(costs))
+    write(markdown, lambda: as_markdown(costs))
     return 0
 
 

@@ -29,10 +29,7 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
         return candidate.outcome, f"{candidate.message}; {summary}"
     if certificate is not None and certificate.lives_on_tolerance:
-        summary = (
-            f"violated by {certificate.forced:.1e} if the pairs held exactly" if certificate.forced < math.inf else "unknown at exact pairs"
-        )
-        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {summary}); {certificate.sentence}"
+        return Outcome.STALLED, f"the point holds only within tolerances; {summary}"
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
         return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"

@@ -58,8 +58,52 @@ _PARTS = {
 }
 
 
+class Counted:
+    """How the parts of a model are counted and named: the same of a scene as of somebody's FMU (validate.judge.replay.subject)."""
+
+    coordinates: tuple[Any, ...]
+    inputs: tuple[Any, ...]
+    contacts: tuple[Any, ...]
+    frictions: tuple[Any, ...]
+    limits: tuple[Limit, ...]
+
+    @property
+    def nq(self) -> int:
+        """The number of coordinates."""
+        return len(self.coordinates)
+
+    @property
+    def nu(self) -> int:
+        """The number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def nc(self) -> int:
+        """The number of contacts."""
+        return len(self.contacts)
+
+    @property
+    def nf(self) -> int:
+        """The number of frictions."""
+        return len(self.frictions)
+
+    @property
+    def nl(self) -> int:
+        """Forces a plan holds for each step: nc contact forces, then nf friction forces."""
+        return self.nc + self.nf
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        """(nl,) as in the columns of a plan."""
+        return tuple(item.force_name for item in (*self.contacts, *self.frictions))
+
+    def limit(self, metric: str) -> Limit | None:
+        """What is said of the limit on a metric, or None: then the metric's default holds."""
+        return next((limit for limit in self.limits if limit.metric == metric), None)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Scene(Counted):
     """The single source of one scene; see the module docstring.
 
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
@@ -121,34 +165,9 @@ class Scene:
         _check(self)
 
     @property
-    def nq(self) -> int:
-        """The number of coordinates."""
-        return len(self.coordinates)
-
-    @property
-    def nu(self) -> int:
-        """The number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def nc(self) -> int:
-        """The number of contacts."""
-        return len(self.contacts)
-
-    @property
-    def nf(self) -> int:
-        """The number of frictions."""
-        return len(self.frictions)
-
-    @property
     def damped(self) -> tuple[int, ...]:
         """The damped contacts, by their places among the contacts."""
         return tuple(index for index, contact in enumerate(self.contacts) if contact.is_damped)
-
-    @property
-    def nl(self) -> int:
-        """Forces a plan holds for each step: nc contact forces, then nf friction forces."""
-        return self.nc + self.nf
 
     @property
     def relaxation_index(self) -> int | None:
@@ -156,18 +175,9 @@ class Scene:
         return None if self.relaxation_time is None else len(self.parameters) - 1
 
     @property
-    def force_names(self) -> tuple[str, ...]:
-        """(nl,) as in the columns of a plan."""
-        return tuple(item.force_name for item in (*self.contacts, *self.frictions))
-
-    @property
     def parameter_values(self) -> dict[sp.Symbol, float]:
         """Values of the parameters, by symbol."""
         return {parameter.symbol: parameter.value for parameter in self.parameters}
-
-    def limit(self, metric: str) -> Limit | None:
-        """What this scene says of the limit on a metric, or None: then the metric's default holds."""
-        return next((limit for limit in self.limits if limit.metric == metric), None)
 
     @property
     def depths(self) -> tuple[float, ...]:

@@ -1,1 +1,1 @@
-"""ONE FILE = ONE SECTION of the page: `build(report) -> Section | None`, with a template of the same name."""
+"""One file = what one page says, or pages that belong together: functions from a `Report` (and a scene) to a `Section`, or None where there is nothing to tell."""

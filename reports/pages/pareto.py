@@ -8,7 +8,7 @@ A plan that ends farther away has bought its lower cost with the miss; no price 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
@@ -45,8 +45,7 @@ _NOTHING = "No stage gave a plan that could be replayed, so there is nothing to 
 Point = tuple[float, float, Row]
 
 
-@dataclass(frozen=True)
-class ParetoView:
+class ParetoView(NamedTuple):
     """A plot and the sentence that concludes from its numbers."""
 
     plot: Plot

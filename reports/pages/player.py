@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -27,8 +27,7 @@ _SIDES = {"line": 1, "box": 2, "wall": 3}
 _FLAT = 1e-3
 
 
-@dataclass(frozen=True)
-class Film:
+class Film(NamedTuple):
     """JSON for the script, safe inside a script element."""
 
     data: Markup
@@ -180,8 +179,7 @@ def _peaks(times: NDArray[np.float64], values: NDArray[np.float64], wanted: NDAr
 _MOMENTS, _WIDTH, _HEIGHT, _GAP, _FOOT = 6, 150.0, 84.0, 8.0, 26.0
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(NamedTuple):
     """The SVG, and what it shows in words."""
 
     svg: Markup

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from reports.pages.pareto import keys, style_of
 from reports.pages.player import Film, film
@@ -81,8 +81,7 @@ def _curves(record: RobustnessRecord) -> Plot | None:
     return plot
 
 
-@dataclass(frozen=True)
-class Survivor:
+class Survivor(NamedTuple):
     """A plan that was tried: its row, what it costs, and how it fares."""
 
     row: Row

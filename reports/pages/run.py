@@ -1,13 +1,15 @@
-"""The page of one run: the verdict with what decided it, then motion, stages with questions and metrics, plots, where it comes from and how to repeat it."""
+"""The page of one run: the verdict with what decided it, then motion, stages with questions and metrics, plots, where it comes from and how to repeat it.
+
+And all runs as one table, in the campaign's order: verdict, cost, errors apart, seconds, and why; in a single file with all that is told of each below it.
+"""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from reports.causes import again, cause_of, deciding
-from reports.judged import QuestionView, end_of, questions_of
+from reports.judged import QuestionView, again, cause_of, deciding, end_of, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
@@ -21,8 +23,7 @@ from reports.wording import capital, cost, count, percent, small, tail
 _BINS = 40  # across the range of costs
 
 
-@dataclass(frozen=True)
-class Optimum:
+class Optimum(NamedTuple):
     """A distinct optimum: its cost, the starts that reached it, and its contact windows."""
 
     cost: float
@@ -37,8 +38,7 @@ class Optimum:
         return "; ".join(f"{kind} ({', '.join(map(str, numbers[kind]))})" for kind in kinds)
 
 
-@dataclass(frozen=True)
-class Spread:
+class Spread(NamedTuple):
     """words: how many were solved, the cheapest, the median and the dearest."""
 
     words: str
@@ -47,8 +47,7 @@ class Spread:
     failed: list[StartRecord]
 
 
-@dataclass(frozen=True)
-class StageView:
+class StageView(NamedTuple):
     """A stage and what is drawn of it.
 
     questions: what was asked and measured, of the last stage; ends: (which replay, where it ends); idle: no method of ours ran.
@@ -62,8 +61,7 @@ class StageView:
     idle: bool
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """Why a run has its verdict.
 
     question, metric: that decided it, or came nearest to its limit; cause, advice: empty where there is nothing to mend; ends: where its replay ends, in words.
@@ -76,16 +74,14 @@ class Decision:
     ends: str
 
 
-@dataclass(frozen=True)
-class MetricRow:
+class MetricRow(NamedTuple):
     """A judged metric over the stages of a run; found: of each stage that of the replay which is judged, None where it was not measured."""
 
     metric: MetricRecord
     found: list[MetricRecord | None]
 
 
-@dataclass(frozen=True)
-class RunView:
+class RunView(NamedTuple):
     """A run and its stages; the film shows the last stage that has something to show."""
 
     run: RunRecord
@@ -210,3 +206,45 @@ def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
             tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows_text(start.windows)}"
             plot.point(price, place, "direct", "circle", tip)
     return plot
+
+
+class Listed(NamedTuple):
+    """A run as a row. link: of its page; errors: of its judged replay, position and velocity at the end, and from the plan; why: in a few words.
+
+    anchor, view: where it stands and all that is told of it, where that is here.
+    """
+
+    run: RunRecord
+    link: str
+    errors: list[MetricRecord | None]
+    why: str
+    anchor: str
+    view: RunView | None
+
+
+def all_runs(report: Report) -> Section | None:
+    """The section, or None where no run is stored."""
+    runs = report.stored.runs
+    if not runs:
+        return None
+    listed = [_listed(report, run) for run in runs]
+    holding = sum(run.verdict in HOLD for run in runs)
+    said = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
+    # In a single file the contents lead to the first run of each scene: hundreds of lines would be none.
+    first = {run.scene.name: report.anchor(run) for run in reversed(runs)} if report.single else {}
+    return Section(
+        "runs",
+        "All runs",
+        "run.html",
+        {"listed": listed},
+        tuple((first[scene.name], scene.name) for scene in report.scenes if first),
+        said,
+    )
+
+
+def _listed(report: Report, run: RunRecord) -> Listed:
+    names = ("terminal_position_error", "terminal_velocity_error", "error")
+    errors = [run.last.judged(f"replay_{name}") if run.last else None for name in names]
+    cause = cause_of(run)
+    why = cause.sentence if cause is not None else not_applicable(run)
+    return Listed(run, report.link(run), errors, why, report.anchor(run), view_of(report, run) if report.single else None)

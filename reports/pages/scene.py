@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from markupsafe import Markup, escape
@@ -32,8 +32,7 @@ def time_step(report: Report, scene: str) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Shown:
+class Shown(NamedTuple):
     """The motion that stands for a scene. said: which of its plans that is; film: None where the scene has no shapes."""
 
     run: RunRecord

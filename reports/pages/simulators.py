@@ -1,4 +1,7 @@
-"""What other simulators say: of one plan (`replay --engine`), and of a campaign's cheapest plan on each scene (`report --engine`)."""
+"""What engines say: of one plan (`replay --engine`), of a campaign's cheapest plan on each scene (`report --engine`), and of the truth suite (`truth`).
+
+Of the suite: a table of problems by engines, what explains the largest disagreement on each, and error against CPU time.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from reports.pages.checks import plot_of
 from reports.pages.section import Report, Section
+from reports.records.engines_record import EngineRecord, TruthRecord, TruthRow
 from reports.records.record import RunRecord
-from reports.records.simulators_record import EngineRecord
 from reports.wording import count, listing
 
 
@@ -44,3 +48,56 @@ def sentence(engine: str, rows: Sequence[tuple[RunRecord, EngineRecord]]) -> str
     words += [f"otherwise by {listing([f'{kind} ({number})' for kind, number in kinds.most_common()])}"] if kinds else []
     words += [f"no answer on {listing(untold)}"] if untold else []
     return f"{'; '.join(words)}."
+
+
+def truth(record: TruthRecord) -> Section:
+    """The section of the page."""
+    values = {
+        "record": record,
+        "problems": record.problems,
+        "largest": [largest_disagreement(rows) for rows in record.problems],
+        "plots": [plot_of(chart) for chart in record.charts],
+    }
+    return Section("truth", "What is true, and what engines make of it", "truth.html", values)
+
+
+def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
+    """The row that is furthest from the truth; of those that came to no number the first, where all others are no further; None without a row."""
+    lost = [row for row in rows if row.came == "done" and row.error is None]
+    told = sorted((row for row in rows if row.error is not None), key=lambda row: row.error or 0.0)
+    return next(iter([*lost, *reversed(told), *rows]), None)
+
+
+def as_markdown(record: TruthRecord, command: str) -> str:
+    """The same as a page of the docs, without times: it is equal whenever it is made."""
+    head = ["problem", *record.engines]
+    lines = [
+        "# The contact truth suite",
+        "",
+        f"Made by `{command}`; [engines.md](engines.md) says what each engine is told.",
+        "",
+        record.summary,
+        "",
+    ]
+    lines += [f"- **{name}**: {words}." for name, words in record.engines.items()]
+    lines += [
+        "",
+        "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step.",
+        "",
+    ]
+    lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for rows in record.problems:
+        lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(cell, rows))} |")
+    lines += ["", "What explains the largest disagreement:", "", "| problem | exact answer | furthest | why |", "|---|---|---|---|"]
+    for rows in record.problems:
+        worst = largest_disagreement(rows)
+        if worst is not None:
+            lines.append(f"| {worst.phenomenon}: {worst.problem} | {worst.source} | {worst.engine} | {worst.sentence} |")
+    return "\n".join(lines) + "\n"
+
+
+def cell(row: TruthRow) -> str:
+    """The error at the finest level and its order, or what came of asking."""
+    if row.came != "done":
+        return row.came
+    return "diverges" if row.error is None else f"{row.error:.0e}{'' if row.order is None else f' ({row.order:.1f})'}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,7 @@ _HISTORY_WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class StagePlots:
+class StagePlots(NamedTuple):
     """`absent`: for each thing that cannot be drawn, the reason."""
 
     keys: list[Key]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from reports.judged import distance_of
 from reports.pages.section import Report, Section
@@ -20,8 +20,7 @@ _NOT_TO_BLAME = " Plans at a fraction of the paper's cost hold after the replay,
 _WHERE = {"plan": "", "grid": "discrete_", "replay": "replay_"}
 
 
-@dataclass(frozen=True)
-class TerminalError:
+class TerminalError(NamedTuple):
     """A terminal error as a cell shows it, of the judged replay where it is of one.
 
     position, velocity: apart, each in its unit; norm: of both together, where they are not known apart; alone: the position by the inputs alone, of a stage

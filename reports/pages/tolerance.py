@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
@@ -17,8 +17,7 @@ _SAME = 1e-6
 _ON_IT = "on it"
 
 
-@dataclass(frozen=True)
-class Beside:
+class Beside(NamedTuple):
     """A row beside the front: what the plans that end as near to the goal cost at least, as far as is known."""
 
     row: Row
@@ -28,8 +27,7 @@ class Beside:
     above: str
 
 
-@dataclass(frozen=True)
-class Exactness:
+class Exactness(NamedTuple):
     """The front that one run found. link: of that run."""
 
     run: RunRecord

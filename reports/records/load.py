@@ -14,8 +14,8 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.records.check_record import CheckRecord, divided, record_of
+from reports.records.engines_record import SIMULATORS, SimulatorsRecord
 from reports.records.record import HOLD, SCHEMA_VERSION, CampaignRecord, RunRecord, SecondsRecord, StartRecord
-from reports.records.simulators_record import SIMULATORS, SimulatorsRecord
 from reports.wording import clean
 
 # A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.

@@ -308,7 +308,7 @@ class ShareRecord(BaseModel):
 
 
 class SurveyRecord(Model):
-    """How a plan that holds fares in perturbed worlds (validate.judge.robustness.survey).
+    """How a plan that holds fares in perturbed worlds (validate.judge.robustness.robustness.survey).
 
     alone, feedback: how many worlds it arrives in; checked, differ: worlds that the reference was asked about too, and in how many it says otherwise; weakest:
     of which perturbation by itself it takes the fewest sizes, how far [unit], and by what it fails there; message: why it was not tried.

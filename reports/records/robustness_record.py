@@ -105,26 +105,17 @@ class FailureRecord(_Model):
         return f"{self.cause.name} by {self.amount:+.3g}{of} ({self.sizes:.2f} of its size)"
 
     @property
-    def is_trusted(self) -> bool:
-        """Whether what the slopes predict says of itself that it is right: curvatures change little of it, and contacts stay in their order, moved either way."""
-        return self.same_modes and _same(self.predicted, self.curved)
-
-    @property
     def compared(self) -> str:
         """How the size that the slopes predict stands to the one that was found."""
         if self.predicted is None:
             return "it predicts none" if self.sizes is not None else "none either"
         if self.sizes is None:
             return f"{self.predicted:.3g}, not found"
-        if _same(self.predicted, self.sizes):
+        if abs(self.predicted - self.sizes) <= SAME * self.sizes:
             return f"{self.predicted:.3g}, the same within {SAME:.0%}"
         if not self.same_modes:
             return f"{self.predicted:.3g}; contacts close in another order by then, moved one way or the other"
         return f"{self.predicted:.3g}; the response bends{'' if self.curved is None else f', by its curvature to {self.curved:.3g}'}"
-
-
-def _same(one: float | None, other: float | None) -> bool:
-    return one is not None and other is not None and abs(one - other) <= SAME * other
 
 
 class RobustnessRecord(_Model):

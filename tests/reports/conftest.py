@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.records.simulators_record import SIMULATORS
+from reports.records.engines_record import SIMULATORS
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 
 from reports.paper import TABLE_1
+from reports.records.engines_record import EngineRecord, SimulatorsRecord
 from reports.records.record import (
     CampaignRecord,
     ContactRecord,
@@ -30,7 +31,6 @@ from reports.records.record import (
     ViolationPoint,
     stage_files,
 )
-from reports.records.simulators_record import EngineRecord, SimulatorsRecord
 from reports.traces import Motion, Trace, read_motion
 
 STEP, STEPS, STIFFNESS, DAMPING, LENGTH = 0.01, 500, 30.0, 2.0, 0.5

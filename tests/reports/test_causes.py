@@ -3,7 +3,7 @@
 import pytest
 from wording import unsaid
 
-from reports.causes import by_cause, cause_of
+from reports.judged import by_cause, cause_of
 
 
 def ended(factory, verdict: str, *, name: str = "strict", outcome: str = "solved", **changes):

@@ -4,7 +4,7 @@ import shlex
 
 import pytest
 
-from reports.causes import again
+from reports.judged import again
 from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.records.load import load

@@ -8,8 +8,7 @@ import pytest
 from wording import unsaid
 
 from reports.render import write_report
-from reports.rule import failures
-from reports.rule_text import RESULTS, RULE
+from reports.rule import RESULTS, RULE, failures
 
 
 def words_of(folder: Path) -> str:

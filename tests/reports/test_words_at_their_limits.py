@@ -5,7 +5,7 @@ import math
 import pytest
 
 from reports import findings, judged, rows, rule, wording
-from reports.causes import _CAUSES, again, cause_of, deciding
+from reports.judged import _CAUSES, again, cause_of, deciding
 from reports.records.record import QuantityRecord, RunRecord
 from tests.reports import record_factory as factory
 from tests.reports.record_factory import judged as metric

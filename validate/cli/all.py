@@ -1,16 +1,25 @@
-"""`all`: the campaign."""
+"""`all`: the campaign. How one is run and what is said of it, `run` shares."""
 
 from __future__ import annotations
 
+import json
+import signal
+from collections.abc import Sequence
 from typing import Any
 
 import click
 
-from reports.rule_text import RESULTS, RULE
+from models.errors import MachineError
+from reports.judged import Cause, by_cause, cause_of
+from reports.records.record import RunRecord
+from reports.rule import RESULTS, RULE, fails, failures
+from validate.cli.narrator import narrator
 from validate.cli.options import result_options, running_options
-from validate.cli.running import run_and_tell
+from validate.cli.table import print_table, say, short
+from validate.execution.campaign import CampaignResult, run_campaign
 from validate.plan.runs import CampaignSettings
 from validate.store.provenance import command_line
+from validate.store.results import check_rows, rows
 
 _RULE = "\n\n".join(["A campaign fails (exit code 1) if", *(f"- {line}{'.' if line == RULE[-1] else ';'}" for line in RULE), *RESULTS])
 _EPILOG = f"""{_RULE}
@@ -51,3 +60,143 @@ def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options
     """
     settings = CampaignSettings(command=command_line(arguments), **options)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)
+
+
+# Words of a command that the same command, typed again to go on, does without.
+_ONCE = frozenset({"--fresh", "--lf", "--last-failed", "-x"})
+# So many of what --quick left out are named.
+_NAMED = 6
+# Columns of results.csv that a terminal has room for: title and pattern.
+_TITLES = (
+    ("scene", "scene", ""),
+    ("pipeline", "pipeline", ""),
+    ("stage", "stage", ""),
+    ("method", "method", ""),
+    ("eps", "eps", "g"),
+    ("outcome", "outcome", ""),
+    ("cost", "cost", ".2f"),
+    ("terminal_error", "terminal error", ".2e"),
+    ("replay_terminal_error", "replayed", ".2e"),
+    ("physics", "physics", ".4g"),
+    ("verdict", "verdict", ""),
+    ("stage_cpu_s", "CPU s", ".2f"),
+    ("stage_s", "wall s", ".2f"),
+)
+_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "CPU s", "wall s")
+_DROPPED = ("wall s", "stage", "physics", "terminal error", "outcome", "replayed", "method", "eps", "CPU s")
+
+
+def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], *, as_json: bool, as_table: bool) -> int:
+    """Run it, progress on stderr, results on stdout; the exit code. arguments: the words of the command. Raises TouchstoneError."""
+    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished runs kept. What nohup ignores stays ignored.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    teller = narrator()
+    resume = typed([word for word in arguments if word not in _ONCE])
+    try:
+        outcome = run_campaign(settings, teller)
+        if settings.stop_early and teller.stored + teller.done < teller.total:
+            click.echo(f"stopped at the first failure (-x): {teller.so_far(settings.out)}", err=True)
+        if as_json:
+            _print_json(outcome, settings)
+        else:
+            if as_table and outcome.records:
+                _print_results(outcome.records)
+                click.echo()
+            _print_summary(outcome, settings)
+            click.echo(f"again:   {typed(arguments)}")
+    except (KeyboardInterrupt, MachineError) as error:
+        done = teller.stored + teller.done
+        kept = teller.so_far(settings.out) if teller.total else "nothing was run yet"
+        if isinstance(error, MachineError):
+            if done < teller.total:
+                click.echo(f"stopped: {kept}; resume with: {resume}", err=True)
+            raise
+        click.echo(f"interrupted: {kept}; resume with: {resume}", err=True)
+        return 130
+    return outcome.exit_code
+
+
+def typed(arguments: Sequence[str]) -> str:
+    """The command as it was typed."""
+    return command_line(arguments, str(click.get_current_context().find_root().info_name))
+
+
+def _print_summary(outcome: CampaignResult, settings: CampaignSettings) -> None:
+    for sentence in outcome.conclusions:
+        say(sentence, begin="- ", indent="  ")
+    if outcome.conclusions:
+        click.echo()
+    for kind in dict.fromkeys(record.kind for record in outcome.checks):
+        passed = [record.passed for record in outcome.checks if record.kind == kind]
+        say(f"{kind}: {sum(passed)} of {len(passed)} checks passed")
+    if settings.quick:
+        say(f"left out by --quick: {_named(outcome.left_out)}")
+    _print_causes([run for run in outcome.records if run.must_hold and not fails(run)])
+    for sentence in _grouped(outcome):
+        say(sentence, begin="fails: ", indent="  ", colour="red")
+    if outcome.records and all(record.outcome == "refused" for record in outcome.records):
+        say("nothing was judged: no method applies to its scene, for the reasons in the report")
+    elif not outcome.failures:
+        say("all required checks passed")
+    click.echo(f"report:  {outcome.report}")
+    click.echo(f"results: {settings.out / 'results.csv'}")
+
+
+def _print_causes(runs: Sequence[RunRecord]) -> None:
+    """Why runs that should hold do not, although nothing is wrong with touchstone: each cause once, with what to do."""
+    lines = [[str(len(mine)), cause.sentence, cause.advice] for cause, mine in by_cause(runs)]
+    if lines:
+        print_table(["runs", "why they do not hold", "what to do"], lines, ("runs",), drop=("what to do",))
+        click.echo()
+
+
+def _grouped(outcome: CampaignResult) -> list[str]:
+    """Why the campaign fails: a sentence for each cause that several runs share, and for each failure that is alone with its cause."""
+    causes = {sentence: cause for run in outcome.records if (cause := cause_of(run)) for sentence in failures([run])[:1]}
+    groups: dict[Cause | str, list[str]] = {}
+    for sentence in outcome.failures:
+        groups.setdefault(causes.get(sentence, sentence), []).append(sentence)
+    return [
+        sentences[0] if len(sentences) == 1 or isinstance(cause, str) else _shared(cause, sentences) for cause, sentences in groups.items()
+    ]
+
+
+def _shared(cause: Cause, sentences: Sequence[str]) -> str:
+    names = [sentence.partition(": ")[0] for sentence in sentences]
+    return f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})"
+
+
+def _named(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}" if names else "nothing"
+
+
+def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
+    data = {
+        "results": rows(outcome.records),
+        "checks": check_rows(outcome.checks),
+        "conclusions": list(outcome.conclusions),
+        "failures": list(outcome.failures),
+        "findings": list(outcome.findings),
+        "left_out": list(outcome.left_out),
+        "report": str(outcome.report),
+        "out": str(settings.out),
+        "exit_code": outcome.exit_code,
+    }
+    click.echo(json.dumps(data, indent=1, allow_nan=False))
+
+
+def _print_results(records: Sequence[RunRecord]) -> None:
+    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
+    content = rows(records)
+    for row in content:
+        if row["judged"] == "feedback":
+            row["replay_terminal_error"] = row["tracked_replay_terminal_error"]
+    cells = [[short(row[name], pattern) for name, _, pattern in _TITLES] for row in content]
+    place = [name for name, _, _ in _TITLES].index("verdict")
+    for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
+        if stage.kind == "indirect" and stage.verdict == "violates":
+            line[place] = "as expected: violates"
+    print_table([title for _, title, _ in _TITLES], cells, _NUMBERS, drop=_DROPPED)

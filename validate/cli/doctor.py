@@ -28,6 +28,7 @@ from models.catalog import load_scene
 from models.codegen.cache import cache_folder
 from models.codegen.compiler import compile_shared, find_compiler
 from models.errors import MachineError
+from validate.cli.options import folder_of
 from validate.cli.table import say
 from validate.execution.isolated import Isolated, Limits, run_isolated
 from validate.execution.process import usable_cores
@@ -57,14 +58,12 @@ _COLOURS = {State.OK: "green", State.ABSENT: "yellow", State.BROKEN: "red"}
 
 
 @click.command(epilog=_EPILOG)
-@click.option(
-    "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder a campaign would use."
-)
+@folder_of("--out", "The folder a campaign would use.")
 @click.option("--json", "as_json", is_flag=True, help="The findings as JSON on stdout.")
-def command(out: Path, as_json: bool) -> int:
+def command(folder: Path, as_json: bool) -> int:
     """Try each thing that `all` needs - compiler, cache, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
     findings = []
-    for finding in examine_machine(out):
+    for finding in examine_machine(folder):
         findings.append(finding)
         if not as_json:
             begin, indent = f"{finding.state.value:13}  ", " " * 15

@@ -71,22 +71,19 @@ def command(
     coupled: bool,
 ) -> int:
     """Export a scene, or a robot of MuJoCo, as an FMU: Co-Simulation and Model Exchange in one file."""
-    if (scene is None) == (mjcf is None):
-        raise click.UsageError("give either a scene or --mjcf ROBOT.xml.")
-    if mjcf is not None and (coupled or platforms):
-        raise click.UsageError("--mjcf writes one FMU for this machine; leave out --coupled and --platform.")
-    if mjcf is not None and output.suffix.lower() != ".fmu":
-        raise click.UsageError(
-            f"{output}: with --mjcf it is an FMU, beside which its map is written; call it {output.with_suffix('.fmu').name}."
-        )
-    if mjcf is None and (contacts or keyframe):
-        raise click.UsageError("--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start.")
-    if coupled and (version != "2" or platforms):
-        raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
-    if output.suffix.lower() == (".fmu" if coupled else ".ssp"):
-        raise click.UsageError(
-            f"{output}: {'--coupled writes an .ssp' if coupled else 'this is an FMU, and only --coupled writes an .ssp'}; call it {output.with_suffix('.ssp' if coupled else '.fmu').name}."
-        )
+    ending, other = (".ssp", ".fmu") if coupled else (".fmu", ".ssp")
+    named = f"call it {output.stem}{ending}."
+    own = "--coupled writes an .ssp" if coupled else "this is an FMU, and only --coupled writes an .ssp"
+    for wrong, sentence in (
+        ((scene is None) == (mjcf is None), "give either a scene or --mjcf ROBOT.xml."),
+        (mjcf and (coupled or platforms), "--mjcf writes one FMU for this machine; leave out --coupled and --platform."),
+        (mjcf and output.suffix.lower() != ".fmu", f"{output}: with --mjcf it is an FMU, beside which its map is written; {named}"),
+        (not mjcf and (contacts or keyframe), "--contact and --keyframe belong to --mjcf; a scene has its own contacts and its own start."),
+        (coupled and (version != "2" or platforms), "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform."),
+        (output.suffix.lower() == other, f"{output}: {own}; {named}"),
+    ):
+        if wrong:
+            raise click.UsageError(sentence)
     if mjcf is not None:
         return _robot(mjcf, contacts, keyframe, output, f"{version}.0")
     loaded = load_scene(str(scene))

@@ -21,6 +21,9 @@ from validate.store.disk import make_folder, write_durably
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
+_A_FILE = click.Path(path_type=Path)
+
+
 def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Names of scenes, and files where a path has begun or no name fits."""
     names = [CompletionItem(name) for name in scene_names() if name.startswith(begun)]
@@ -44,10 +47,17 @@ def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[_Co
     return click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")
 
 
-def write(file: Path, content: str | bytes) -> None:
-    """Write such a file, its folder too. Raises MachineError where the disk refuses."""
-    make_folder(file.parent)
-    write_durably(file, content)
+def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
+    """Write what is made for such a file, if there is to be one, and its folder too. Raises MachineError where the disk refuses."""
+    if file is not None:
+        content = make()
+        make_folder(file.parent)
+        write_durably(file, content)
+
+
+def folder_of(option: str, words: str) -> Callable[[_Command], _Command]:
+    """An option for the folder of a campaign, runs/all without it."""
+    return click.option(option, "folder", type=_A_FILE, default="runs/all", show_default=True, metavar="DIR", help=words)
 
 
 def _our_plugin() -> str:
@@ -57,7 +67,6 @@ def _our_plugin() -> str:
     return DEFAULT_PLUGIN
 
 
-_A_FILE = click.Path(path_type=Path)
 _FMU = (
     click.option("--fmu", type=_A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
     click.option("--map", "map_path", type=_A_FILE, metavar="MAP.toml",
@@ -138,12 +147,8 @@ _ENDING = (
     click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
     click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
 )
-_OUT = click.option(
-    "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign."
-)
-_OUT_OF_FILE = click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]"
-)
+_OUT = click.option("--out", type=_A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
+_OUT_OF_FILE = click.option("--out", type=_A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
 
 
 def fmu_options(command: _Command) -> _Command:
@@ -151,25 +156,27 @@ def fmu_options(command: _Command) -> _Command:
     return _decorated(command, _FMU)
 
 
-def check_fmu_options(scene: str | None, fmu: Path | None, map_path: Path | None, own_step: bool) -> None:
-    """Raise click.UsageError for what belongs to the other of scene and FMU."""
+def wiring(
+    scene: str | None, fmu: Path | None, *, map_path: Path | None, hold: str | None, time_limit: float, memory_limit: float, own_step: bool
+) -> dict[str, Any]:
+    """What `judge_fmu` and `wire_fmu` ask beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
         raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
     if own_step and fmu is None:
         raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+    from validate.execution.isolated import Limits  # 30 ms, which `show` and others do without
+
+    limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
+    return {"map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step}
 
 
 def result_options(command: _Command) -> _Command:
     """How results are printed."""
-    json_words, table_words = "All of it, as JSON on stdout.", "A table with a row for each stage of each run (`plan`: for each run)."
-    options = (
-        click.option("--table", "as_table", is_flag=True, help=table_words),
-        wide_option,
-        click.option("--json", "as_json", is_flag=True, help=json_words),
-    )
-    return _decorated(command, options)
+    words = "A table with a row for each stage of each run (`plan`: for each run)."
+    table = click.option("--table", "as_table", is_flag=True, help=words)
+    return _decorated(command, (table, wide_option, click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout.")))
 
 
 def campaign_options(command: _Command) -> _Command:

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
-from validate.cli.options import check_fmu_options, fmu_options, scenes, write, written_to
+from validate.cli.options import fmu_options, scenes, wiring, write, written_to
 from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
-from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.simulator import named_engines
 from validate.store.disk import make_folder, write_durably
@@ -85,18 +84,14 @@ def command(
     plan: Path,
     scene: str | None,
     fmu: Path | None,
-    map_path: Path | None,
-    hold: str | None,
-    time_limit: float,
-    memory_limit: float,
     track: bool,
     require: str,
-    own_step: bool,
     varied: tuple[str, ...],
     engines: str | None,
     as_json: bool,
     html_file: Path | None,
     out: Path | None,
+    **given: Any,
 ) -> int:
     """Replay a plan through an FMU, in a process of its own, and print its score.
 
@@ -104,26 +99,29 @@ def command(
     does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
     map, docs/verdict.md what is asked.
     """
-    check_fmu_options(scene, fmu, map_path, own_step)
+    wired = wiring(scene, fmu, **given)
     if varied and fmu is None:
         raise click.UsageError("--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says.")
     factors = _factors(varied)
     if engines is not None and fmu is not None:
         raise click.UsageError("--engine belongs to --scene: another simulator cannot step somebody's FMU.")
     asked = named_engines(engines) if engines is not None else ()
-    limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
     # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
         from validate.judge.judgement import judge_fmu
 
-        judge = partial(judge_fmu, fmu, plan, map_path=map_path, hold=hold, feedback=track, limits=limits, own_step=own_step)
+        judge = partial(judge_fmu, fmu, plan, feedback=track, **wired)
         judgement, warnings = judge(), []
         changes = [_change(judgement, judge(factors={name: factor}), name, factor) for name, factor in factors.items()]
     else:
-        judgement, warnings = _of_scene(str(scene), plan, hold, limits, track)
+        judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)
         changes = []
-    rows = _elsewhere(judgement, asked, limits) if asked else []
+    rows = []
+    if asked:
+        from validate.judge.elsewhere import elsewhere
+
+        rows = elsewhere(judgement, asked, limits=wired["limits"], jobs=usable_cores(), tell=lambda text: say(text, err=True))
     told = _told(judgement, warnings)
     if changes:
         told["varied"] = changes
@@ -131,8 +129,7 @@ def command(
         told["engines"] = [row.as_json() for row in rows]
     if out is not None:
         _write(out, told, judgement)
-    if html_file is not None:
-        _write_page(html_file, judgement, plan, arguments, told)
+    write(html_file, lambda: _page(judgement, plan, arguments, told))
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
@@ -201,12 +198,6 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
 
 
-def _elsewhere(judgement: Judgement, engines: tuple[str, ...], limits: Limits) -> list[EngineVerdict]:
-    from validate.judge.elsewhere import elsewhere
-
-    return elsewhere(judgement, engines, limits=limits, jobs=usable_cores(), tell=lambda text: say(text, err=True))
-
-
 def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
     """What is printed as JSON and written to score.json."""
     replay, result = judgement.replay, judgement.score
@@ -260,11 +251,11 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
-def _write_page(target: Path, judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]) -> None:
+def _page(judgement: Judgement, plan: Path, arguments: tuple[str, ...], told: dict[str, Any]) -> str:
     from validate.store.provenance import command_line
     from validate.tasks.shown import JudgedPlan
 
-    write(target, JudgedPlan.of(judgement, plan).page(command_line(arguments), told["warnings"], told.get("engines", ())))
+    return JudgedPlan.of(judgement, plan).page(command_line(arguments), told["warnings"], told.get("engines", ()))
 
 
 def _print(judgement: Judgement) -> None:

@@ -13,10 +13,9 @@ from models.catalog import load_scene
 from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
-from validate.cli.options import check_fmu_options, fmu_options, scenes, write, written_to
+from validate.cli.options import fmu_options, folder_of, scenes, wiring, write, written_to
 from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
-from validate.execution.isolated import Limits
 from validate.judge.judgement import as_trajectory, wire_fmu
 from validate.judge.robustness import PerturbationKind, Robustness, robustness
 from validate.store.stored import CampaignError
@@ -39,9 +38,7 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 )
 @click.argument("plan", metavar="PLAN.csv|RUN")
 @click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for; of a run, its own.")
-@click.option(
-    "--in", "folder", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The campaign of a run."
-)
+@folder_of("--in", "The campaign of a run.")
 @click.option("--samples", type=int, default=1000, show_default=True, help="How many worlds; a quarter of them with feedback too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds.")
 @fmu_options
@@ -64,16 +61,12 @@ def command(
     samples: int,
     seed: int,
     fmu: Path | None,
-    map_path: Path | None,
-    hold: str | None,
-    time_limit: float,
-    memory_limit: float,
-    own_step: bool,
     kinds: tuple[str, ...],
     anyway: bool,
     as_json: bool,
     html_file: Path | None,
     csv_file: Path | None,
+    **given: Any,
 ) -> int:
     """Try a plan in perturbed worlds: in what share of them it still arrives, and what it takes least of.
 
@@ -81,14 +74,8 @@ def command(
     the plan fails. Inputs alone and with feedback apart.
     """
     if fmu is not None:
-        check_fmu_options(scene, fmu, map_path, own_step)
-        limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-        subject, trajectory, name = (
-            wire_fmu(fmu, plan, map_path=map_path, hold=hold, limits=limits, own_step=own_step),
-            None,
-            Path(plan).name,
-        )
-    elif map_path is not None or own_step or hold is not None:
+        subject, trajectory, name = wire_fmu(fmu, plan, **wiring(scene, fmu, **given)), None, Path(plan).name
+    elif given["map_path"] is not None or given["own_step"] or given["hold"] is not None:
         raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
         subject, trajectory, name = _plan_of(plan, scene, folder)
@@ -97,10 +84,8 @@ def command(
         tell=lambda text: click.echo(f"{text} ..", err=True),
     )  # fmt: skip
     record = RobustnessRecord.model_validate(found)
-    if csv_file is not None:
-        write(csv_file, _worlds(found))
-    if html_file is not None:
-        write(html_file, robustness_page(found, record, name))
+    write(csv_file, lambda: _worlds(found))
+    write(html_file, lambda: robustness_page(found, record, name))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
+from validate.cli.all import run_and_tell
 from validate.cli.options import file_options, result_options
 from validate.cli.plan import tell_plan
-from validate.cli.running import run_and_tell
 from validate.plan.read import read_campaign
 from validate.plan.runs import CampaignSettings
 from validate.plan.schema import CampaignFile

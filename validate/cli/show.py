@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from models.errors import did_you_mean
-from reports.causes import again
-from reports.judged import questions_of
+from reports.judged import again, questions_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import RunRecord, StageRecord
 from reports.rule import fails
+from validate.cli.options import folder_of
 from validate.cli.table import one_line, print_metrics, print_table, say, short, wide_option
 from validate.store.store import RECORD, Store
 from validate.store.stored import CampaignError, campaign_of, stored_names
@@ -32,15 +32,7 @@ _LOG_LINES = 15
 
 @click.command(epilog=_EPILOG)
 @click.argument("run", metavar="RUN|KEY|NAME")
-@click.option(
-    "--in",
-    "folder",
-    type=click.Path(path_type=Path),
-    default="runs/all",
-    show_default=True,
-    metavar="DIR",
-    help="The folder of the campaign.",
-)
+@folder_of("--in", "The folder of the campaign.")
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
 @wide_option
 def command(run: str, folder: Path, as_json: bool) -> int:
@@ -109,7 +101,10 @@ def _tell_run(record: RunRecord) -> None:
         say(f"the last stage {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
     if last.metrics:
         _tell_score(last)
-    _tell_scene(record)
+    for sentence in record.scene.waived:
+        say(f"waived by the scene: {sentence}")
+    if record.scene.unstable:
+        say(f"the scene is unstable in the open loop: {record.scene.unstable}")
     click.echo()
     if last.certificate is not None:
         say(f"certificate: {last.certificate.sentence}")
@@ -127,12 +122,8 @@ def _print_stages(record: RunRecord) -> None:
         for stage in record.stages
     ]  # fmt: skip
     titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
-    print_table(
-        titles,
-        rows,
-        ("stage", "eps", "cost", "iterations", "CPU s", "wall s"),
-        drop=("wall s", "iterations", "CPU s", "stage"),
-    )
+    right, drop = ("stage", "eps", "cost", "iterations", "CPU s", "wall s"), ("wall s", "iterations", "CPU s", "stage")
+    print_table(titles, rows, right, drop=drop)
 
 
 def _tell_score(stage: StageRecord) -> None:
@@ -147,14 +138,6 @@ def _tell_score(stage: StageRecord) -> None:
     print_metrics(rows, followed=stage.is_followed, tracked=stage.is_tracked)
     for sentence in stage.not_asked:
         say(f"not asked: {sentence}")
-
-
-def _tell_scene(record: RunRecord) -> None:
-    """What the scene itself leaves unasked, and why feedback is enough on it."""
-    for sentence in record.scene.waived:
-        say(f"waived by the scene: {sentence}")
-    if record.scene.unstable:
-        say(f"the scene is unstable in the open loop: {record.scene.unstable}")
 
 
 def _print_check(record: CheckRecord) -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import click
 
-from reports.pages.truth import as_markdown, cell, largest_disagreement
+from reports.pages.simulators import as_markdown, cell, largest_disagreement
 from reports.records.check_record import ChartRecord
-from reports.records.truth_record import TruthRecord, TruthRow
+from reports.records.engines_record import TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
@@ -60,11 +60,10 @@ def command(arguments: tuple[str, ...], engines: str | None, jobs: int | None, o
     found = measure(asked, jobs=jobs or usable_cores(), tell=lambda text: click.echo(text, err=True))
     record = recorded(asked, found)
     if out is not None:
-        write(out / "truth.html", render_truth(record, command_line(arguments)))
-        write(out / "truth.csv", as_csv(record))
-        write(out / "truth.json", record.model_dump_json(indent=1))
-    if markdown is not None:
-        write(markdown, as_markdown(record, command_line(arguments)))
+        write(out / "truth.html", lambda: render_truth(record, command_line(arguments)))
+        write(out / "truth.csv", lambda: as_csv(record))
+        write(out / "truth.json", lambda: record.model_dump_json(indent=1))
+    write(markdown, lambda: as_markdown(record, command_line(arguments)))
     shown = [[f"{of[0].phenomenon}: {of[0].problem}", *map(cell, of)] for of in record.problems]
     print_table(["problem", *asked], shown, tuple(asked))
     click.echo()
@@ -113,7 +112,7 @@ def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
     if not drawn:
         return None
     words = "Down and to the left is better: less error for less time. Each curve is one engine at four steps or tolerances."
-    return chart(f"{phenomenon}, {of[0].problem}", ("CPU time", "s"), ("error", ""), drawn, log_x=True, log_y=True, words=words)
+    return chart(f"{phenomenon}, {of[0].problem}", ("CPU time", "s"), ("error", ""), drawn, log="xy", words=words)
 
 
 def as_csv(record: TruthRecord) -> str:

@@ -17,20 +17,22 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmpy.fmi1 import FMICallException
 
 from validate.execution.process import exit_in_words
-from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
+from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
+from validate.fmi.surroundings import listed
 
 # The texts whose sections the checks name.
 STANDARDS = ("2.0.4", "3.0.2")
 
 
-class Status(Enum):
+class Status(StrEnum):
     """How a check ended; the value is the word in the table."""
 
     PASSED = "passed"
@@ -41,17 +43,16 @@ class Status(Enum):
 
 
 class Scope(Enum):
-    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only."""
+    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only. The value: the types it is run for, as far as they are there."""
 
-    FILE = "file"
-    EACH = "each type"
-    EXCHANGE = "Model Exchange"
-    COSIMULATION = "Co-Simulation"
-    SCHEDULED = "Scheduled Execution"
+    FILE = ("",)
+    EACH = ("ME", "CS")
+    EXCHANGE = ("ME",)
+    COSIMULATION = ("CS",)
+    SCHEDULED = ("SE",)
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """The outcome of one check and its sentence. pace: seconds of a step, from the check that measures it."""
 
     status: Status
@@ -59,24 +60,15 @@ class Finding:
     pace: float | None = None
 
 
-def passed(sentence: str, pace: float | None = None) -> Finding:
-    """A check that passed."""
-    return Finding(Status.PASSED, sentence, pace)
+# Each makes the Finding of a sentence; of advice: nothing that the standard or common sense forbids, but worth a change.
+passed, failed, not_offered, advice = (
+    partial(Finding, status) for status in (Status.PASSED, Status.FAILED, Status.NOT_OFFERED, Status.ADVICE)
+)
 
 
-def failed(sentence: str) -> Finding:
-    """A check that failed."""
-    return Finding(Status.FAILED, sentence)
-
-
-def not_offered(sentence: str) -> Finding:
-    """A check that does not apply, or cannot be decided."""
-    return Finding(Status.NOT_OFFERED, sentence)
-
-
-def advice(sentence: str) -> Finding:
-    """Nothing that the standard or common sense forbids, but worth a change."""
-    return Finding(Status.ADVICE, sentence)
+def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:
+    """Failed with the first few things that are wrong, and `end` behind them; without any, passed with the sentence."""
+    return failed(f"{listed(wrong)}{end}") if wrong else passed(sentence)
 
 
 class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
@@ -111,11 +103,16 @@ class Check:
         return f"{ability} is false." if ability else f"FMI {subject.major}.0 has none."
 
     def __call__(self, *arguments: Any) -> Finding:
-        """Run it: see `run`."""
+        """Run it: see `run`. Raises Fault, FMICallException, MemoryError."""
         try:
             return self.run(*arguments)
+        except (Fault, FMICallException, MemoryError):
+            raise
         except Failed as failure:
             return failed(str(failure))
+        except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
+            traceback.print_exc()
+            return failed(f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU.")
 
 
 def check(
@@ -185,6 +182,8 @@ class CheckReport:
         return (3 if self.unrunnable else 0) if self.ok else 1
 
 
+# What a function in a fork may raise, as it is raised again here.
+_FAULTS = (TerminationRequested, Lacking, Misbehaviour)
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005
 
@@ -210,12 +209,9 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
         raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
     finally:
         path.unlink(missing_ok=True)
-    if "ended" in answer:
-        raise TerminationRequested(answer["ended"])
-    if "lacking" in answer:
-        raise Lacking(answer["lacking"])
-    if "problem" in answer:
-        raise Misbehaviour(answer["problem"])
+    for fault in _FAULTS:
+        if fault.__name__ in answer:
+            raise fault(answer[fault.__name__])
     return answer["value"]
 
 
@@ -231,16 +227,12 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
         gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
         try:
             answer = {"value": function()}
-        except TerminationRequested as end:
-            answer = {"ended": end.time}
-        except Lacking as lack:
-            answer = {"lacking": str(lack)}
-        except Misbehaviour as fault:
-            answer = {"problem": str(fault)}
+        except _FAULTS as fault:
+            answer = {type(fault).__name__: fault.time if isinstance(fault, TerminationRequested) else str(fault)}
         except FMICallException as error:
-            answer = {"problem": f"a call that must be possible is refused ({str(error).rstrip('.')})"}
+            answer = {Misbehaviour.__name__: f"a call that must be possible is refused ({str(error).rstrip('.')})"}
         except MemoryError:
-            answer = {"problem": "it was ended at its memory limit"}
+            answer = {Misbehaviour.__name__: "it was ended at its memory limit"}
         if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
             aside = path.with_suffix(".part")
             aside.write_text(json.dumps(answer), encoding="utf-8")

@@ -57,8 +57,7 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     sources: set[str] = set()
     wrong: list[str] = []
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
 
         def look(source: str, value: float, right: float) -> None:
             sources.add(source)
@@ -91,8 +90,7 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
 def stop_time(subject: Subject, kind: str) -> Finding:
     """A step up to the stop time is made, a step beyond it is refused."""
     steps = subject.before_end(kind, 4)
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin(stop=subject.time(steps))
+    with CheckedInstance(subject, kind).begin(stop=subject.time(steps)) as instance:
         for step in range(steps):
             try:
                 instance.do_step(subject.time(step), subject.step)
@@ -263,8 +261,7 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 
     step = 10.0 * subject.step if subject.can(kind, "canHandleVariableCommunicationStepSize") else subject.step
     options = {"earlyReturnAllowed": True, "intermediateUpdate": ask}
-    with CheckedInstance(subject, kind, options=options) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind, options=options).begin() as instance:
         begin = subject.start_time
         _, _, early, reached = instance.do_step(begin, step)
         near = _SAME * subject.step
@@ -346,8 +343,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
 
     def end(stairs: int, slopes: np.ndarray | None, climb: np.ndarray = slope) -> np.ndarray:
         """States (entries,) [unit of each] after the span, in so many stairs, with slopes (nu,) or without. Raises FMICallException."""
-        with CheckedInstance(subject, kind) as instance:
-            instance.begin()
+        with CheckedInstance(subject, kind).begin() as instance:
             for stair in range(stairs):
                 at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
                 instance.set(inputs, at)

@@ -157,8 +157,7 @@ def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
         return
     count = states.entries
     places = _places(subject, kind, steps)
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
         for before, place in itertools.pairwise([0, *places]):
             if place > before:
                 run(instance, before, place, observe="end")
@@ -410,8 +409,7 @@ def rates(subject: Subject, kind: str) -> Finding:
     derivatives, moving = (Block(pair[place] for pair in pairs) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
     names, places, resolved = derivatives.names, 0, False
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
         for step in range(steps):
             if step % HOLD == 0:
                 instance.set(subject.continuous_inputs, subject.inputs_at(step))

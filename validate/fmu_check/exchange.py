@@ -35,8 +35,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
     if not count:
         return not_offered("there are no continuous states.")
     worst: list[str] = []
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
         if subject.major >= 3 and (reported := instance.fmu.getNumberOfContinuousStates()) != count:
             return failed(f"the binary says {reported} continuous states, the description lists {count}.")
 
@@ -86,8 +85,7 @@ def nominals(subject: Subject, kind: str) -> Finding:
 @check("event indicators announce events", Scope.EXCHANGE, clauses=("3.1", "3.1.1"))
 def indicators(subject: Subject, kind: str) -> Finding:
     """They pass through zero continuously, and nothing changes at an event update that no indicator or time announced."""
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
         count = instance.indicator_count
         if subject.major >= 3:
             if (reported := instance.fmu.getNumberOfEventIndicators()) != count:

@@ -12,22 +12,20 @@ import json
 import math
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
-
-from fmpy.fmi1 import FMICallException
+from typing import Any
 
 from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
-from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
-from validate.fmu_check import clocks, communication, derivatives, exchange, files, host_process, importers, reference, states, values
-from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Scope, Status, failed, in_fork, not_offered
+from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
+from validate.fmu_check import clocks, communication, derivatives, exchange, files, importers, reference, states, values
+from validate.fmu_check.check import Check, CheckReport, Finding, FmuCheckRow, Status, failed, in_fork, not_offered
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
@@ -38,41 +36,15 @@ STATIC: tuple[Check, ...] = (files.archive, files.valid)
 FIRST = communication.lives
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
-    FIRST,
-    values.readable,
-    values.starts,
-    values.obeyed,
-    values.finite,
-    values.get_order,
-    communication.keeps_time,
-    communication.stop_time,
-    communication.event_mode,
-    communication.early_return,
-    communication.intermediate_update,
-    communication.input_derivatives,
-    states.repeats,
-    states.resets,
-    states.independent,
-    states.leaks,
-    host_process.surrounded,
-    host_process.token,
-    states.restores,
-    states.serialises,
-    exchange.arrays,
-    exchange.nominals,
-    exchange.indicators,
-    derivatives.directional,
-    derivatives.adjoint,
-    derivatives.dependencies,
-    derivatives.rates,
-    exchange.agree,
-    clocks.ticking,
-    clocks.activated,
-    reference.stored,
-    *importers.CHECKS,
-)
+    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.get_order,
+    communication.keeps_time, communication.stop_time, communication.event_mode, communication.early_return,
+    communication.intermediate_update, communication.input_derivatives,
+    states.repeats, states.resets, states.independent, states.leaks, states.surrounded, states.token, states.restores, states.serialises,
+    exchange.arrays, exchange.nominals, exchange.indicators,
+    derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
+    exchange.agree, clocks.ticking, clocks.activated, reference.stored, *importers.CHECKS,
+)  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
-_TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",), Scope.SCHEDULED: ("SE",)}
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
@@ -94,15 +66,12 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
     with contextlib.suppress(ValueError, KeyError):  # told by the first check that looks at it
         subject.prepare()
     table.major = subject.major
+    types = [*subject.types, *(["SE"] if subject.interface("SE") is not None else [])]
     for item in (*READING, *BEHAVIOUR):
-        for kind in _TYPES[item.scope]:
-            if not kind or kind in subject.types or (kind == "SE" and subject.interface(kind) is not None):
+        for kind in item.scope.value:
+            if kind in ("", *types):
                 table.of_description(item, kind, subject)
-    return {
-        "version": description.fmiVersion,
-        "types": [*subject.types, *(["SE"] if subject.interface("SE") is not None else [])],
-        "lacking": table.lacking or not table.ran,
-    }
+    return {"version": description.fmiVersion, "types": types, "lacking": table.lacking or not table.ran}
 
 
 class _Table:
@@ -146,16 +115,15 @@ class _Table:
         if not self._wanted(item):
             return None
         began = time.monotonic()
-        found = self._found(item, kind, arguments)
-        self._row(item, kind, found, began)
+        self._row(item, kind, found := self._found(item, kind, arguments), began)
         return found
 
     def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding:
         """What the check finds, or what kept it from that; shorter once more where the FMU ends the simulation."""
         while True:
             try:
-                status, sentence, pace = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-                return Finding(Status[status], sentence, pace)
+                status, *rest = in_fork(lambda: item(*arguments), self._seconds, own_group=True)
+                return Finding(Status(status), *rest)
             except TerminationRequested as end:
                 if not _shorten(arguments[0], kind, end.time):
                     sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
@@ -177,32 +145,16 @@ class _Table:
         return item.name in self._names or item in (FIRST, files.compiled)
 
     def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
-        row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status.name, "sentence": found.sentence}
+        row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status, "sentence": found.sentence}
         with self._told.open("a", encoding="utf-8") as file:
             file.write(f"{json.dumps({**row, 'seconds': time.monotonic() - began, 'clause': item.clause(self.major)})}\n")
 
 
 def _shorten(subject: Subject, kind: str, end: float) -> bool:
     """Let runs end before `end` [s]; whether that is earlier than it was, and leaves a step to make."""
-    earlier = False
-    for name in (kind,) if kind else subject.types:
-        if end < subject.ends.get(name, math.inf):
-            subject.ends[name] = end
-            earlier = True
-    return earlier and all(subject.before_end(name, 1) for name in subject.ends)
-
-
-def _call(item: Check, arguments: tuple[Any, ...]) -> tuple[str, str, float | None]:
-    """In the fork: the finding - status, sentence, pace - as JSON holds it."""
-    try:
-        finding = item(*arguments)
-    except (Fault, FMICallException, MemoryError):
-        raise
-    except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
-        traceback.print_exc()
-        text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
-        return Status.FAILED.name, text, None
-    return finding.status.name, finding.sentence, finding.pace
+    earlier = {name: end for name in ((kind,) if kind else subject.types) if end < subject.ends.get(name, math.inf)}
+    subject.ends |= earlier
+    return bool(earlier) and all(subject.before_end(name, 1) for name in subject.ends)
 
 
 # Seconds of one check, and bytes of memory of each.
@@ -252,9 +204,10 @@ def check_fmu(
         unpacked.mkdir()
         unpack(archive, unpacked)
         lines.touch()
-        request = {"path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds}
-        request["runnable"], request["importers"] = bool(archive.kinds), importers
-        request["names"] = None if names is None else list(names)
+        request = {
+            "path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds,
+            "runnable": bool(archive.kinds), "importers": importers, "names": None if names is None else list(names),
+        }  # fmt: skip
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
             done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
@@ -264,47 +217,31 @@ def check_fmu(
             if done.ending is Ending.MACHINE
             else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
         )
-    return CheckReport(
-        path=str(path),
-        version=done.value["version"],
-        types=tuple(done.value["types"]),
-        rows=tuple(rows),
-        unrunnable=done.value["lacking"],
-    )
+    version, types, lacking = (done.value[name] for name in ("version", "types", "lacking"))
+    return CheckReport(path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking)
 
 
 @contextlib.contextmanager
 def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[None]:
-    """Give each row to `take` soon after its line is in the file; all of them before the end."""
-    over, problems = threading.Event(), []
+    """Give each row to `take` soon after its line is in the file; all of them before the end. What that raises, a closed pipe for example, is raised here."""
+    over = threading.Event()
 
-    def follow(file: IO[str]) -> None:
-        part = ""
-        while True:
-            last = over.wait(_LOOK)
-            *whole, part = (part + file.read()).split("\n")
-            for line in whole:
-                row = json.loads(line)
-                take(FmuCheckRow(**{**row, "status": Status[row["status"]]}))
-            if last:
-                return
+    def follow() -> None:
+        with lines.open(encoding="utf-8") as file:
+            part, last = "", False
+            while not last:
+                last = over.wait(_LOOK)
+                *whole, part = (part + file.read()).split("\n")
+                for row in map(json.loads, whole):
+                    take(FmuCheckRow(**{**row, "status": Status(row["status"])}))
 
-    def kept() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(follow)
         try:
-            with lines.open(encoding="utf-8") as file:
-                follow(file)
-        except Exception as problem:  # noqa: BLE001 - a closed pipe, for example: raised below, where the caller is
-            problems.append(problem)
-
-    thread = threading.Thread(target=kept)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-    if problems:
-        raise problems[0]
+            yield
+        finally:
+            over.set()
+    following.result()
 
 
 def _unsafe(path: Path, take: Callable[[FmuCheckRow], None]) -> None:

@@ -5,6 +5,7 @@ A Subject loads nothing of the FMU's code, a CheckedInstance does.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -164,8 +165,7 @@ class Subject:
     @property
     def types(self) -> tuple[str, ...]:
         """Types of FMI that the description offers, of "ME" and "CS"."""
-        offered = {"ME": self.description.modelExchange, "CS": self.description.coSimulation}
-        return tuple(name for name, interface in offered.items() if interface is not None)
+        return tuple(kind for kind in ("ME", "CS") if self.interface(kind) is not None)
 
     def interface(self, kind: str) -> Any:
         """FMPy's description of a type."""
@@ -173,10 +173,8 @@ class Subject:
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
-        return self._interfaces.get({"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}[kind], {}).get(ability) in (
-            "true",
-            "1",
-        )
+        element = {"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}[kind]
+        return self._interfaces.get(element, {}).get(ability) in ("true", "1")
 
     @cached_property
     def _interfaces(self) -> dict[str, dict[str, str]]:
@@ -326,40 +324,21 @@ def _variable(item: Any) -> FmuVariable | None:
     """Ours for FMPy's; None if it has no number."""
     if item.type not in (*_FLOATS, *_WHOLE, "Boolean"):
         return None
-    sources = (item,) if item.declaredType is None else (item, item.declaredType)
 
-    def number(name: str) -> float | None:
-        for source in sources:
-            text = getattr(source, name, None)
-            if text is not None:
-                return _number(text)
-        return None
+    def number(name: str, otherwise: float | None = None) -> Any:
+        texts = (getattr(source, name, None) for source in (item, item.declaredType))
+        return next((_number(text) for text in texts if text is not None), otherwise)
 
-    start = None
-    if item.start is not None:
-        try:
-            start = np.array([_number(word) for word in str(item.start).split()])
-        except ValueError:
-            start = None
-    size = int(np.prod(item.shape)) if item.shape else 1
-    if start is not None and start.size == 1:
-        start = np.full(size, start[0])
-    lower, upper = number("min"), number("max")
+    size, start = int(np.prod(item.shape)) if item.shape else 1, None
+    with contextlib.suppress(ValueError):
+        start = None if item.start is None else np.array([_number(word) for word in str(item.start).split()])
+    if start is not None and start.size != size:
+        start = np.full(size, start[0]) if start.size == 1 else None
     return FmuVariable(
-        name=item.name,
-        reference=int(item.valueReference),
-        type=item.type,
-        causality=item.causality,
-        variability=item.variability,
-        initial=item.initial,
-        size=size,
-        start=start if start is not None and start.size == size else None,
-        lower=-math.inf if lower is None else lower,
-        upper=math.inf if upper is None else upper,
-        nominal=number("nominal"),
-        unit=item.unit or getattr(item.declaredType, "unit", None),
-        clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
-    )
+        name=item.name, reference=int(item.valueReference), type=item.type, causality=item.causality, variability=item.variability, initial=item.initial,
+        size=size, start=start, lower=number("min", -math.inf), upper=number("max", math.inf), nominal=number("nominal"),
+        unit=item.unit or getattr(item.declaredType, "unit", None), clocks=tuple(int(clock.valueReference) for clock in item.clocks or ()),
+    )  # fmt: skip
 
 
 def _number(text: Any) -> float:
@@ -392,12 +371,7 @@ class CheckedInstance(Instance):
         """Into Initialization Mode; stop: the stop time [s]."""
         self.fmu.enter(self.subject.start_time, stop, self.tolerance)
 
-    def begin(
-        self,
-        before: Settings = NOTHING,
-        during: Settings = NOTHING,
-        stop: float | None = None,
-    ) -> Self:
+    def begin(self, before: Settings = NOTHING, during: Settings = NOTHING, stop: float | None = None) -> Self:
         """Through initialisation, and to Continuous-Time Mode or the first step.
 
         Parameters
@@ -462,7 +436,7 @@ class CheckedInstance(Instance):
         """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
         return self.get(self.subject.observed)
 
-    def directional(self, unknowns: Sequence[FmuVariable], known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
+    def directional(self, unknowns: Block, known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
         """Directional derivatives of unknowns by one known.
 
         Parameters
@@ -477,9 +451,9 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses the call.
         """
-        return np.array(self.fmu.directional(_references(unknowns), [known.reference], seed, sum(item.size for item in unknowns)))
+        return np.array(self.fmu.directional([item.reference for item in unknowns], [known.reference], seed, unknowns.entries))
 
-    def adjoint(self, unknowns: Sequence[FmuVariable], knowns: Sequence[FmuVariable], seed: Sequence[float]) -> np.ndarray:
+    def adjoint(self, unknowns: Block, knowns: Block, seed: Sequence[float]) -> np.ndarray:
         """Adjoint derivatives of FMI 3.0 by all knowns.
 
         Parameters
@@ -494,8 +468,4 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses the call.
         """
-        return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
-
-
-def _references(variables: Sequence[FmuVariable]) -> list[int]:
-    return [item.reference for item in variables]
+        return np.array(self.fmu.adjoint([item.reference for item in unknowns], [item.reference for item in knowns], seed, knowns.entries))

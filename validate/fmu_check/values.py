@@ -28,8 +28,7 @@ _MOVED = 0.01
 def readable(subject: Subject, kind: str) -> Finding:
     """After initialisation each variable's value reference is accepted, but for clocked ones."""
     variables = [item for item in subject.variables if not item.clocks]
-    with CheckedInstance(subject, kind) as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind).begin() as instance:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
             for kind in dict.fromkeys(item.type for item in variables)
@@ -117,8 +116,7 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     moved = {block: value for block in drawn if (value := _moved(block[0], block.starts)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
-    with CheckedInstance(subject, kind, "default") as instance:
-        instance.begin()
+    with CheckedInstance(subject, kind, "default").begin() as instance:
         default = {block: instance.get(block) for block in moved}
     wrong, refused, tried = [], 0, 0
     for block, value, phase in ((block, value, phase) for block, value in moved.items() for phase in ("before", "in")):

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ import numpy as np
 
 from models.errors import MachineError, TouchstoneError, UnknownNameError, did_you_mean
 from models.loading import declared
-from validate.execution.isolated import Ending, Limits, run_isolated
+from validate.execution.isolated import Ending, Limits, packed, run_isolated, unpacked_from
 from validate.judge.replay.wiring import Feedback, HeldInputs
 
 if TYPE_CHECKING:  # the child of an engine that needs no scene's equations imports no SymPy before it reads one
@@ -190,9 +189,8 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     absent = missing(name)
     if absent:
         return EngineAnswer(came=Came.MISSING, why=absent)
-    # Our own bytes, in a folder of our own: a scene has no other form that keeps what a case changed of it.
-    given = {"drives": np.frombuffer(pickle.dumps(tuple(drives)), dtype=np.uint8)}
-    done = run_isolated("validate.judge.simulator:answer", name, given, limits=limits, what=f"engine {name}")
+    # A scene has no other form that keeps what a case changed of it.
+    done = run_isolated("validate.judge.simulator:answer", name, packed(*drives), limits=limits, what=f"engine {name}")
     if done.ending is Ending.ERROR:
         return EngineAnswer(came=Came.CANNOT, why=done.sentence)
     if not done.ok:
@@ -213,7 +211,7 @@ def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], di
     name
         Of the engine.
     arrays
-        drives: their bytes (n,) [-].
+        The drives, packed (n,) [-].
 
     Returns
     -------
@@ -226,7 +224,7 @@ def answer(name: str, arrays: Mapping[str, np.ndarray]) -> tuple[list[float], di
         Of the engine.
     """
     simulate, value, found = load_engine(name), [], {}
-    for number, drive in enumerate(pickle.loads(arrays["drives"].tobytes())):
+    for number, drive in enumerate(unpacked_from(arrays)):
         motion = simulate(drive)
         value.append(motion.seconds)
         found |= {f"{number}_{part}": array for part in ("q", "v", "applied") if (array := getattr(motion, part)) is not None}

@@ -117,21 +117,20 @@ def chart(
     y: tuple[str, str],
     series: Mapping[str, tuple[Iterable[float], Iterable[float]]],
     *,
-    log_x: bool = False,
-    log_y: bool = False,
+    log: str = "",
     level: tuple[float, str] | None = None,
     words: str = "",
 ) -> ChartRecord:
     """Data of one plot.
 
-    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are not finite are left out; log_x, log_y: logarithmic axes;
+    x, y: (quantity, unit); series: for the legend, (x, y) of equal length, of which values that are not finite are left out; log: the logarithmic axes, of "xy";
     level: a horizontal line (value, words).
     """
     value, level_words = level or (None, "")
     return ChartRecord(
         title=title,
-        x=AxisRecord(quantity=x[0], unit=x[1], log=log_x),
-        y=AxisRecord(quantity=y[0], unit=y[1], log=log_y),
+        x=AxisRecord(quantity=x[0], unit=x[1], log="x" in log),
+        y=AxisRecord(quantity=y[0], unit=y[1], log="y" in log),
         series=tuple(_series(name, *values) for name, values in series.items()),
         level=value,
         level_words=level_words,

@@ -1,8 +1,9 @@
-"""Plans and replays as the stress cases need them: a scene's own compiled step for the plan, its FMU for the replay.
+"""Plans and replays as the stress cases need them: a scene's own compiled step, or a method, for the plan, its FMU for the replay.
 
 plan = rolled(scene, start=..., u=..., step=..., steps=...)       # a Trajectory by the compiled step
 motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
 plan, motion = of_truth(problem)                                    # both, of a problem of the truth suite
+solution = solved(scene, "mpcc", seconds=20.0)                      # what a method makes of it
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from formulations.pipelines import load_method
+from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.fmu import build_fmu
@@ -77,6 +80,14 @@ def rolled(
         lam=plan.lam[::every],
         scheme=Scheme.SEMI_IMPLICIT_EULER,
     )
+
+
+def solved(
+    scene: Scene, method: str, eps: float | None = None, plan: Trajectory | None = None, *, seconds: float, **options: Any
+) -> Solution:
+    """What a method finds in so many seconds at this eps, from this plan. Raises OptionError, TrajectoryError, RelaxationError where it refuses."""
+    with load_method(method).open(scene, options) as session:
+        return session.solve(eps=eps, warm_start=plan, time_limit=seconds)
 
 
 def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settings: Any) -> Replay:

@@ -14,9 +14,9 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
+from reports.records.engines_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from reports.records.load import Stored
 from reports.records.record import RunRecord, stage_files
-from reports.records.simulators_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.elsewhere import elsewhere

@@ -44,7 +44,7 @@ class Level:
 
 @dataclass(frozen=True, kw_only=True)
 class EngineRow:
-    """What an engine made of a problem; see reports.records.truth_record.TruthRow, which keeps it."""
+    """What an engine made of a problem; see reports.records.engines_record.TruthRow, which keeps it."""
 
     phenomenon: str
     problem: str

@@ -168,7 +168,7 @@ class Certificate:
     none did
     biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces were looked at)
     least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are the only ones (LICQ)
-    worst: the name of the component with the largest violation
+    worst: the name of the component with the largest violation; objective: in the model's own sense
     """
 
     primal: float
@@ -223,6 +223,9 @@ class Certificate:
         if not self._within:
             where = f", most in {self.worst}" if self.worst and not self.primal_relative <= self.tolerances.feasibility else ""
             return f"{measured}; not feasible{where}, so it is stationary in no class"
+        if not self.forced <= FEASIBILITY:
+            violated = f"violated by {self.forced:.1e}" if self.forced < math.inf else "unknown"
+            return f"{measured}; feasible only because complementarity is not exact (constraints {violated} if the pairs held exactly)"
         return f"{measured}; class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive{self._signs}"
 
     @property

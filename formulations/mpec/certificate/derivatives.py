@@ -278,8 +278,8 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    objective, gradient (n,): of the minimised objective; rows with jacobian (rows, n); bounds of the variables; pairs with gradients first_jacobian,
-    second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the point, 1 at most
+    objective: in the model's own sense; gradient (n,): of what is minimised; rows with jacobian (rows, n); bounds of the variables; pairs with
+    gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the point, 1 at most
     """
 
     variables: tuple[Any, ...]
@@ -399,7 +399,7 @@ def read_local(model: Any, near: float) -> LocalModel:
     flips = [sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k)) for name in ("first_flip", "second_flip")]
     return LocalModel(
         variables=found.variables,
-        objective=sense * objective,
+        objective=objective,
         gradient=sense * found.matrix[m + 2 * k].toarray().ravel(),
         rows=tuple(rows),
         jacobian=found.matrix[:m],

@@ -92,7 +92,7 @@ def test_every_number_of_a_certificate(sense):
     m.cost = pyo.Objective(expr=m.x**2 + 4 * m.y, sense=sense)
     local = read_local(m, 1e-6)
     sign = 1.0 if sense == pyo.minimize else -1.0
-    assert local.objective == 6.0 * sign
+    assert local.objective == 6.0
     gradient = {variable.name: value for variable, value in zip(local.variables, local.gradient.tolist(), strict=True)}
     assert gradient == {"x": 4.0 * sign, "y": 4.0 * sign}
     assert [(row.source.name, row.value, row.lower, row.upper) for row in local.rows] == [
@@ -105,7 +105,7 @@ def test_every_number_of_a_certificate(sense):
     }
     found = certify(m)
     assert (found.primal, found.primal_relative, found.worst) == (1.5, 0.375, "much")
-    assert (found.complementarity, found.product, found.pairs, found.biactive, found.objective) == (0.25, 0.75, 1, 0, 6.0 * sign)
+    assert (found.complementarity, found.product, found.pairs, found.biactive, found.objective) == (0.25, 0.75, 1, 0, 6.0)
     assert math.isnan(found.given_dual)
     m.much.deactivate()
     less = certify(m)

@@ -340,6 +340,8 @@ def test_a_point_that_lives_on_the_tolerance_is_not_feasible(x, y):
     assert certificate.forced == pytest.approx(1.0, abs=0.1)
     assert certificate.lives_on_tolerance
     assert not certificate.feasible
+    assert "feasible only because complementarity is not exact" in certificate.sentence
+    assert "stationary" not in certificate.sentence
 
 
 def test_a_product_that_nothing_needs_is_feasible():

@@ -78,7 +78,7 @@ def child(code, *arguments):
 def asked(importer, **job):
     """What an importer answers, as the check has it run."""
     done = run_isolated(
-        "validate.fmu_check.importers.tools:run_importer", {"importer": importer, **job}, limits=Limits(seconds=60.0, memory=2**32)
+        "validate.fmu_check.importers:run_importer", {"importer": importer, **job}, limits=Limits(seconds=60.0, memory=2**32)
     )
     assert done.ok, done.sentence
     return done.value["values"]

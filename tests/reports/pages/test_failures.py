@@ -5,12 +5,12 @@ import re
 
 from wording import unsaid
 
-from reports.pages import failures
+from reports.pages import overview
 from reports.pages.section import Report
 from reports.records.check_record import CheckRecord
 from reports.records.load import Stored, Unreadable, load
 from reports.render import render
-from reports.rule_text import RESULTS, RULE
+from reports.rule import RESULTS, RULE
 
 
 def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solved", **changes):
@@ -24,7 +24,7 @@ def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solv
 
 
 def section(*runs):
-    return failures.build(Report(Stored("x", None, runs, (), (), 0)))
+    return overview.what_failed(Report(Stored("x", None, runs, (), (), 0)))
 
 
 def words(text: str) -> str:
@@ -77,7 +77,7 @@ def test_many_files_of_one_reason_are_folded_and_few_are_named(factory, tmp_path
     for run in runs[:13]:
         (folder / "runs" / run.key / "record.json").write_text("{}")
     (folder / "runs" / runs[13].key / "record.json").write_text("[")
-    values = failures.build(Report(load(folder), folder)).values
+    values = overview.what_failed(Report(load(folder), folder)).values
     assert [len(files) for _, files in values["unreadable"]] == [13, 1]
     text = render(folder)
     assert re.search(r"<details><summary>13 files: ", text)
@@ -88,7 +88,7 @@ def test_what_was_asked_and_whether_all_of_it_is_there(factory):
     run = ended(factory, "bank", "a", "holds")
 
     def values(*runs, unreadable=(), missing=(), checks=()):
-        return failures.build(Report(Stored("x", None, runs, unreadable, missing, 0, checks))).values
+        return overview.what_failed(Report(Stored("x", None, runs, unreadable, missing, 0, checks))).values
 
     check = CheckRecord(
         key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False, found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,

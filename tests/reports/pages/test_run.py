@@ -7,7 +7,6 @@ import pytest
 from wording import unsaid
 
 from reports.pages import run as one_run
-from reports.pages import runs
 from reports.pages.run import decision_of, not_applicable, view_of
 from reports.pages.section import Report, run_page
 from reports.records.load import Stored
@@ -27,7 +26,7 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
         ran("a", *metrics, cost=490.0, cpu=3.0),
         ran("b", cost=None, verdict="not applicable").model_copy(update={"stages": (), "message": "x: too many."}),
     )
-    found = runs.build(told)
+    found = one_run.all_runs(told)
     first, second = found.values["listed"]
     assert (first.run.cost, first.run.integral_cost, first.run.solving_cpu) == (490.0, pytest.approx(4.9), 3.0)
     assert ([item.value for item in first.errors], first.why, first.link, first.anchor) == (
@@ -40,11 +39,11 @@ def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():
     assert (second.why, second.anchor, second.view) == ("Too many.", "run-2", None)
     assert not unsaid(found.said, "2 runs … 1 of which holds")
     assert found.entries == ()
-    assert "0 of which hold:" in runs.build(report(ran("a", verdict="violates"))).said
+    assert "0 of which hold:" in one_run.all_runs(report(ran("a", verdict="violates"))).said
     single = report(ran("a", of=factory.scene("hill")), ran("b", of=factory.scene("bank")), ran("c", of=factory.scene("hill")), single=True)
-    assert runs.build(single).entries == (("run-1", "hill"), ("run-2", "bank"))
-    assert runs.build(single).values["listed"][0].view is not None
-    assert runs.build(report()) is None
+    assert one_run.all_runs(single).entries == (("run-1", "hill"), ("run-2", "bank"))
+    assert one_run.all_runs(single).values["listed"][0].view is not None
+    assert one_run.all_runs(report()) is None
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 
 from reports.pages import simulators
 from reports.pages.section import Report
+from reports.records.engines_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from reports.records.load import Stored, load
 from reports.records.record import RunRecord
-from reports.records.simulators_record import SIMULATORS, EngineRecord, SimulatorsRecord
 from reports.render import Templates, render
 from tests.reports import record_factory as factory
 

@@ -5,7 +5,7 @@ import re
 import pytest
 from wording import unsaid
 
-from reports.pages import errata, fmus, overview, provenance, scene, section, time_spent
+from reports.pages import campaign, checks, errata, overview, scene, section
 from reports.pages import run as one_run
 from reports.pages.section import Report
 from reports.records.check_record import CheckRecord
@@ -112,7 +112,7 @@ def profiled(name: str, wall: float, **phases: float) -> RunRecord:
 
 
 def test_seconds_are_told_by_group_and_the_slowest_first():
-    found = time_spent.build(
+    found = campaign.time_spent(
         report(
             profiled("quick", 2.0, replay=1.5, odd_phase=0.5),
             profiled("slow", 10.0, imports=2.0, scene=1.0, solve_rest=4.0, replay=3.0),
@@ -137,17 +137,17 @@ def test_seconds_are_told_by_group_and_the_slowest_first():
     assert found.values["styles"] == {
         "starting": "c0", "compiling": "c1", "modelling": "c2", "evaluating": "c3", "linear algebra": "c4", "judging": "c5", "other": "rest",
     }  # fmt: skip
-    nothing = time_spent.build(report(profiled("zero", 0.0, replay=0.0)))
+    nothing = campaign.time_spent(report(profiled("zero", 0.0, replay=0.0)))
     assert (nothing.values["sentence"], nothing.said) == ("", "The slowest runs, each by what its seconds were spent on.")
-    assert time_spent.build(report(ran("none"))) is None
-    many = time_spent.build(report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12))))
+    assert campaign.time_spent(report(ran("none"))) is None
+    many = campaign.time_spent(report(*(profiled(f"run {place}", float(place % 7), replay=1.0) for place in range(12))))
     assert many is not None
     assert [item.run.pipeline for item in many.values["slowest"]] == [f"run {place}" for place in (6, 5, 11, 4, 10, 3, 2, 9, 1, 8)]
 
 
 @pytest.mark.parametrize("share", [0.0999, 0.1001])
 def test_a_tenth_of_the_seconds_is_told(share: float):
-    found = time_spent.build(report(profiled("one", 1.0, replay=1.0 - share, imports=share)))
+    found = campaign.time_spent(report(profiled("one", 1.0, replay=1.0 - share, imports=share)))
     assert ("imports" in found.values["sentence"]) == (share > 0.1)
 
 
@@ -160,7 +160,7 @@ def examined(name: str, passed: bool = True, outcome: str = "answered", **change
 
 
 def test_fmus_by_scene_and_version():
-    found = fmus.build(report(checks=(
+    found = checks.fmus(report(checks=(
         examined("bank, FMI 2.0", scene="bank"), examined("hill, FMI 3.0", False, scene="hill"), examined("bank, FMI 3.0", False, "time_limit", scene="bank"),
         examined("other", kind="stress case"),
     )))  # fmt: skip
@@ -170,34 +170,34 @@ def test_fmus_by_scene_and_version():
     ]  # fmt: skip
     assert not unsaid(found.said, "3 FMUs of 2 scenes … 2.0 and 3.0: 2 of them do not pass … 0 passed, 0 failed, 0 not offered; 4 CPU")
     assert found.values["ours"] is True
-    one = fmus.build(report(checks=(examined("bank, FMI 2.0", False, scene="bank"),)))
+    one = checks.fmus(report(checks=(examined("bank, FMI 2.0", False, scene="bank"),)))
     assert not unsaid(one.said, "1 FMU of 1 scene in FMI 2.0: 1 … does not pass.")
-    good = fmus.build(report(checks=(examined("bank, FMI 2.0"),)))
+    good = checks.fmus(report(checks=(examined("bank, FMI 2.0"),)))
     assert good.said.startswith("1 FMU in FMI 2.0: every one passes."), "somebody's, of no scene"
     assert good.values["ours"] is False
-    assert fmus.build(report(checks=(examined("other", kind="stress case"),))) is None
+    assert checks.fmus(report(checks=(examined("other", kind="stress case"),))) is None
 
 
 def test_what_a_runs_origin_has_other_than_the_campaigns():
     first = factory.provenance()
-    assert provenance.differences(first, first) == []
+    assert campaign.differences(first, first) == []
     other = factory.provenance(
         touchstone="9", commit="b", python="4", platform="P", cpu="C", compiler="cc", packages={"numpy": "1", "scipy": "2"}
     )
-    assert provenance.differences(first, other) == [
+    assert campaign.differences(first, other) == [
         "touchstone 9", "commit b", "python 4", "platform P", "cpu C", "compiler cc", "numpy 1", "pyomo absent", "scipy 2",
     ]  # fmt: skip
     same, far = ran("same"), ran("far").model_copy(update={"provenance": other})
-    found = provenance.build(report(same, far, title="x"))
+    found = campaign.provenance(report(same, far, title="x"))
     assert not unsaid(found.said, "1 of 2 runs come from elsewhere")
     assert [(run.pipeline, link, len(differs)) for run, link, differs in found.values["runs"]] == [
         ("same", "pages/same-key.html", 0),
         ("far", "pages/far-key.html", 9),
     ]
-    assert "none of 1 run come" in provenance.build(report(same)).said
-    assert provenance.build(report(far, same)).values["first"] is other, "without a campaign the first run's"
-    assert provenance.build(report()) is None
-    assert provenance.build(report(title="x")).values["first"] == first
+    assert "none of 1 run come" in campaign.provenance(report(same)).said
+    assert campaign.provenance(report(far, same)).values["first"] is other, "without a campaign the first run's"
+    assert campaign.provenance(report()) is None
+    assert campaign.provenance(report(title="x")).values["first"] == first
 
 
 def test_sizes_once_a_method_and_those_that_differ():
@@ -318,7 +318,7 @@ def test_links_lead_to_pages_or_to_anchors(key: str, name: str, run_link: str, s
 
 
 def test_what_is_said_before_anything_else():
-    from reports.pages.failures import notices
+    from reports.pages.overview import notices
 
     lost = tuple(Unreadable(f"file {place}", why) for place, why in enumerate(("it is cut; see there.", "it is old.", "it is old.")))
     none = Stored("x", None, (), (), (), 0)
@@ -351,7 +351,7 @@ def test_every_phase_has_its_words_and_its_group():
         "judging": {"certificate": "certificates", "replay": "replaying", "survey": "trying plans in perturbed worlds"},
         "other": {"shared": "sharing stages with other runs", "solve_rest": "solving otherwise", "writing": "writing files", "record": "the record"},
     }  # fmt: skip
-    assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == time_spent.PHASES
+    assert {phase: (words, group) for group, phases in groups.items() for phase, words in phases.items()} == campaign.PHASES
 
 
 def test_a_scene_and_its_model():

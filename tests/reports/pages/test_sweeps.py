@@ -5,7 +5,7 @@ import re
 import pytest
 from wording import unsaid
 
-from reports.pages import stress_cases, sweeps, tightening
+from reports.pages import checks, sweeps
 from reports.pages.section import Report
 from reports.pages.sweeps import Mark, Quantity, draw_against, keys_of, styles_of
 from reports.records.check_record import AxisRecord, ChartRecord, CheckRecord, SeriesRecord
@@ -160,7 +160,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         key="1", kind="stress case", name="07 a case", expected="", outcome="answered", passed=True, charts=(chart,), wall_seconds=1.0,
         cpu_seconds=1.0, provenance=factory.provenance(),
     )  # fmt: skip
-    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (record,))))
+    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, (record,))))
     (row,) = section.values["rows"]
     return row.plots[0]
 
@@ -227,7 +227,7 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         examined("10 later", passed=False, figures=figures), examined("02 early", found="it went well."), examined("003", outcome="time_limit", passed=False, message="late."),
         examined("00 zero", outcome="time_limit", passed=False), examined("x", kind="FMU"),
     )  # fmt: skip
-    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, records)))
+    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records)))
     rows = section.values["rows"]
     assert [(row.number, row.title, row.anchor, row.sign.word, row.happened) for row in rows] == [
         ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "stress-case-003", "no answer", "late."),
@@ -238,8 +238,8 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         section.values["passed"], [row.number for row in section.values["failed"]], section.values["seconds"],
     ) == ("1 of 4 stress cases pass", ["00", "3", "10"], 6.0)  # fmt: skip
     assert section.said.startswith("1 of 4 stress cases pass: stiff, grazing")
-    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
-    assert stress_cases.build(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
+    assert checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
+    assert checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
 
 
 def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
@@ -247,7 +247,7 @@ def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
         figure("shown", None, limit=None), figure("good", True, at_least=True), figure("fine", True, unit="1", reason=""),
         figure("bad", False, value=None),
     )  # fmt: skip
-    section = stress_cases.build(Report(Stored("x", None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
+    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
     text = Templates().render(section.template, section=section, **section.values)
     first, second = (text[place:] for place in (text.index("Stress cases"), text.index("Metrics of case 10")))
 
@@ -355,7 +355,7 @@ def test_runs_that_differ_in_more_than_numbers_are_no_sweep(factory):
 
 def test_metrics_are_drawn_against_eps_on_the_page_of_the_scene(factory, tmp_path):
     report = Report(Stored("x", None, tuple(factory.runs()), (), (), 0), tmp_path)
-    section = tightening.build(report, report.scenes[0])
+    section = sweeps.tightening(report, report.scenes[0])
     plots = {plot.title: plot for plot in section.values["against"]}
     off = plots["Replay terminal position error against ε"]
     values = [0.8 * value for value in (0.4512, 0.2666, 0.1201)]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from wording import unsaid
 
-from reports.pages import table1, tightening
+from reports.pages import sweeps, table1
 from reports.pages.section import Report
 from reports.paper import TABLE_1, TIGHTENING_FIGURES
 from reports.records.load import Stored
@@ -261,7 +261,7 @@ def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = Fal
 def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     run = relaxed(tmp_path, "one", {1e-3: 0.2, 1e-1: 0.4, 1e-5: 0.1}, paper=True)
     told = Report(Stored("x", None, (run,), (), (), 0), tmp_path)
-    section = tightening.build(told, told.scenes[0])
+    section = sweeps.tightening(told, told.scenes[0])
     assert (section.anchor, section.title, section.entries) == (
         "tightening-1", "Figs. 4–6: plans while ε is tightened", (("tightening-1-1", "Fig. 4: Softplus"),),
     )  # fmt: skip
@@ -308,7 +308,7 @@ def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     for path in (tmp_path / "runs" / "two").glob("*"):
         path.unlink()
     told = Report(Stored("x", None, runs, (), (), 0), tmp_path)
-    section = tightening.build(told, told.scenes[0])
+    section = sweeps.tightening(told, told.scenes[0])
     assert section.title == "Plans while ε is tightened"
     assert [entry[1] for entry in section.entries] == ["Softplus (one)", "Softplus (two)"]
     one, two = section.values["sweeps"]
@@ -322,4 +322,4 @@ def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     off = section.values["against"][0]
     assert drawn(off).lines["Softplus (two)"] == ("c1", [(1e-5, 0.15), (1e-3, 0.3)])
     none = Report(Stored("x", None, runs[2:], (), (), 0), tmp_path)
-    assert tightening.build(none, none.scenes[0]) is None
+    assert sweeps.tightening(none, none.scenes[0]) is None

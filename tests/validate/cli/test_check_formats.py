@@ -11,7 +11,7 @@ from sarif_pydantic import Sarif
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from validate.cli.check_formats import data, junit, markdown, sarif
+from validate.cli.check import data, junit, markdown, sarif
 from validate.fmu_check import CheckReport, FmuCheckRow, Status, check_fmu
 
 _ROWS = (

@@ -16,7 +16,7 @@ from wording import unsaid
 from formulations.pipelines import pipeline_names
 from models.catalog import load_scene
 from models.trajectory import Trajectory, uniform_grid, write_csv
-from reports.rule_text import RESULTS, RULE
+from reports.rule import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
 

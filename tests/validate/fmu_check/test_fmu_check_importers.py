@@ -11,10 +11,9 @@ from click.testing import CliRunner
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from validate.cli.check import command
-from validate.cli.check_formats import markdown
+from validate.cli.check import command, markdown
 from validate.fmu_check import CheckReport, Status, check_fmu
-from validate.fmu_check.importers.tools import IMPORTERS
+from validate.fmu_check.importers import IMPORTERS
 
 _NAMES = [f"importer {name}" for name in IMPORTERS]
 

@@ -78,7 +78,7 @@ def test_a_case_says_what_it_depends_on(name: str):
     text, said = (FOLDER / f"{name}.py").read_text(encoding="utf-8"), describe_case(name)
     loaded = set(re.findall(r'load_scene\("(\w+)"\)', text)) | set(re.findall(r"from models\.scenes\.(\w+) import", text))
     assert loaded <= set(said.scenes) <= set(scene_names())
-    assert set(re.findall(r'load_method\("(\w+)"\)', text)) <= set(said.methods) <= set(method_names())
+    assert set(re.findall(r'(?:load_method\(|solved\(.+?, )"(\w+)"', text)) <= set(said.methods) <= set(method_names())
     module = importlib.import_module(f"validate.stress.cases.{name}")
     assert (module.CASE, module.measure) == (said, load_case(name))
 

@@ -142,27 +142,14 @@ def test_a_plan_that_takes_anything(monkeypatch):
     assert "refused" in broken(h20_warm_starts.measure())
 
 
-class Changed:
-    """A method whose sessions hand back what `change` makes of their solutions."""
-
-    def __init__(self, method, change):
-        self.method, self.change = method, change
-
-    def open(self, scene, options=None):
-        session = self.method.open(scene, options or {})
-        solve = session.solve
-        session.solve = lambda **given: self.change(solve(**given))
-        return session
-
-
 def changed(monkeypatch, case, change):
-    """All methods of a case, changed so."""
-    load = case.load_method
-    monkeypatch.setattr(case, "load_method", lambda name: Changed(load(name), change))
+    """All methods of a case hand back what `change` makes of their solutions."""
+    solved = case.solved
+    monkeypatch.setattr(case, "solved", lambda *a, **o: change(solved(*a, **o)))
 
 
 # Of carts that cost and err as they should.
-PLANNED = h03_mass_ratio._Planned(limit=0.026, ratios=[1.0], costs=[240.0], errors=[0.01])
+PLANNED = h03_mass_ratio._Planned(limit=0.026, plans=[(1.0, 240.0, 0.01)])
 
 
 def test_a_replay_with_another_stiffness(monkeypatch):
@@ -196,7 +183,7 @@ def test_a_plan_that_loses_momentum_in_contact(monkeypatch):
 def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monkeypatch, defect: str):
     """A limit four times too near; a replay of carts a tenth heavier; a method that gives up where there is a plan."""
     said, replayed = h03_mass_ratio.step_stability, h03_mass_ratio.replayed
-    monkeypatch.setattr(h03_mass_ratio, "simulated", lambda: h03_mass_ratio._Simulated([0.0], [0.0], [0.0], [0.0]))
+    monkeypatch.setattr(h03_mass_ratio, "simulated", lambda: (np.zeros((4, 1)), []))
     monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1.0,))
     monkeypatch.setattr(h03_mass_ratio, "PLANNED", (1e-1,) if defect == "warning" else (1e1,))
     if defect == "warning":
@@ -204,7 +191,8 @@ def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monke
     elif defect == "replay":
         monkeypatch.setattr(h03_mass_ratio, "replayed", lambda scene, plan, like: replayed(scene.with_parameters(m=1.1), plan, like=like))
     else:
-        changed(monkeypatch, h03_mass_ratio, lambda solution: replace(solution, outcome=Outcome.STALLED, trajectory=None))
+        chained = h03_mass_ratio._chained
+        monkeypatch.setattr(h03_mass_ratio, "_chained", lambda scene: replace(chained(scene), outcome=Outcome.STALLED, trajectory=None))
     failed = broken(h03_mass_ratio.measure())
     assert ("largest replay error" if defect == "replay" else "neither planned nor told") in failed
 
@@ -254,9 +242,11 @@ def test_a_dead_descent_without_a_diagnosis(monkeypatch):
 
 def test_smoothing_that_is_lost_on_the_way(monkeypatch):
     """The relaxed plans are not handed on: the last descent starts as dead as the first."""
-    run = h09_dead_relu._run
+    solved = h09_dead_relu.solved
     monkeypatch.setattr(
-        h09_dead_relu, "_run", lambda scene, method, eps, plan, iterations: run(scene, method, eps, None, min(iterations, 20))
+        h09_dead_relu,
+        "solved",
+        lambda scene, method, eps=None, plan=None, **given: solved(scene, method, eps, **{**given, "max_iterations": 20}),
     )
     assert "terminal position error after smoothing" in broken(h09_dead_relu.measure())
 
@@ -270,9 +260,9 @@ def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(mo
         contacts = tuple(replace(contact, penetration=contact.penetration + 1e-6) for contact in scene.contacts)
         return rolled(replace(scene, contacts=contacts), **given)
 
-    metres = h16_units._solved(load_scene("three_cart"))
+    metres = motion.solved(load_scene("three_cart"), "mpcc", seconds=20.0, search=False)
     dearer = replace(metres, cost=(1.0 + 1e-5) * metres.cost)
-    monkeypatch.setattr(h16_units, "_solved", lambda scene: metres if scene.length == 1.0 else dearer)
+    monkeypatch.setattr(h16_units, "solved", lambda scene, method, **given: metres if scene.length == 1.0 else dearer)
     monkeypatch.setattr(h16_units, "rolled", shifted)
     failed = broken(h16_units.measure())
     assert "plan's step: difference after rescaling" in failed

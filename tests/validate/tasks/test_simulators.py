@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from wording import unsaid
 
+from reports.records.engines_record import SIMULATORS
 from reports.records.load import Stored, load
 from reports.records.record import RunRecord
-from reports.records.simulators_record import SIMULATORS
 from validate.store.stored import CampaignError
 from validate.tasks.simulators import ask_simulators, stored_plan
 

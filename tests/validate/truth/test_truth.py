@@ -16,7 +16,7 @@ from wording import unsaid
 
 from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Scene
-from reports.pages.truth import as_markdown, largest_disagreement
+from reports.pages.simulators import as_markdown, largest_disagreement
 from reports.render import render_truth
 from validate.cli.truth import as_csv, recorded, reference_is_right
 from validate.judge.simulator import Came, EngineAnswer, describe_engine, load_engine, named_engines

@@ -1,7 +1,7 @@
-"""The four simulations of a replay as one job: files and numbers in, numbers out. It runs in this process or in a child (validate.execution.isolated).
+"""The four simulations of a replay as one job, which runs in this process or in a child (validate.execution.isolated).
 
-value, arrays = simulate(request, arrays)              # here
-run_isolated("validate.judge.replay.job:simulate", request, arrays)
+job = Job(package=package, variables=variables, plan=plan, start=start, limits=Limits(), ...)
+job.run().judged.outputs
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 import tempfile
 import time as clock
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from models.errors import MachineError
-from models.trajectory import Hold, Trajectory
-from validate.execution.isolated import Ending, IsolatedCalls, Limits, run_isolated
+from models.trajectory import Trajectory
+from validate.execution.isolated import Ending, Isolated, IsolatedCalls, Limits, packed, run_isolated, unpacked_from
 from validate.fmi.archive import unpack
 from validate.fmi.description import NOT_RUN, FmuError, Package, read_package, unpacked
 from validate.fmi.instance import faults_of
@@ -32,9 +33,8 @@ from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 from validate.judge.replay.world import World, WorldInputs
 
-# Arrays of a run, and what the names of those of a feedback and of a world begin with on their way to a child.
+# Arrays of a run.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
-_FEEDBACK, _WORLD = "feedback_", "world_"
 # Endings that may be the fault of a saved state alone: the job is done once more, without.
 _RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
 # What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
@@ -72,18 +72,13 @@ class Simulated:
 _QUOTED = 60
 
 
-def simulate(
-    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Run all simulations of a replay, in this process or in a child.
+def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """All simulations of a job in a child.
 
     Parameters
     ----------
-    request : path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, where they are not to
-        be looked for).
-    arrays : t (nodes,) [s], u (steps, nu) [unit of each input], start (n,) [unit of each variable], u_end (nu,) where the plan has one, and with
-        feedback and in a perturbed world the fields of these.
-    package : the FMU, where it is read already.
+    request : path of the FMU; loops, the compiled ones, where they are not to be looked for.
+    arrays : a Job without its FMU, and its feedback or None, packed.
 
     Returns
     -------
@@ -93,43 +88,58 @@ def simulate(
     ------
     FmuError : if the FMU cannot be opened, or misbehaves.
     """
-    variables = Variables.from_json(request["variables"])
-    empty = np.zeros((len(arrays["t"]), 0))
-    plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end"))
-    law, world = ({name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)} for of in (_FEEDBACK, _WORLD))
-    feedback, start = Feedback(**law) if law else None, arrays["start"]
-    numbers: dict[str, Any] = world
-    inputs = WorldInputs(plan, World(**numbers), feedback) if world else HeldInputs(plan, feedback)
-    if request.get("loops") is not None:
-        adopt(Path(request["loops"]))
-    value: dict[str, Any] = {"refusal": None, "runs": [], "note": ""}
-    found: dict[str, np.ndarray] = {}
+    before = surroundings()
+    return _told(request, arrays, read_package(Path(request["path"])), before)
 
-    def keep(kind: str, run: Run) -> None:
-        number = len(value["runs"])
-        value["runs"].append({"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events})
-        for name in _RECORDED:
-            found[f"{number}_{name}"] = np.array(getattr(run, name))
 
-    before = surroundings() if package is None else None
-    with unpacked(package or read_package(Path(request["path"]))) as package, faults_of(package.path):
-        value["refusal"] = refusal = everyday_refusal(package, inputs)
+def simulate_again(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """`simulate` in a child that is called many times: the FMU is read and unpacked once."""
+    return _told(request, arrays, _kept(request["path"]), None)
+
+
+def _told(
+    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package, before: dict[str, Any] | None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    adopt(Path(request["loops"]))
+    job, feedback = unpacked_from(arrays)
+    done = _simulate(job, package, feedback, before)
+    runs = [("reference", run) for run in done.reference] + [("everyday", run) for run in done.everyday]
+    value = {
+        "runs": [{"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events} for kind, run in runs],
+        "refusal": done.refusal,
+        "note": done.note,
+        "seconds": [done.seconds_reference, done.seconds_everyday],
+    }
+    return value, {f"{number}_{name}": np.array(getattr(run, name)) for number, (_, run) in enumerate(runs) for name in _RECORDED}
+
+
+def _simulate(job: Job, package: Package, feedback: Feedback | None, before: dict[str, Any] | None = None) -> Simulated:
+    """All simulations of a job in this process. before: what it was like before the FMU was there, where changes of that are to be told."""
+    inputs = HeldInputs(job.plan, feedback) if job.world is None else WorldInputs(job.plan, job.world, feedback)
+    variables, start, note = job.variables, job.start, ""
+    reference: list[Run] = []
+    everyday: list[Run] = []
+    with unpacked(package) as package, faults_of(package.path):
+        refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
         began = clock.process_time()
-        for rtol in request["tolerances"] if package.exchange is not None else ():
-            keep("reference", _reference(package, variables, start, inputs, rtol, request))
+        for rtol in job.tolerances if package.exchange is not None else ():
+            with closing(ExchangeModel(package, variables)) as model:
+                reference.append(integrate(model, start, inputs, rtol, job.event_budget, parts=job.parts, max_step=job.max_step))
         middle = clock.process_time()
-        rolls_back = request["rolls_back"] and offers_rollback(package, variables)
-        for fineness in request["fineness"] if refusal is None else ():
-            if rolls_back and fineness == request["fineness"][-1]:
-                run, value["note"] = _rolled_back(package, variables, start, inputs, fineness)
+        rolls_back = job.rolls_back and offers_rollback(package, variables)
+        for fineness in job.fineness if refusal is None else ():
+            if rolls_back and fineness == job.fineness[-1]:
+                run, note = _rolled_back(package, variables, start, inputs, fineness)
             else:
                 run = simulate_everyday(package, variables, start, inputs, fineness)
-            keep("everyday", run)
-        value["seconds"] = [middle - began, clock.process_time() - middle]
+            everyday.append(run)
+        seconds = middle - began, clock.process_time() - middle
         if before is not None and (changed := changes(before, surroundings())):
-            value["note"] = f"{value['note']} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
-    return value, found
+            note = f"{note} The FMU's code changed the process it runs in: {listed(changed)}.".lstrip()
+    return Simulated(
+        reference=tuple(reference), everyday=tuple(everyday), refusal=refusal, seconds_reference=seconds[0], seconds_everyday=seconds[1], note=note,
+    )  # fmt: skip
 
 
 @cache
@@ -139,11 +149,6 @@ def _kept(path: str) -> Package:
     folder = Path(tempfile.mkdtemp())
     unpack(package.archive, folder, leave_out=NOT_RUN)
     return replace(package, folder=folder)
-
-
-def simulate_again(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """`simulate` in a child that is called many times: the FMU is read and unpacked once."""
-    return simulate(request, arrays, _kept(request["path"]))
 
 
 def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> tuple[Run, str]:
@@ -157,18 +162,6 @@ def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inpu
         why = str(error)
     run = simulate_everyday(package, variables, start, inputs, fineness)
     return run, f"No step was rolled back: {why}." if run.outcome is ReplayOutcome.OK else ""
-
-
-def _reference(
-    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, request: Mapping[str, Any]
-) -> Run:
-    model, longest = ExchangeModel(package, variables), request["max_step"]
-    try:
-        return integrate(
-            model, start, inputs, rtol, request["event_budget"], parts=request["parts"], max_step=math.inf if longest is None else longest
-        )
-    finally:
-        model.close()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -202,50 +195,40 @@ class Job:
 
         Raises FmuError if the FMU cannot be opened, or misbehaves, MachineError if this machine cannot run it.
         """
-        package, plan = self.package, self.plan
-        request = {
-            "path": str(package.path.resolve()),
-            "variables": self.variables.to_json(),
-            "hold": plan.hold.value,
-            "tolerances": list(self.tolerances),
-            "fineness": list(self.fineness),
-            "event_budget": self.event_budget,
-            "parts": self.parts,
-            "max_step": self.max_step if math.isfinite(self.max_step) else None,
-            "rolls_back": self.rolls_back,
-        }
-        given = {"t": plan.t, "u": plan.u, "start": self.start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
-        for of, item in ((_FEEDBACK, feedback), (_WORLD, self.world)):
-            given |= {} if item is None else {of + name: np.asarray(array) for name, array in vars(item).items()}
+        package, jobs = self.package, [self]
         if self.limits is None:
-            value, arrays = simulate(request, given, package)
-            return _simulated(value, arrays, "")
-        request["loops"] = str(library_path())  # compiled here, where no limit of the FMU's holds
-        requests = [request]
+            return _simulate(self, package, feedback)
         if _only_once(package):  # one instance a process: every run has a process of its own
-            requests = [{**request, "tolerances": [rtol], "fineness": []} for rtol in self.tolerances if package.exchange is not None]
-            requests += [
-                {**request, "tolerances": [], "fineness": [fineness], "rolls_back": self.rolls_back and fineness == self.fineness[-1]}
+            jobs = [replace(self, tolerances=(rtol,), fineness=()) for rtol in self.tolerances if package.exchange is not None]
+            jobs += [
+                replace(self, tolerances=(), fineness=(fineness,), rolls_back=self.rolls_back and fineness == self.fineness[-1])
                 for fineness in self.fineness
                 if package.cosimulation is not None
             ]
-        return _together([self._in_child(one, given, self.limits) for one in requests])
+        return _together([job._in_child(feedback) for job in jobs])
 
-    def _in_child(self, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits) -> Simulated:
+    def _in_child(self, feedback: Feedback | None) -> Simulated:
         package = self.package
+        request = {"path": str(package.path.resolve()), "loops": str(library_path())}  # compiled here, where no limit of the FMU's holds
         if self.child is None or _only_once(package):
-            whole = partial(run_isolated, limits=limits, what=f"FMU {package.path}", ours=self.ours)
-            run = partial(whole, "validate.judge.replay.job:simulate", arrays=given)
+            call = partial(
+                run_isolated, "validate.judge.replay.job:simulate", limits=self.limits, what=f"FMU {package.path}", ours=self.ours
+            )
         else:
-            run = partial(self.child, "validate.judge.replay.job:simulate_again", arrays=given)
-        done, retried = run(request), ""
-        if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, self.variables):
-            again = run({**request, "rolls_back": False})
+            call = partial(self.child, "validate.judge.replay.job:simulate_again")
+
+        def ask(rolls_back: bool) -> Isolated:
+            job: Any = replace(self, package=None, limits=None, child=None, rolls_back=rolls_back)  # type: ignore[arg-type] - it has its own FMU there
+            return call(request, arrays=packed(job, feedback))
+
+        done, retried = ask(self.rolls_back), ""
+        if done.ending in _RETRIED and self.rolls_back and offers_rollback(package, self.variables):
+            again = ask(False)
             if again.ok:
                 done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
         if done.ending in _ENDED:
             ended: tuple[Run, ...] = (Run(outcome=_ENDED[done.ending], message=done.sentence),)
-            reference = ended if request["tolerances"] and package.exchange is not None else ()
+            reference = ended if self.tolerances and package.exchange is not None else ()
             return Simulated(
                 reference=reference, everyday=() if reference else ended, refusal=None, seconds_reference=done.cpu, seconds_everyday=0.0
             )

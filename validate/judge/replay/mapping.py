@@ -355,7 +355,7 @@ class _Wiring:
                 start=self._start(),
                 goal=tuple(goal),
                 step=float(np.diff(times).min(initial=math.inf)) if given.task.duration is None else given.task.duration / _STEPS,
-                duration=given.task.duration,
+                horizon=given.task.duration,
             ),
             limits=self._limits(),
             lacks=self.lacks,

@@ -20,6 +20,7 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.parts import Limit
+from models.scene.scene import Counted
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.result import Run
@@ -87,18 +88,13 @@ class ForeignTask:
 
     start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
     500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
-    of two rows last as it likes. duration: how long a plan of this task lasts [s], None where the map does not say.
+    of two rows last as it likes. horizon: how long a plan of this task lasts [s], None where the map does not say.
     """
 
     start: tuple[float | None, ...]
     goal: tuple[float | None, ...]
     step: float
-    duration: float | None = None
-
-    @property
-    def horizon(self) -> float | None:
-        """As a scene's task calls it."""
-        return self.duration
+    horizon: float | None = None
 
     @property
     def has_goal(self) -> bool:
@@ -107,7 +103,7 @@ class ForeignTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ForeignModel:
+class ForeignModel(Counted):
     """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
 
     lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap. accuracy: how wrong the author says its
@@ -133,41 +129,11 @@ class ForeignModel:
     frictions: tuple[()] = ()
     answers: tuple[()] = ()
     damped: tuple[()] = ()
-    nf: int = 0
-
-    @property
-    def nq(self) -> int:
-        """Number of positions."""
-        return len(self.coordinates)
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def nc(self) -> int:
-        """Number of contacts."""
-        return len(self.contacts)
-
-    @property
-    def nl(self) -> int:
-        """Number of forces: the contacts', as an FMU's frictions are its own."""
-        return self.nc
-
-    @property
-    def force_names(self) -> tuple[str, ...]:
-        """Columns of the contact forces."""
-        return tuple(contact.force_name for contact in self.contacts)
 
     @property
     def depths(self) -> tuple[float | None, ...]:
         """(nc,) penetration of each contact at which the model ends [m]; None where the map does not say."""
         return tuple(contact.depth for contact in self.contacts)
-
-    def limit(self, metric: str) -> Limit | None:
-        """What the map says of the limit on a metric, or None: then the metric's default holds."""
-        return next((limit for limit in self.limits if limit.metric == metric), None)
 
 
 Subject = Scene | ForeignModel

@@ -31,6 +31,7 @@ number explains a verdict, and decides none.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ from models.errors import TouchstoneError
 from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
-from validate.execution.isolated import Limits, run_isolated
+from validate.execution.isolated import Limits, packed, run_isolated, unpacked_from
 from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.judge.replay.reference import ExchangeModel
@@ -129,8 +130,7 @@ def linearised(
     refusal = tracking_refusal(package, variables)
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
-    request = {"path": str(package.path.resolve()), "variables": variables.to_json()}
-    given = {"t": plan.t, "u": plan.u, "start": start, "states": states}
+    request, given = str(package.path.resolve()), packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states}
     if limits is None:
         _, found = jacobians(request, given)
     else:
@@ -150,13 +150,13 @@ def linearised(
     return whole[:, :nx, :nx], whole[:, :nx, nx:]
 
 
-def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
+def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
     """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives; in this process or in a child.
 
     Parameters
     ----------
-    request : path, variables.
-    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable].
+    path : of the FMU.
+    arrays : t (nodes,) [s], u (steps, nu), start (n,), states (nodes, nx) [unit of each variable]; and the Variables, packed.
 
     Returns
     -------
@@ -166,15 +166,14 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
     ------
     FmuError, FMICallException : if the FMU cannot be opened, misbehaves, or refuses a call.
     """
-    variables = Variables.from_json(request["variables"])
+    (variables,) = unpacked_from(arrays)
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
     found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
-    with unpacked(read_package(Path(request["path"]))) as package, faults_of(package.path):
+    with unpacked(read_package(Path(path))) as package, faults_of(package.path):
         order = [int(item.valueReference) for item in _states(package)]
         places = [order.index(reference) for reference in (*variables.q, *variables.v)]
         rates = [int(item.variable.valueReference) for item in package.description.derivatives]
-        model = ExchangeModel(package, variables)
-        try:
+        with closing(ExchangeModel(package, variables)) as model:
             model.start(float(t[0]), arrays["start"], u[0])
             knowns = [*(order[place] for place in places), *variables.u]
             unknowns = [rates[place] for place in places]
@@ -184,8 +183,6 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
                     x[places] = states[node]
                     model.event(float(t[node]), x, u[step])
                     found[name][step] = model.jacobian(float(t[node]), x, unknowns, knowns)
-        finally:
-            model.close()
     return None, found
 
 

@@ -1,14 +1,13 @@
 """What a simulation of a plan needs of it: value references, inputs as functions of time, a feedback law.
 
-`Variables` holds value references only, so that it travels to a child process as JSON. `HeldInputs` are the plan's inputs between its nodes: constant
+`Variables` holds value references only, so that it travels to a child process. `HeldInputs` are the plan's inputs between its nodes: constant
 over a step, or a line to the next node's value; with `Feedback` a constant is added over each step. `measure_effort` says how much that was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,18 +51,6 @@ class Variables:
     def rates(self) -> tuple[int, ...]:
         """Of what is integrated beside the states: contact forces, powers."""
         return self.lam + tuple(self.powers.values())
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON holds it, on the way to a child process."""
-        return {**asdict(self), "zero": sorted(self.zero)}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Variables:
-        """Back from `to_json`."""
-        lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "friction", "start")}
-        pairs = tuple((int(reference), float(value)) for reference, value in data["parameters"])
-        choices = tuple((int(reference), int(value)) for reference, value in data["choices"])
-        return cls(**{**data, **lists, "parameters": pairs, "choices": choices, "zero": frozenset(data["zero"])})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

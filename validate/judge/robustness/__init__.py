@@ -4,8 +4,7 @@ from validate.judge.robustness import robustness
 robustness("three_cart", "plan.csv").alone.share
 """
 
-from validate.judge.robustness.robustness import SAMPLES, Robustness, robustness
-from validate.judge.robustness.survey import Survey, survey
+from validate.judge.robustness.robustness import SAMPLES, Robustness, Survey, robustness, survey
 from validate.judge.robustness.worlds import PerturbationKind
 
 __all__ = ["SAMPLES", "PerturbationKind", "Robustness", "Survey", "robustness", "survey"]

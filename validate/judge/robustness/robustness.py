@@ -2,6 +2,7 @@
 
     found = robustness("three_cart", "plan.csv", samples=1000)
     found.alone.share, found.alone.interval, found.weakest
+    survey(scene, plan, limits, False).weakest          # in short, as a campaign asks it of every plan that holds
 
 Inputs alone and with feedback apart. Worlds come from validate.judge.robustness.worlds, trials from validate.judge.robustness.trials; a sample is
 tried once more by the reference, and what differs is counted.
@@ -12,9 +13,11 @@ from __future__ import annotations
 import math
 import operator
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +26,9 @@ import numpy as np
 from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.scene import Scene
+from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
-from validate.judge.replay.world import World
-from validate.judge.robustness.fmu import FmuArena
-from validate.judge.robustness.trials import Arena, Asked, SceneArena, WorldTrial, asked_limits
+from validate.judge.robustness.trials import Arena, Asked, FmuArena, SceneArena, WorldTrial, asked_limits
 from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, draw, moved, perturbations
 from validate.judge.score.verdict import Verdict
 
@@ -113,19 +115,28 @@ class Checked:
     by: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Way:
-    """A way to drive the plan, "inputs alone" or "with feedback": how many arrive, how many fail by what, the curve, and what was checked.
+    """A way to drive the plan, "inputs alone" or "with feedback": how many worlds fail by what, the curve, and what was checked.
 
-    ratios (samples,): of each world the largest of what is asked, as a share of its limit.
+    tried: of each world the largest of what is asked, as a share of its limit.
     """
 
     name: str
-    share: Share
-    fails_by: dict[str, int]
-    ratios: np.ndarray
+    tried: list[float] = field(default_factory=list)
+    fails_by: Counter[str] = field(default_factory=Counter)
     curve: Curve | None = None
     checked: Checked | None = None
+
+    @cached_property
+    def ratios(self) -> np.ndarray:
+        """(samples,) what was tried [-], once all worlds were."""
+        return np.array(self.tried)
+
+    @property
+    def share(self) -> Share:
+        """How many arrive."""
+        return Share(arrived=sum(ratio <= 1.0 for ratio in self.tried), samples=len(self.tried))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,29 +195,13 @@ class Robustness:
         return min((item for item in self.failures if item.sizes is not None), key=lambda item: item.sizes or 0.0, default=None)
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Progress:
-    """What was found so far: kept when the work is interrupted."""
+    """What was found so far: kept when the work is interrupted. ways: by whether they are with feedback."""
 
-    trials: int = 0
-    ratios: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
-    by: dict[bool, dict[str, int]] = field(default_factory=lambda: {False: {}, True: {}})
-    curves: dict[bool, Curve] = field(default_factory=dict)
-    checks: dict[bool, Checked] = field(default_factory=dict)
+    ways: Mapping[bool, Way] = field(default_factory=lambda: {False: Way(name="inputs alone"), True: Way(name="with feedback")})
     failures: list[FirstFailure] = field(default_factory=list)
     motions: list[tuple[int, WorldTrial]] = field(default_factory=list)
-
-    def way(self, feedback: bool) -> Way:
-        ratios, name = np.array(self.ratios[feedback]), "with feedback" if feedback else "inputs alone"
-        share = Share(arrived=int((ratios <= 1.0).sum()), samples=len(ratios))
-        return Way(
-            name=name,
-            share=share,
-            fails_by=self.by[feedback],
-            ratios=ratios,
-            curve=self.curves.get(feedback),
-            checked=self.checks.get(feedback),
-        )
 
 
 def robustness(
@@ -271,37 +266,33 @@ def robustness(
             complete = False
         return Robustness(
             judgement=judgement, causes=causes, seed=seed, fineness=arena.fineness,
-            ways=tuple(found.way(feedback) for feedback in (False, True) if found.ratios[feedback] or not feedback), failures=tuple(found.failures),
-            trials=found.trials, seconds=time.process_time() - began + arena.seconds, complete=complete, points=worlds.points, motions=tuple(found.motions),
+            ways=tuple(way for feedback, way in found.ways.items() if way.tried or not feedback), failures=tuple(found.failures),
+            trials=arena.trials, seconds=time.process_time() - began + arena.seconds, complete=complete, points=worlds.points, motions=tuple(found.motions),
         )  # fmt: skip
 
 
 def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str], None]) -> None:
     samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // OF_FEEDBACK)})
     for feedback, count in samples.items():
-        tell(f"{count} worlds, {'with feedback' if feedback else 'inputs alone'}")
+        way = found.ways[feedback]
+        tell(f"{count} worlds, {way.name}")
         for number in range(count):
-            trial = _tried(arena, worlds.world(number, arena.nominal), found, feedback)
-            found.ratios[feedback].append(trial.ratio)
+            trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
+            way.tried.append(trial.ratio)
             if not trial.arrives:
-                found.by[feedback][trial.fails_by] = found.by[feedback].get(trial.fails_by, 0) + 1
+                way.fails_by[trial.fails_by] += 1
             if not feedback and number < _SHOWN:
                 found.motions.append((number, trial))
     for feedback in samples:
         tell(f"some of these {arena.by} too")
-        found.checks[feedback] = check_by_reference(arena, worlds, found.ratios[feedback], feedback)
+        found.ways[feedback].checked = check_by_reference(arena, worlds, found.ways[feedback].tried, feedback)
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
-            found.failures.extend(_failures(arena, cause, found))
+            found.failures.extend(_failures(arena, cause))
     for feedback, count in samples.items():
         tell("shares against size")
-        found.curves[feedback] = _curve(arena, worlds, min(count, _OF_A_CURVE), found, feedback)
-
-
-def _tried(arena: Arena, world: World, found: _Progress, feedback: bool = False) -> WorldTrial:
-    found.trials += 1
-    return arena.trial(world, feedback=feedback)
+        found.ways[feedback].curve = _curve(arena, worlds, min(count, _OF_A_CURVE), feedback)
 
 
 def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
@@ -318,12 +309,12 @@ def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feed
     return Checked(count=len(numbers), differ=tuple(differ), largest_difference=largest, by=arena.by)
 
 
-def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback: bool) -> Curve:
+def _curve(arena: Arena, worlds: Draw, samples: int, feedback: bool) -> Curve:
     """Shares at all scales that no parameter's range forbids, the scale of one half bisected between two of them."""
     room = min((min(cause.below or math.inf, cause.above) for cause in worlds.causes), default=math.inf)
 
     def share(scale: float) -> Share:
-        trials = (_tried(arena, worlds.world(number, arena.nominal, scale), found, feedback) for number in range(samples))
+        trials = (arena.trial(worlds.world(number, arena.nominal, scale), feedback=feedback) for number in range(samples))
         return Share(arrived=sum(trial.arrives for trial in trials), samples=samples)
 
     scales = [scale for scale in SCALES if scale <= room]
@@ -338,30 +329,35 @@ def _curve(arena: Arena, worlds: Draw, samples: int, found: _Progress, feedback:
     return Curve(scales=tuple(scales), shares=tuple(shares), half=math.sqrt(low * high))
 
 
-def _failures(arena: Arena, cause: Perturbation, found: _Progress) -> Iterable[FirstFailure]:
+def _at(arena: Arena, cause: Perturbation, size: float) -> WorldTrial:
+    """The plan in the model's own world but for one perturbation, driven as it holds."""
+    return arena.trial(moved(arena.nominal, [cause], np.array([size])), feedback=arena.followed)
+
+
+def _along(arena: Arena, cause: Perturbation, direction: int, largest: float) -> tuple[float, WorldTrial] | None:
+    """The size at which the plan first fails along one perturbation, one way, and the trial of the smallest move that fails; None where there is none."""
+    cases: dict[float, WorldTrial] = {}
+
+    def ratio(size: float) -> float:
+        cases[size] = _at(arena, cause, direction * size)
+        return cases[size].ratio
+
+    sizes = first_failure(ratio, largest)
+    return None if sizes is None else (sizes, cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)])
+
+
+def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
     """Both ways along one perturbation."""
-
-    def at(size: float) -> WorldTrial:
-        return _tried(arena, moved(arena.nominal, [cause], np.array([size])), found, arena.followed)
-
-    own, one_sided = at(0.0), cause.below == 0.0
-    near = [at(size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
+    own, one_sided = _at(arena, cause, 0.0), cause.below == 0.0
+    near = [_at(arena, cause, size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
     known = all(trial.shares for trial in (own, *near))
     series = [_series(parts, one_sided) for parts in zip(*(trial.parts for trial in (own, *near)), strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
-        cases: dict[float, WorldTrial] = {}
-
-        def real(size: float, direction: int = direction, cases: dict[float, WorldTrial] = cases) -> float:
-            cases[size] = at(direction * size)
-            return cases[size].ratio
-
-        sizes = first_failure(real, tried)
-        # The smallest move that was tried and fails.
-        failed = None if sizes is None else cases[min(size for size, trial in cases.items() if size >= sizes and not trial.arrives)]
+        sizes, failed = _along(arena, cause, direction, tried) or (None, None)
         yield FirstFailure(
             cause=cause, direction=direction, sizes=sizes, tried=tried, by="" if failed is None else failed.fails_by, predicted=_foretold(arena.asked, series, direction, tried), curved=_foretold(arena.asked, series, direction, tried, order=2),
-            same_modes=failed is None or sizes is None or {failed.modes, at(-direction * sizes).modes} == {own.modes},
+            same_modes=failed is None or sizes is None or {failed.modes, _at(arena, cause, -direction * sizes).modes} == {own.modes},
         )  # fmt: skip
 
 
@@ -407,3 +403,73 @@ def first_failure(ratio: Callable[[float], float], largest: float) -> float | No
         middle = (low + high) / 2.0
         low, high = (low, middle) if ratio(middle) > 1.0 else (middle, high)
     return (low + high) / 2.0
+
+
+# Worlds of a plan of a campaign: shares are told to 6 %. Where they cost more internal steps than this in all, half as many, and so on down to the fewest.
+SURVEYED, FEWEST, MOST_STEPS = 256, 32, 2**19
+SEED = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What was found of a plan.
+
+    alone, feedback: how many worlds it arrives in, None where the plan has no states to feed back; checked, differ: worlds that the reference was asked about too,
+    and in how many it says otherwise; weakest: the perturbation by itself of which the plan takes the fewest sizes (`""`: it takes all up to 64), how far [unit], and
+    the metric by which it fails there - with feedback where it holds only so.
+    """
+
+    alone: Share
+    feedback: Share | None
+    checked: int
+    differ: int
+    weakest: str = ""
+    sizes: float | None = None
+    amount: float | None = None
+    unit: str = ""
+    by: str = ""
+
+
+def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed: bool) -> Survey:
+    """Try a plan that holds in the worlds of a campaign.
+
+    They are the same for every plan of a scene, so that two of them differ by no luck of the draw. First failures are not looked for along every perturbation
+    to their end, as `robustness` does: only where a plan fails at a smaller size than along those before.
+
+    Parameters
+    ----------
+    limits : what the judge held the plan to, by metric
+    followed : whether it holds only with feedback
+
+    Raises
+    ------
+    TrajectoryError : where the scene limits neither an end nor a cost, or nothing of it can be perturbed.
+    FmuError, MachineError : in one sentence.
+    """
+    plan = plan.from_zero()
+    causes = perturbations(scene, plan)
+    with SceneArena.of(scene, plan, limits, followed=followed) as arena:
+        samples = SURVEYED
+        while samples > FEWEST and samples * arena.fineness * plan.steps > MOST_STEPS:
+            samples //= 2
+        worlds, shares, checks = draw(causes, samples, SEED), [], []
+        for feedback in (False,) if arena.feedback is None else (False, True):
+            numbers = range(samples // OF_FEEDBACK if feedback else samples)
+            ratios = [arena.trial(worlds.world(number, arena.nominal), feedback=feedback).ratio for number in numbers]
+            shares.append(Share(arrived=sum(ratio <= 1.0 for ratio in ratios), samples=len(ratios)))
+            checks.append(check_by_reference(arena, worlds, ratios, feedback))
+        smallest, weakest = FARTHEST, {}
+        for cause, direction in product((item for item in causes if item.kind is not PerturbationKind.NOISE), (-1, 1)):
+            tried = min(smallest, cause.below if direction < 0 else cause.above)
+            if (
+                tried > 0.0
+                and not _at(arena, cause, direction * tried).arrives
+                and (first := _along(arena, cause, direction, tried)) is not None
+            ):
+                smallest, failed = first
+                amount = direction * smallest * cause.size
+                weakest = {"weakest": cause.name, "sizes": smallest, "amount": amount, "unit": cause.unit, "by": failed.fails_by}
+    return Survey(
+        alone=shares[0], feedback=shares[1] if len(shares) > 1 else None, checked=sum(item.count for item in checks), differ=sum(len(item.differ) for item in checks),
+        **weakest,
+    )  # fmt: skip

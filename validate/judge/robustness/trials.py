@@ -5,7 +5,11 @@
         arena.checked(world).ratio       # the same by the reference
 
 The FMU's step is the coarsest whose motion in the model's own world ends where the reference's does. A scene's FMU is loaded once, and reset before each
-world; somebody's is tried in a child process (validate.judge.robustness.fmu).
+world. Somebody's is tried in the child process that a replay uses, and what ends the child there is a world in which the plan fails: by Co-Simulation where
+it has that, checked by Model Exchange, or else by half the smallest step; one with Model Exchange alone by a looser and a tighter tolerance.
+
+    with FmuArena.of(wired, limits) as arena:
+        arena.trial(world).fails_by            # "crashed", where the FMU did
 """
 
 from __future__ import annotations
@@ -25,14 +29,18 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
-from validate.fmi.description import Package, read_package, unpacked
+from validate.execution.isolated import IsolatedCalls
+from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.fmi.instance import Instance, load_instance
+from validate.judge.judgement import WiredFmu
 from validate.judge.replay.everyday import simulate
+from validate.judge.replay.job import Job
 from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome
-from validate.judge.replay.run import EVENT_BUDGET
-from validate.judge.replay.subject import Subject, find_variables
-from validate.judge.replay.tracking import design_feedback
+from validate.judge.replay.run import EVENT_BUDGET, OWN_STEP, foreign_job, in_plan_units
+from validate.judge.replay.run import FINENESS as JUDGED
+from validate.judge.replay.subject import Outputs, Subject, find_variables
+from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
 from validate.judge.replay.wiring import Feedback
 from validate.judge.replay.world import World, WorldInputs
 from validate.judge.robustness.worlds import nominal_world
@@ -178,8 +186,8 @@ class Arena(ABC):
     # What checks it, and how near to that the motion in the model's own world must end [shares of the limits].
     by, near = "by the reference", 1e-3
     levels: Sequence[int] = FINENESS
-    # CPU time in other processes [s].
-    seconds = 0.0
+    # CPU time in other processes [s]; trials made.
+    seconds, trials = 0.0, 0
 
     def __init__(self, scene: Subject, plan: Trajectory, asked: Asked, followed: bool, feedback: Feedback | None) -> None:
         """Raises FmuError."""
@@ -191,7 +199,7 @@ class Arena(ABC):
         """Choose the fineness, and what the feedback follows. Raises FmuError."""
         self.fineness = self._fine_enough()
         # It follows the motion that arrives: what the plan's own states differ from it by is the plan's grid, which is no disturbance and may be dear to undo.
-        if self.feedback is not None and not self.followed and (own := self.trial(self.nominal)).arrives:
+        if self.feedback is not None and not self.followed and (own := self._tried(self.nominal, self.fineness, False)).arrives:
             self.feedback = replace(self.feedback, reference=own.states)
         return self
 
@@ -205,6 +213,7 @@ class Arena(ABC):
 
     def trial(self, world: World, *, feedback: bool = False) -> WorldTrial:
         """The everyday replay in a world. Raises FmuError."""
+        self.trials += 1
         return self._tried(world, self.fineness, feedback)
 
     def checked(self, world: World, *, feedback: bool = False) -> WorldTrial:
@@ -260,11 +269,8 @@ class SceneArena(Arena):
         ]
         variables = replace(self._variables, parameters=tuple(parameters))
         if fineness == REFERENCE:
-            model = ExchangeModel(self._package, variables)
-            try:
+            with closing(ExchangeModel(self._package, variables)) as model:
                 run = integrate(model, world.start, inputs, RTOL, EVENT_BUDGET, parts=1)
-            finally:
-                model.close()
         else:
             run = simulate(self._package, variables, world.start, inputs, fineness, fmu=self._fresh())
             if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
@@ -287,3 +293,83 @@ class SceneArena(Arena):
         if self._instance is not None:
             self._instance.unload()
             self._instance = None
+
+
+# In the place of a fineness: Model Exchange at this relative tolerance.
+_LOOSELY, _LOOSE = 0, 1e-7
+# How near half the smallest step must be: of a method of first order no step comes within a thousandth of the limits.
+_NEAR = 1e-2
+
+
+class FmuArena(Arena):
+    """Somebody's FMU, in a child process."""
+
+    def __init__(self, wired: WiredFmu, asked: Asked, followed: bool) -> None:
+        """Raises FmuError, TrajectoryError."""
+        foreign, package, plan = wired.foreign, wired.package, wired.plan
+        self._foreign, self._child = foreign, IsolatedCalls(wired.limits, f"FMU {package.path}")
+        steps, exchange = package.cosimulation, package.exchange is not None and not wired.own_step
+        # Uneven steps are not everybody's, and who is judged by its own step takes no other.
+        uneven = steps is not None and not wired.own_step and steps.canHandleVariableCommunicationStepSize
+        whole = not uneven and not exchange
+        super().__init__(foreign.model, plan, asked, followed, None if whole else _feedback(wired))
+        self.nominal = replace(self.nominal, whole=whole)
+        self._job = replace(foreign_job(foreign, package, plan, wired.limits, wired.own_step), child=self._child, rolls_back=False)
+        factor = max(self._job.fineness) // max(JUDGED)
+        steady = JUDGED if foreign.variables.internal_step is None else FINENESS
+        self.levels = OWN_STEP[1:] if wired.own_step else tuple(factor * fineness for fineness in steady) if whole or uneven else ()
+        finest = OWN_STEP[0] if wired.own_step else 2 * max(self.levels, default=0)
+        self.levels += (_LOOSELY,) if exchange else ()
+        self._exact = {"tolerances": (RTOL,) if exchange else (), "fineness": () if exchange else (finest,)}
+        if not exchange:
+            self.by, self.near = f"with {'a quarter of the' if wired.own_step else 'half the smallest'} step", _NEAR
+
+    @classmethod
+    @contextmanager
+    def of(cls, wired: WiredFmu, limits: Mapping[str, float], *, followed: bool = False) -> Iterator[Arena]:
+        """An arena that is closed at the end. limits: what the judge held the plan to, by metric. Raises FmuError, MachineError, TrajectoryError."""
+        with closing(cls(wired, Asked.of(wired.foreign.model, limits, wired.plan), followed)) as arena:
+            yield arena.settle()
+
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
+        foreign, inputs, nx = self._foreign, WorldInputs(self.plan, world, feedback), 2 * self.scene.nq
+        level = {"tolerances": (_LOOSE,), "fineness": ()} if fineness == _LOOSELY else {"tolerances": (), "fineness": (fineness,)}
+        try:
+            job = replace(self._moved(world), **(self._exact if fineness == REFERENCE else level))
+            simulated = in_plan_units(foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units)))
+        except FmuError:  # what it does in this world alone is no mistake of the user's
+            return ReplayOutcome.FMU_FAILED, np.empty((0, nx)), np.empty((0, self.scene.nc)), inputs.commands
+        self.seconds += simulated.seconds_reference + simulated.seconds_everyday
+        run = simulated.judged
+        found = Outputs(foreign.model, foreign.variables, run, run.knots)
+        rows = inputs.rows[inputs.rows < len(found.q)]
+        return run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], inputs.commands
+
+    def _moved(self, world: World) -> Job:
+        """The job in a world, in the FMU's units; what is as the FMU has it is not set."""
+        foreign, nominal = self._foreign, self.nominal
+        (scale, offset), (times, plus) = foreign.units
+        parameters, start = dict(foreign.variables.parameters), dict(zip(foreign.variables.start, foreign.start.tolist(), strict=True))
+        for place in np.flatnonzero(world.parameters != nominal.parameters):
+            parameters[foreign.parameters[place]] = float(world.parameters[place])
+        states = (world.start[: len(scale)] - offset) / scale
+        for place in np.flatnonzero(world.start != nominal.start):
+            start[(foreign.variables.q + foreign.variables.v)[place]] = float(states[place])
+        noise = times * world.noise + plus * (1.0 - world.gain)
+        return replace(
+            self._job, start=np.array(list(start.values())), world=replace(world, start=states, noise=noise),
+            variables=replace(self._job.variables, parameters=tuple(parameters.items()), start=tuple(start)),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the child."""
+        self._child.close()
+
+
+def _feedback(wired: WiredFmu) -> Feedback | None:
+    """The judge's, where the FMU tells derivatives of its states."""
+    foreign = wired.foreign
+    try:
+        return design_foreign(foreign.model, wired.package, foreign.variables, wired.plan, foreign.units, foreign.start, wired.limits)[0]
+    except TrackingError:
+        return None

@@ -9,7 +9,7 @@ The judge knows no method: it sees a plan and what the plan's inputs do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +23,12 @@ from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries, limit_name
+from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries
 from validate.judge.score.verdict import (
     EFFORT,
     MARGIN,
     SHARE,
+    TRACKED,
     Contradicted,
     LeavesBounds,
     Metric,
@@ -182,70 +183,52 @@ def _not_asked(scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, .
     return (*sentences, *getattr(scene, "not_asked", ()))
 
 
-@dataclass(frozen=True)
-class _Worst:
-    """The component of a metric that decides it."""
+def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> tuple[float, float, float, float, str | None]:
+    """Value, error, scale, what printing allows and the unit of the component that decides a metric.
 
-    value: float
-    error: float
-    scale: float
-    allowed: float
-    base: float
-    unit: str | None
-
-
-def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _Worst:
-    """The largest value where the scene sets a limit; else the one that is largest against its own limit."""
+    The largest value where the scene sets a limit; else the one that is largest against its own limit.
+    """
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
-        return _Worst(float(value), float(error), 1.0, 0.0, 0.0, None)
+        measured = Measured(values=np.array([value]), error=error)
     values = np.asarray(measured.values, dtype=float)
-    errors, scales, allowed = (
-        np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)
-    )
+    parts = [np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)]
+    _, scales, allowed = parts
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
-    unit = measured.units[place] if len(measured.units) == len(values) else None
-    return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), measured.base, unit)
+    error, scale, allows = (float(part[place]) for part in parts)
+    return float(values[place]), error, scale, allows, measured.units[place] if len(measured.units) == len(values) else None
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
-    unit, own = entry.unit(case.scene), case.scene.limit(limit_name(entry.name))
-    empty = Metric(name=entry.name, question=entry.question, value=None, unit=unit, meaning=entry.meaning)
-    absent = _why_not_asked(entry, case)
-    if absent:
+    own = case.scene.limit(entry.name.removeprefix(TRACKED))
+    empty = Metric(name=entry.name, question=entry.question, value=None, unit=entry.unit(case.scene), meaning=entry.meaning)
+    if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
-    limited = entry.question is not Question.SHOWN and (own is not None or entry.default is not None)
     waived = own is not None and own.value is None
-    # What is told as the limit where nothing could be measured: of a default, how much of what counts as large.
-    stated = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
+    judged = entry.question is not Question.SHOWN and not waived and (own is not None or entry.default is not None)
+    # Of a default, how much of what counts as large; of a scene's limit the number itself.
+    stated, reason = (own.value, own.reason) if own is not None and own.value is not None else entry.default or (0.0, "")
     try:
         # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
         with np.errstate(over="ignore", invalid="ignore"):
-            worst = _worst(entry.measure(case), own is not None and own.value is not None)
-        if not math.isfinite(worst.value):
+            value, error, scale, allowed, unit = _worst(entry.measure(case), own is not None and not waived)
+        if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
-    except LeavesBounds as beyond:
-        if not limited or waived:
-            return replace(empty, reason=str(beyond))
-        return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
     except (Unmeasured, KernelError) as missing:
-        if not limited or waived or not (isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
-            return replace(empty, reason=str(missing))
-        return replace(empty, reason=str(missing), limit=stated, default=own is None)
-    found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)
-    if waived or not limited:
+        beyond, unmeasured = isinstance(missing, LeavesBounds), replace(empty, reason=str(missing))
+        if not judged or not (beyond or isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
+            return unmeasured
+        return replace(unmeasured, limit=stated, ok=False if beyond else None, default=own is None)
+    found = replace(empty, value=value, error=error, unit=unit or empty.unit)
+    if not judged:
         return replace(found, reason=own.reason if own is not None and waived else "")
-    if own is not None and own.value is not None:
-        bound, reason = own.value + worst.allowed, own.reason
-    else:
-        factor, reason = entry.default or (0.0, "")
-        bound = factor * worst.scale + worst.allowed + worst.base
+    bound = (stated if own is not None else stated * scale) + allowed
     if not math.isfinite(bound):
         return found
     margin = 1.0 if entry.question is Question.JUDGE else MARGIN
-    return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound, margin), default=own is None)
+    return replace(found, limit=bound, reason=reason, ok=compare(value, error, bound, margin), default=own is None)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:

@@ -29,14 +29,13 @@ class Measured:
     """What was measured of one metric.
 
     values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
-    component; allowed (n,): what printing may be the cause of, which is added to the limit; base: added to the default limit alone.
+    component; allowed (n,): what printing may be the cause of, which is added to the limit.
     """
 
     values: np.ndarray
     error: float | np.ndarray = 0.0
     scales: np.ndarray | float = 1.0
     allowed: np.ndarray | float = 0.0
-    base: float = 0.0
     units: tuple[str, ...] = ()
 
 

@@ -338,11 +338,6 @@ def _twin(entry: MetricEntry) -> MetricEntry:
     )  # fmt: skip
 
 
-def limit_name(name: str) -> str:
-    """By which metric a scene limits this one."""
-    return name.removeprefix(TRACKED)
-
-
 def _effort(case: Evidence) -> Effort:
     replay = case.opened.tracked
     if replay is None or replay.effort is None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import cast
 
@@ -34,44 +35,36 @@ _ENOUGH = 120.0  # seconds of a stage, which takes about one
 
 
 @dataclass
-class _Simulated:
-    """Of the collision, ratio by ratio; times: what a contact's length may be wrong by, as its share, for the end to be where it is; wrong: replays that did not reach the end."""
-
-    times: list[float] = field(default_factory=list)
-    momenta: list[float] = field(default_factory=list)
-    plan_momenta: list[float] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-    wrong: list[str] = field(default_factory=list)
-
-
-@dataclass
 class _Planned:
-    """Of the three carts. ratios, costs, errors: of those with a plan; unstable, out_of_reach: ratios that are told to be so; wrong: what is neither."""
+    """Of the three carts. plans: ratio, cost, replay error [m]; unstable, out_of_reach: ratios that are told to be so; wrong: what is neither."""
 
     limit: float
-    ratios: list[float] = field(default_factory=list)
-    costs: list[float] = field(default_factory=list)
-    errors: list[float] = field(default_factory=list)
+    plans: list[tuple[float, float, float]] = field(default_factory=list)
     unstable: list[float] = field(default_factory=list)
     out_of_reach: list[float] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
 
 
-def simulated() -> _Simulated:
-    """Two bodies that collide, replayed at each ratio of their masses."""
-    found, base = _Simulated(), mass_ratio(1.0).scene
+def simulated() -> tuple[np.ndarray, list[str]]:
+    """Two bodies that collide, replayed at each ratio of their masses.
+
+    Returns
+    -------
+    found : (4, ratios) of the replays that reached the end: what the contact's length may be wrong by for the end to be where it is, as its share [-];
+        the momentum of the replay, and of the plan [-]; seconds [s]
+    wrong : which did not
+    """
+    found, wrong, base = [], [], mass_ratio(1.0).scene
     for ratio in RATIOS:
         problem = mass_ratio(ratio)
         plan, told = of_truth(problem, base)
         if not told.ok:
-            found.wrong.append(f"{ratio:g}: {told.message}")
+            wrong.append(f"{ratio:g}: {told.message}")
             continue
         error = wrong_by(problem, told)
-        found.times.append(max(error["position at the end"], error["velocity at the end"]) / math.pi)
-        found.momenta.append(error["momentum"])
-        found.plan_momenta.append(wrong_by(problem, plan)["momentum"])
-        found.seconds.append(told.seconds_reference)
-    return found
+        off = max(error["position at the end"], error["velocity at the end"]) / math.pi
+        found.append((off, error["momentum"], wrong_by(problem, plan)["momentum"], told.seconds_reference))
+    return np.array(found).reshape(-1, 4).T, wrong
 
 
 def _carts() -> Scene:
@@ -121,32 +114,32 @@ def planned() -> _Planned:
         if plan is None or cost is None or solution.outcome is not Outcome.SOLVED or told is None or not told.ok:
             found.wrong.append(f"{ratio:g}: {solution.outcome.name.lower()}, {told.message if told else solution.message}")
             continue
-        found.ratios.append(ratio)
-        found.costs.append(cost)
-        found.errors.append(float(np.abs(told.q[told.knots] - plan.q).max()))
+        found.plans.append((ratio, cost, float(np.abs(told.q[told.knots] - plan.q).max())))
     return found
 
 
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
-    seen, plans = simulated(), planned()
+    (times, momenta, plan_momenta, seconds), lost = simulated()
+    plans, most = planned(), partial(max, default=math.nan)
+    ratios, costs, errors = np.array(plans.plans).reshape(-1, 3).T
     length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
-    shares = [cost / plans.costs[0] for cost in plans.costs]
+    shares = costs / costs[:1]
     unstable, away = (", ".join(f"{ratio:g}" for ratio in ratios) or "none" for ratios in (plans.unstable, plans.out_of_reach))
     beyond = f"Refused before the run, past the step's stability limit: {unstable}; goal out of reach of the inputs: {away}."
     return finding(
-        f"Contact times are right to {max(seen.times, default=math.nan):.1e}, momentum is kept to {max(seen.momenta, default=math.nan):.1e} of what "
-        f"there is. Plans with a middle cart {min(plans.ratios, default=math.nan):g} to {max(plans.ratios, default=math.nan):g} times as heavy cost up to "
-        f"{max(shares, default=math.nan):.1f} times as much, and their replays leave them by at most {max(plans.errors, default=math.nan):.1e} m. {beyond}",
-        none_of("ratios whose replay did not reach the end", seen.wrong, reason="each can be simulated"),
+        f"Contact times are right to {most(times):.1e}, momentum is kept to {most(momenta):.1e} of what "
+        f"there is. Plans with a middle cart {min(ratios, default=math.nan):g} to {most(ratios):g} times as heavy cost up to "
+        f"{most(shares):.1f} times as much, and their replays leave them by at most {most(errors):.1e} m. {beyond}",
+        none_of("ratios whose replay did not reach the end", lost, reason="each can be simulated"),
         at_most(
             "relative error of the contact time",
-            max(seen.times, default=math.nan),
+            most(times),
             1e-8,
             reason="half a period of the reduced mass, by where the bodies end; located to rounding of the clock, 1e-13 s of 0.7 ms",
         ),
-        at_most("momentum of the replay", max(seen.momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
-        at_most("momentum of the plan's time step", max(seen.plan_momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
+        at_most("momentum of the replay", most(momenta), 1e-12, reason="contact is an inner force"),
+        at_most("momentum of the plan's time step", most(plan_momenta), 1e-12, reason="contact is an inner force"),
         none_of(
             "ratios that are neither planned nor told to be beyond the step or the inputs",
             plans.wrong,
@@ -154,14 +147,14 @@ def measure() -> Found:
         ),
         at_most(
             "largest replay error of a plan",
-            max(plans.errors, default=math.nan),
+            most(errors),
             0.04,
             "m",
             reason="of first order in the step: twice the 0.02 m that the three carts are allowed at half of it",
         ),
         at_most(
             "largest fall of the cost with the mass, relative",
-            max((early / late - 1.0 for early, late in pairwise(plans.costs)), default=0.0),
+            max((early / late - 1.0 for early, late in pairwise(costs)), default=0.0),
             5e-3,
             reason="a heavier cart is no cheaper to move, but for contact windows found that differ by a thousandth of the cost",
         ),
@@ -171,31 +164,29 @@ def measure() -> Found:
                 x=("mass ratio", ""),
                 y=("relative error", ""),
                 series={
-                    "contact time": (RATIOS, seen.times),
-                    "momentum of the replay": (RATIOS, seen.momenta),
-                    "momentum of the plan": (RATIOS, seen.plan_momenta),
+                    "contact time": (RATIOS, times),
+                    "momentum of the replay": (RATIOS, momenta),
+                    "momentum of the plan": (RATIOS, plan_momenta),
                 },
-                log_x=True,
-                log_y=True,
+                log="xy",
             ),
             chart(
                 "Cost and replay error of a plan against mass ratio",
                 x=("mass ratio", ""),
                 y=("relative size", ""),
                 series={
-                    "cost, of the lightest": (plans.ratios, shares),
-                    "replay error, of a cart's length": (plans.ratios, [error / length for error in plans.errors]),
+                    "cost, of the lightest": (ratios, shares),
+                    "replay error, of a cart's length": (ratios, errors / length),
                 },
-                log_x=True,
-                log_y=True,
+                log="xy",
                 words=f"Three carts, the middle one so many times as heavy. {beyond}",
             ),
             chart(
                 "Cost of the reference replay against mass ratio",
                 x=("mass ratio", ""),
                 y=("seconds", "s"),
-                series={"two tolerances": (RATIOS, seen.seconds)},
-                log_x=True,
+                series={"two tolerances": (RATIOS, seconds)},
+                log="x",
             ),
         ),
     )

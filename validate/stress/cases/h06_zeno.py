@@ -70,7 +70,7 @@ def measure() -> Found:
                     "replay": (np.arange(1, len(flights) + 1), flights),
                     "geometric series": (np.arange(1, len(flights) + 1), first * e ** np.arange(1, len(flights) + 1)),
                 },
-                log_y=True,
+                log="y",
             ),
         ),
     )

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from formulations.pipelines import load_method
 from formulations.shooting.stage import measure_growth
 from formulations.solution import Outcome
 from models.catalog import load_scene
@@ -18,7 +17,7 @@ from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
 from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, unlimited
-from validate.stress.motion import at_nodes, replayed, rolled
+from validate.stress.motion import at_nodes, replayed, rolled, solved
 
 SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
 # Up to here [rad] the pole is linear: a nudge of 1e-6 gets there in 2.5 s.
@@ -42,8 +41,7 @@ def measure() -> Found:
     t = h * np.arange(len(apart))
     linear = (apart > 10 * NUDGE) & (apart < _LINEAR)
     replay_rate = float(np.polyfit(t[linear], np.log(apart[linear]), 1)[0])
-    with load_method("relu_gd").open(scene.with_task(steps=steps), {"max_iterations": ITERATIONS}) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=10.0)
+    solution = solved(scene.with_task(steps=steps), "relu_gd", seconds=10.0, max_iterations=ITERATIONS)
     silent = []
     if solution.outcome is Outcome.SOLVED:
         silent.append("descent calls it solved")
@@ -82,7 +80,7 @@ def measure() -> Found:
                     "two replays 1e-6 rad apart": (t[1:], apart[1:] / NUDGE),
                     "exp(3.67 t)": ([0.0, SECONDS], [1.0, math.exp(GROWTH * SECONDS)]),
                 },
-                log_y=True,
+                log="y",
                 words="The replays part along the same line until the pole falls into a wall.",
             ),
         ),

@@ -110,8 +110,7 @@ def measure() -> Found:
                     "rollout and adjoint": (LENGTHS, [row[0] for row in gradients]),
                     "softplus model, built and translated": (MODEL_LENGTHS, [row[0] for row in models]),
                 },
-                log_x=True,
-                log_y=True,
+                log="xy",
             ),
         ),
     )

@@ -4,31 +4,23 @@ from __future__ import annotations
 
 import math
 
-from formulations.pipelines import load_method
-from formulations.solution import Outcome, Solution
+from formulations.solution import Outcome
 from models.catalog import load_scene
-from models.scene import Scene
-from models.trajectory import Trajectory
 from validate.stress.case import Found, StressCase, at_most, finding, none_of, unlimited
+from validate.stress.motion import solved
 
 GOAL = 3.3
 SOFTPLUS_EPS = (1e-2, 1e-3, 1e-5)
-
-
-def _run(scene: Scene, method: str, eps: float | None, plan: Trajectory | None, iterations: int) -> Solution:
-    with load_method(method).open(scene, {"max_iterations": iterations}) as session:
-        return session.solve(eps=eps, warm_start=plan, time_limit=15.0)
+_ENOUGH = 15.0  # seconds of a descent
 
 
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(goal=(None, GOAL, None, None, 0.0, None))
-    dead = _run(scene, "relu_gd", None, None, 500)
-    plan, relaxed = None, None
+    dead, plan = solved(scene, "relu_gd", seconds=_ENOUGH, max_iterations=500), None
     for eps in SOFTPLUS_EPS:
-        relaxed = _run(scene, "softplus_gd", eps, plan, 400)
-        plan = relaxed.trajectory or plan
-    alive = _run(scene, "relu_gd", None, plan, 2000)
+        plan = solved(scene, "softplus_gd", eps, plan, seconds=_ENOUGH, max_iterations=400).trajectory or plan
+    alive = solved(scene, "relu_gd", None, plan, seconds=_ENOUGH, max_iterations=2000)
     words = []
     if dead.outcome is Outcome.SOLVED:
         words.append("the dead descent calls it solved")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from validate.stress.case import Found, StressCase, at_most, finding, none_of
+from validate.stress.motion import solved
 
 FAR, STEPS, BUDGET = 20.0, 100, 20.0
 # Method -> eps. One of each kind: smooth, exact, by windows.
@@ -20,8 +20,7 @@ def measure() -> Found:
     wrong, endings, slowest = [], [], 0.0
     for name, eps in METHODS.items():
         begin = time.perf_counter()
-        with load_method(name).open(scene) as session:
-            solution = session.solve(eps=eps, warm_start=None, time_limit=BUDGET)
+        solution = solved(scene, name, eps, seconds=BUDGET)
         slowest = max(slowest, time.perf_counter() - begin)
         endings.append(f"{name}: {solution.outcome.name.lower()}")
         if solution.outcome is not Outcome.INFEASIBLE:

@@ -71,7 +71,7 @@ def measure() -> Found:
                 x=("coefficient mu", ""),
                 y=("creep speed", "m/s"),
                 series={"regularised, eps 1e-3, h = 0.01 s": (COEFFICIENTS, creeps)},
-                log_x=True,
+                log="x",
                 words="The exact law and the replay stick: they would lie at zero.",
             ),
             chart(
@@ -79,8 +79,7 @@ def measure() -> Found:
                 x=("step h", "s"),
                 y=("creep speed", "m/s"),
                 series={f"mu = {mu:g}": (STEPS, values) for mu, values in by_step.items()},
-                log_x=True,
-                log_y=True,
+                log="xy",
                 words="It does not vanish as the step goes to zero.",
             ),
         ),

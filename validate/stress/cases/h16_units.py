@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from formulations.pipelines import load_method
-from formulations.solution import Solution
 from models.catalog import load_scene
 from models.scene import Scene
 from validate.stress.case import Found, StressCase, at_most, finding, none_of
-from validate.stress.motion import at_nodes, replayed, rolled
+from validate.stress.motion import at_nodes, replayed, rolled, solved
 
 LENGTH = 1e3
 
@@ -25,11 +23,6 @@ def _in_millimetres(scene: Scene) -> Scene:
     return scaled.with_task(start=tuple(value * LENGTH for value in scene.task.start), goal=tuple(goal))
 
 
-def _solved(scene: Scene) -> Solution:
-    with load_method("mpcc").open(scene, {"search": False}) as session:
-        return session.solve(eps=None, warm_start=None, time_limit=20.0)
-
-
 def measure() -> Found:
     """Measure what `CASE.expected` says."""
     metres = load_scene("three_cart")
@@ -39,7 +32,7 @@ def measure() -> Found:
     step = float(max(np.abs(plans[1].q / LENGTH - plans[0].q).max(), np.abs(plans[1].lam - plans[0].lam).max()))
     truths = [replayed(scene, plan) for scene, plan in zip((metres, small), plans, strict=True)]
     told = float(np.abs(at_nodes(truths[1]) / LENGTH - at_nodes(truths[0])).max()) if all(item.ok for item in truths) else np.inf
-    solutions = [_solved(metres), _solved(small)]
+    solutions = [solved(scene, "mpcc", seconds=20.0, search=False) for scene in (metres, small)]
     costs = [np.inf if solution.cost is None else solution.cost for solution in solutions]
     wrong = [
         f"{name}: {item.outcome.name.lower()}, {item.message}"

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from formulations.mpec import certify_solution
-from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene.goal import distance, goal_state
 from validate.stress.case import Found, StressCase, at_most, chart, finding, none_of
+from validate.stress.motion import solved
 
 TOLERANCES = (0.0, 1e-2, 0.1)
 
@@ -22,8 +22,7 @@ def measure() -> Found:
     scene = load_scene("three_cart")
     best = next(answer.value for answer in scene.answers if answer.quantity.startswith("best known cost"))
     kernel, goal = load_kernel(scene), goal_state(scene.task)
-    with load_method("mpcc_front").open(scene, {"tolerances": TOLERANCES, "search": False}) as session:
-        front = certify_solution(scene, session.solve(eps=None, warm_start=None, time_limit=90.0)).front
+    front = certify_solution(scene, solved(scene, "mpcc_front", seconds=90.0, tolerances=TOLERANCES, search=False)).front
     costs, over, wrong = [], [0.0], []
     for point in front:
         plan, cost = point.solution.trajectory, point.solution.cost
@@ -62,7 +61,7 @@ def measure() -> Found:
                 x=("terminal tolerance (0 drawn at 1e-4)", ""),
                 y=("cost", ""),
                 series={"three carts, exact contact": ([max(tolerance, 1e-4) for tolerance in TOLERANCES], costs)},
-                log_x=True,
+                log="x",
             ),
         ),
     )

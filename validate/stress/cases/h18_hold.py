@@ -12,12 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.stress.case import Found, StressCase, at_least, at_most, chart, finding, none_of, refusal
-from validate.stress.motion import replayed, rolled
+from validate.stress.motion import replayed, rolled, solved
 
 SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
 
@@ -60,9 +59,8 @@ def measure() -> Found:
     wrong = []
     other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon
     for name, eps in (("softplus_dc", 1e-3), ("strict_lcp", None), ("mpcc", None)):
-        with load_method(name).open(scene) as session:
-            solve = partial(session.solve, eps=eps, warm_start=other_grid, time_limit=5.0)
-            wrong += refusal(f"{name}, a warm start on another grid", ["resample", "steps"], solve)
+        solve = partial(solved, scene, name, eps, other_grid, seconds=5.0)
+        wrong += refusal(f"{name}, a warm start on another grid", ["resample", "steps"], solve)
     return finding(
         f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
         at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),
@@ -75,8 +73,7 @@ def measure() -> Found:
                 x=("steps", ""),
                 y=("error of the end", ""),
                 series={hold.value.replace("_", " "): (COUNTS, values) for hold, values in errors.items()},
-                log_x=True,
-                log_y=True,
+                log="xy",
             ),
         ),
     )

@@ -8,11 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.trajectory import Trajectory
 from validate.stress.case import Found, StressCase, finding, none_of, refusal, unlimited
-from validate.stress.motion import rolled
+from validate.stress.motion import rolled, solved
 
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None, "softplus_gd": 1e-3, "relu_gd": None}
 STEPS = 50
@@ -44,9 +43,8 @@ def measure() -> Found:
         )
     other_length, other_scene = rolled(scene, steps=STEPS + 7), rolled(load_scene("cart_pole_walls"), step=scene.task.step, steps=STEPS)
     for name, eps in METHODS.items():
-        with load_method(name).open(scene) as session:
-            for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
-                must_refuse(f"{name}, {what}", word, partial(session.solve, eps=eps, warm_start=plan, time_limit=5.0))
+        for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
+            must_refuse(f"{name}, {what}", word, partial(solved, scene, name, eps, plan, seconds=5.0))
     wrong = [sentence for sentences in found for sentence in sentences]
     refused = sum(not sentences for sentences in found)
     return finding(

@@ -24,7 +24,7 @@ from validate.judge.replay.wiring import Feedback
 
 MODEL = ForeignModel(
     name="cart", coordinates=(ForeignCoordinate(name="x", velocity_name="v"),), inputs=(ForeignInput(name="F"),),
-    contacts=(ForeignContact(name="stop", force_name="lam", gap_name="gap"),), task=ForeignTask(start=(None, None), goal=(None, 2.0), step=0.1, duration=3.0),
+    contacts=(ForeignContact(name="stop", force_name="lam", gap_name="gap"),), task=ForeignTask(start=(None, None), goal=(None, 2.0), step=0.1, horizon=3.0),
     notes=("a note of the map.",),
 )  # fmt: skip
 

@@ -12,7 +12,7 @@ from wording import unsaid
 
 from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
-from validate.execution.isolated import Ending, Limits
+from validate.execution.isolated import Ending, Limits, unpacked_from
 from validate.fmi.archive import FmuError
 from validate.judge.replay import ReplayOutcome
 from validate.judge.replay import everyday as everyday_module
@@ -59,13 +59,13 @@ def told(kinds: list[str], refusal: str | None = None, note: str = "", strays: i
 def asked(
     monkeypatch: pytest.MonkeyPatch, answers: list[Any], fmu: Any, feedback: Feedback | None = None, **more: Any
 ) -> tuple[Any, list[Any]]:
-    """What comes of a job whose children end so, and what each was asked; more: what else the job is."""
+    """What comes of a job whose children end so, and what each was asked: (function, request, job, feedback, limits, what); more: what else the job is."""
     requests: list[Any] = []
     rest = iter(answers)
 
     def isolated(function: str, request: Any, *, arrays: Any, limits: Any, what: str, ours: bool) -> Any:
         assert ours is bool(more.get("ours"))
-        requests.append((function, dict(request), dict(arrays), limits, what))
+        requests.append((function, dict(request), *unpacked_from(arrays), limits, what))
         return next(rest)
 
     monkeypatch.setattr(module, "run_isolated", isolated)
@@ -77,13 +77,30 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     found, requests = asked(
         monkeypatch, [told(["reference", "everyday"], "refused", "noted")], package(), limits=Limits(seconds=3.0), ours=True
     )
-    ((function, request, given, limits, what),) = requests
-    assert (function, limits.seconds, what) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu")
-    assert request == {
-        "path": str(Path("some.fmu").resolve()), "variables": VARIABLES.to_json(), "hold": "linear", "tolerances": [1e-11, 1e-13], "fineness": [50, 100],
-        "event_budget": 7, "parts": 4, "max_step": 0.25, "rolls_back": True, "loops": "loops.so",
-    }  # fmt: skip
-    assert (given["t"], given["u"], given["start"], given["u_end"].tolist()) == (PLAN.t, PLAN.u, START, [3.0])
+    ((function, request, job, feedback, limits, what),) = requests
+    assert (function, limits.seconds, what, feedback) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu", None)
+    assert request == {"path": str(Path("some.fmu").resolve()), "loops": "loops.so"}
+    names = (
+        "package",
+        "limits",
+        "child",
+        "variables",
+        "tolerances",
+        "fineness",
+        "event_budget",
+        "parts",
+        "max_step",
+        "rolls_back",
+        "world",
+    )
+    assert [getattr(job, name) for name in names] == [None, None, None, VARIABLES, (1e-11, 1e-13), (50, 100), 7, 4, 0.25, True, None]
+    assert [array.tolist() for array in (job.plan.t, job.plan.u, job.start, job.plan.u_end)] == [
+        [0.0, 0.5, 1.0],
+        [[1.0], [2.0]],
+        [8.0, 9.0],
+        [3.0],
+    ]
+    assert job.plan.hold is Hold.LINEAR
     ((reference,), (everyday,)) = found.reference, found.everyday
     assert (reference.t, reference.outputs, reference.accumulated, reference.knots, reference.applied, reference.local) == ([0.0], [1.0], [2.0], [3.0], [4.0], [5.0])  # fmt: skip
     assert (reference.outcome, everyday.outcome, everyday.message, everyday.t) == (
@@ -96,15 +113,13 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     assert (found.refusal, found.seconds_reference, found.seconds_everyday, found.note) == ("refused", 0.25, 0.5, "noted")
 
 
-def test_an_endless_step_and_a_plan_without_an_end_are_told_by_leaving_them_out(monkeypatch: pytest.MonkeyPatch):
+def test_a_child_is_given_the_feedback_and_an_endless_step(monkeypatch: pytest.MonkeyPatch):
     feedback = Feedback(gains=np.zeros(1), reference=np.ones(1), u=np.ones(2), lower=np.ones(3), upper=np.ones(4), scale=np.ones(5))
     constant = replace(PLAN, hold=Hold.ZERO_ORDER, u_end=None)
     _, requests = asked(monkeypatch, [told([])], package(), feedback, plan=constant, max_step=math.inf)
-    request, given = requests[0][1], requests[0][2]
-    assert (request["max_step"], request["hold"], "u_end" in given) == (None, "zero_order", False)
-    assert {name: len(array) for name, array in given.items() if name.startswith("feedback_")} == {
-        "feedback_gains": 1, "feedback_reference": 1, "feedback_u": 2, "feedback_lower": 3, "feedback_upper": 4, "feedback_scale": 5,
-    }  # fmt: skip
+    job, law = requests[0][2:4]
+    assert (job.max_step, job.plan.hold, job.plan.u_end) == (math.inf, Hold.ZERO_ORDER, None)
+    assert [array.tolist() for array in vars(law).values()] == [array.tolist() for array in vars(feedback).values()]
 
 
 @pytest.mark.parametrize(("exchange", "cosimulation"), [(True, True), (True, False), (False, True)])
@@ -117,7 +132,7 @@ def test_one_instance_a_process_takes_a_process_a_run(exchange: bool, cosimulati
     found, requests = asked(monkeypatch, chosen, fmu)
     runs = [((1e-11,), (), True), ((1e-13,), (), True)] if exchange else []
     runs += [((), (50,), False), ((), (100,), True)] if cosimulation else []
-    assert [(tuple(item[1]["tolerances"]), tuple(item[1]["fineness"]), item[1]["rolls_back"]) for item in requests] == runs
+    assert [(job.tolerances, job.fineness, job.rolls_back) for _, _, job, *_ in requests] == runs
     assert (len(found.reference), len(found.everyday)) == (2 * exchange, 2 * cosimulation)
     assert (found.seconds_reference, found.seconds_everyday) == (0.25 * len(runs), 0.5 * len(runs))
     assert found.refusal == ("no first" if exchange else "no second" if cosimulation else None)
@@ -149,7 +164,7 @@ def test_what_does_not_survive_its_saved_state_runs_once_more_without(ending: En
     again = told(["reference"], note="own", strays=1) if survives else ended(Ending.ABORT)
     retried = ending not in (Ending.TIME_LIMIT, Ending.MEMORY_LIMIT)
     found, requests = asked(monkeypatch, [ended(ending), again], package())
-    assert [item[1]["rolls_back"] for item in requests] == ([True, False] if retried else [True])
+    assert [job.rolls_back for _, _, job, *_ in requests] == ([True, False] if retried else [True])
     if retried and survives:
         assert not unsaid(found.note, f"own No step was rolled back … did not survive it: it was {ending.name}. … 1 process behind")
     else:

@@ -117,7 +117,7 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
     assert [(item.name, item.force_name, item.gap_name, item.depth, item.depth_reason) for item in model.contacts] == [
         ("stop", "lam_stop", "gap_stop", 0.5, "its spring"), ("wall", "pressed", "gap_wall", None, ""),
     ]  # fmt: skip
-    assert (model.name, model.task.goal, model.task.duration, model.task.step) == ("whole", (1.25, None, None, 2.25), 3.0, 3.0 / 500)
+    assert (model.name, model.task.goal, model.task.horizon, model.task.step) == ("whole", (1.25, None, None, 2.25), 3.0, 3.0 / 500)
     assert model.task.start == (pytest.approx(0.001 * 300 + 7.0), None, None, None)
     assert [(item.metric, item.value, item.reason) for item in model.limits] == [
         ("replay_terminal_position_error", 0.1, "near"), ("replay_terminal_velocity_error", 0.2, "set in the map"), ("terminal_velocity_error", 0.3, "own"),
@@ -151,7 +151,7 @@ def test_what_a_map_leaves_out_is_left_out_of_all(whole):
     assert (variables.q, variables.v, variables.lam, variables.gap) == ((10, 50), (), (), ())
     assert foreign.scale.tolist() == [0.001, -3.0]
     assert set(model.lacks) == {"inputs", "v", "gap", "lam"}
-    assert (model.task.duration, model.task.step, model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
+    assert (model.task.horizon, model.task.step, model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
         None,
         1.0,
         "v_x",

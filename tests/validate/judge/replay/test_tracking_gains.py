@@ -16,6 +16,7 @@ from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
 from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
+from validate.execution.isolated import unpacked_from
 from validate.judge.replay import tracking as module
 from validate.judge.replay.tracking import (
     FlowDerivative,
@@ -275,7 +276,7 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
     first, last = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 4.0]]]), np.array([[[0.0, 1.0, 0.0], [3.0, 0.0, 6.0]]])
     mean = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
     plan = Trajectory(t=np.array([1.0, 1.25]), q=np.zeros((2, 1)), v=np.zeros((2, 1)), u=np.array([[7.0]]), lam=np.zeros((1, 0)))
-    variables: Any = SimpleNamespace(to_json=lambda: "variables")
+    variables: Any = "variables"
     fmu: Any = SimpleNamespace(path=Path("a.fmu"))
     states, asked = np.array([[1.0, 2.0], [3.0, 4.0]]), []
     monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: None)
@@ -294,7 +295,7 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
         assert A[0] == pytest.approx(whole[:2, :2], rel=1e-12)
         assert B[0] == pytest.approx(whole[:2, 2:], rel=1e-12)
     for request, given in asked:
-        assert request == {"path": str(Path("a.fmu").resolve()), "variables": "variables"}
+        assert (request, unpacked_from(given)) == (str(Path("a.fmu").resolve()), ("variables",))
         assert (given["t"] is plan.t, given["u"] is plan.u, given["start"], given["states"] is states) == (True, True, "start", True)
     with pytest.raises(TrackingError, match=r"it crashed\."):
         module.linearised(fmu, variables, plan, "start", states, "other")  # type: ignore[arg-type]

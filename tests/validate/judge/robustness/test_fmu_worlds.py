@@ -18,8 +18,7 @@ from validate.cli.group import run
 from validate.execution.isolated import Limits
 from validate.judge.judgement import Judgement, WiredFmu, wire_fmu
 from validate.judge.robustness import robustness
-from validate.judge.robustness.fmu import FmuArena
-from validate.judge.robustness.trials import asked_limits
+from validate.judge.robustness.trials import FmuArena, asked_limits
 from validate.judge.robustness.worlds import moved, perturbations
 
 SCENE = load_scene("three_cart")

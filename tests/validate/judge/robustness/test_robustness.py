@@ -13,7 +13,7 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.trajectory import Trajectory, write_csv
-from reports.records.robustness_record import FailureRecord, RobustnessRecord
+from reports.records.robustness_record import SAME, FailureRecord, RobustnessRecord
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import Robustness, robustness
@@ -95,7 +95,11 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
         alone = by_name["gain of u3", direction]
         assert alone.predicted == pytest.approx(alone.sizes, rel=0.1)
         assert alone.same_modes
-    trusted = [item for item in RobustnessRecord.model_validate(found).failures if item.is_trusted]
+    # What the slopes predict says of itself that it is right: curvatures change little of it, and contacts stay in their order, moved either way.
+    foretold = [
+        item for item in RobustnessRecord.model_validate(found).failures if item.same_modes and None not in (item.predicted, item.curved)
+    ]
+    trusted = [item for item in foretold if abs(item.predicted - item.curved) <= SAME * item.curved]  # type: ignore[operator] - both are there
     assert len(trusted) >= 2
     assert [item.words for item in trusted if item.sizes is not None and abs(item.predicted - item.sizes) > 0.1 * item.sizes] == []  # type: ignore[operator]
     assert not by_name["d", 1].same_modes, "moved the other way as far, the carts do not meet"
@@ -149,19 +153,19 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "predicted", "curved", "same", "trusted", "words"),
+    ("sizes", "predicted", "curved", "same", "words"),
     [
-        (2.0, 2.15, 2.2, True, True, "2.15, the same within 10%"),
-        (2.0, 2.25, 2.6, True, False, "2.25; the response bends, by its curvature to 2.6"),
-        (2.0, 2.25, None, True, False, "2.25; the response bends"),
-        (2.0, 1.7, 1.7, False, False, "1.7; contacts close in another order by then, moved one way or the other"),
-        (2.0, None, None, True, False, "it predicts none"),
-        (None, 3.0, None, True, False, "3, not found"),
-        (None, None, None, True, False, "none either"),
+        (2.0, 2.15, 2.2, True, "2.15, the same within 10%"),
+        (2.0, 2.25, 2.6, True, "2.25; the response bends, by its curvature to 2.6"),
+        (2.0, 2.25, None, True, "2.25; the response bends"),
+        (2.0, 1.7, 1.7, False, "1.7; contacts close in another order by then, moved one way or the other"),
+        (2.0, None, None, True, "it predicts none"),
+        (None, 3.0, None, True, "3, not found"),
+        (None, None, None, True, "none either"),
     ],
 )
 def test_first_order_is_held_against_what_was_found(
-    sizes: float | None, predicted: float | None, curved: float | None, same: bool, trusted: bool, words: str
+    sizes: float | None, predicted: float | None, curved: float | None, same: bool, words: str
 ):
     cause = perturbations(
         SCENE, Trajectory(t=RESTING["t"], q=np.zeros((501, 3)), v=np.zeros((501, 3)), u=np.zeros((500, 2)), lam=np.zeros((500, 2)))
@@ -171,7 +175,6 @@ def test_first_order_is_held_against_what_was_found(
         cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]
     )  # fmt: skip
     assert said.compared == words
-    assert said.is_trusted is trusted
     if sizes is not None:
         assert said.words == "c by -0.2 N s/m (2.00 of its size)"
 

@@ -12,7 +12,7 @@ from models.errors import TrajectoryError
 from reports.records.record import SurveyRecord
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import robustness, survey
-from validate.judge.robustness.survey import FEWEST
+from validate.judge.robustness.robustness import FEWEST
 from validate.judge.robustness.trials import SceneArena, asked_limits
 from validate.judge.robustness.worlds import draw, moved, perturbations
 

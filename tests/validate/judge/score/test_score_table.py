@@ -19,7 +19,7 @@ from validate.judge.replay.wiring import Effort
 from validate.judge.score import _check_belongs, _metric, _not_asked, _of_what_is_asked, _worst
 from validate.judge.score import table as module
 from validate.judge.score.measures import Measured
-from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries, limit_name
+from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured, Verdict
 
 # name: question, unit on `transport`, what the plan must say, default limit, whether it is of the replay, and which of the scenes below it is of.
@@ -175,7 +175,7 @@ def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
     originals = [row for row in TABLE if row.of_replay]
     assert twins[len(originals) :] == list(FEEDBACK)
     for twin, row in zip(twins, originals, strict=False):
-        assert (twin.name, limit_name(twin.name), twin.meaning) == (f"tracked_{row.name}", row.name, f"with feedback: {row.meaning}")
+        assert (twin.name, twin.meaning) == (f"tracked_{row.name}", f"with feedback: {row.meaning}")
         assert (twin.question, twin.unit, twin.applies, twin.needs, twin.default, twin.of_replay) == (
             row.question, row.unit, row.applies, row.needs, row.default, False,
         )  # fmt: skip
@@ -262,15 +262,11 @@ def test_what_presses_on_a_friction_must_be_said():
 
 
 def test_the_component_that_decides_is_the_worst_against_its_own_limit():
-    measured = Measured(values=(5.0, 3.0), error=(0.5, 0.25), scales=(10.0, 1.0), allowed=(1.0, 2.0), units=("m", "rad"), base=0.125)
-    found = _worst(measured, limited=False)
-    assert (found.value, found.error, found.scale, found.allowed, found.base, found.unit) == (3.0, 0.25, 1.0, 2.0, 0.125, "rad")
-    found = _worst(measured, limited=True)
-    assert (found.value, found.error, found.scale, found.allowed, found.base, found.unit) == (5.0, 0.5, 10.0, 1.0, 0.125, "m")
-    assert [(item.value, item.error, item.scale, item.allowed, item.base, item.unit) for item in (_worst(2.0, False), _worst((2.0, 3.0), True))] == [
-        (2.0, 0.0, 1.0, 0.0, 0.0, None), (2.0, 3.0, 1.0, 0.0, 0.0, None),
-    ]  # fmt: skip
-    assert said(metric_of(measured, default=(0.5, "r"))) == (3.0, 0.25, 0.5 * 1.0 + 2.0 + 0.125, "r", None, True)
+    measured = Measured(values=(5.0, 3.0), error=(0.5, 0.25), scales=(10.0, 1.0), allowed=(1.0, 2.0), units=("m", "rad"))
+    assert _worst(measured, limited=False) == (3.0, 0.25, 1.0, 2.0, "rad")
+    assert _worst(measured, limited=True) == (5.0, 0.5, 10.0, 1.0, "m")
+    assert [_worst(2.0, False), _worst((2.0, 3.0), True)] == [(2.0, 0.0, 1.0, 0.0, None), (2.0, 3.0, 1.0, 0.0, None)]
+    assert said(metric_of(measured, default=(0.5, "r"))) == (3.0, 0.25, 0.5 * 1.0 + 2.0, "r", None, True)
     assert said(metric_of(measured, limit=SCENES_OWN)) == (5.0, 0.5, 3.0, "of the scene", None, False)
     assert metric_of(measured).unit == "rad"
 

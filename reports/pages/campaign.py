@@ -1,12 +1,12 @@
-"""Where the wall time of a campaign goes: the slowest runs, each with the phases its time was spent in."""
+"""Where a campaign's seconds go and its numbers come from: the slowest runs by phases; commits, machine, versions, command, keys, whether all are from one place."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from reports.pages.section import Report, Section
-from reports.records.record import RunRecord
+from reports.records.record import ProvenanceRecord, RunRecord
 from reports.wording import count, listing, seconds, spaced
 
 _SLOWEST = 10
@@ -37,8 +37,7 @@ _WIDTH = 200.0
 _TOLD = 0.1
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """A piece of a bar: from x, `width` of the whole bar's units, filled by `style`."""
 
     x: float
@@ -47,8 +46,7 @@ class Part:
     words: str
 
 
-@dataclass(frozen=True)
-class Slow:
+class Slow(NamedTuple):
     """One run: groups: wall seconds of each group; phases: (words, seconds) by length; bar: as wide as its share of the slowest run."""
 
     run: RunRecord
@@ -58,7 +56,7 @@ class Slow:
     bar: tuple[Part, ...]
 
 
-def build(report: Report) -> Section | None:
+def time_spent(report: Report) -> Section | None:
     """The section, or None where no run left a profile."""
     profiled = sorted((run for run in report.stored.runs if run.profile), key=lambda run: (-run.wall_seconds, run.key))
     if not profiled:
@@ -118,3 +116,28 @@ def _sentence(runs: list[RunRecord]) -> str:
         f"{name} ({100 * took / whole:.0f} %)" for name, took in sorted(spent.items(), key=lambda item: -item[1]) if took >= _TOLD * whole
     ]
     return f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}." if told else ""
+
+
+_SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
+
+
+def provenance(report: Report) -> Section | None:
+    """The section, or None where nothing is stored that has an origin."""
+    stored = report.stored
+    first = stored.campaign.provenance if stored.campaign else (stored.runs[0].provenance if stored.runs else None)
+    if first is None:
+        return None
+    runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
+    others = sum(bool(differs) for _, _, differs in runs)
+    said = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
+    return Section(
+        "provenance", "Provenance", "campaign.html#provenance", {"first": first, "runs": runs, "campaign": stored.campaign}, said=said
+    )
+
+
+def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:
+    """What a run's origin has other than the campaign's, in words."""
+    told = [f"{name} {getattr(other, name)}" for name in _SAME if getattr(first, name) != getattr(other, name)]
+    names = sorted(set(first.packages) | set(other.packages))
+    told += [f"{name} {other.packages.get(name, 'absent')}" for name in names if first.packages.get(name) != other.packages.get(name)]
+    return told
