@@ -178,17 +178,14 @@ def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
     assert read_options(_Own, _Own(rounds=2), "m") == read_options(_Own, {"rounds": 2}, "m") == _Own(rounds=2)
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"round": 1}, "method m: … no option 'round'; did you mean rounds?"),
-        ({"colour": 1}, "method m: … no option 'colour'; it has weight, rounds, search, guess, most."),
-        ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"), ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
-        ({"weight": True}, "method m: option weight is True … [0, inf] kg"), ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
-        ({"search": "no"}, "method m: option search is 'no' … True, False"), ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
-        (_Base(), "method m: … _Own, but _Base were given"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("given", "sentence"), [
+    ({"round": 1}, "method m: … no option 'round'; did you mean rounds?"),
+    ({"colour": 1}, "method m: … no option 'colour'; it has weight, rounds, search, guess, most."),
+    ({"rounds": 11}, "method m: option rounds is 11 … [1, 10]"), ({"rounds": 2.0}, "method m: option rounds is 2.0 … whole number"),
+    ({"weight": True}, "method m: option weight is True … [0, inf] kg"), ({"weight": None}, "method m: option weight is None … [0, inf] kg"),
+    ({"search": "no"}, "method m: option search is 'no' … True, False"), ({"guess": "end"}, "method m: option guess is 'end' … 'line', 'start'"),
+    (_Base(), "method m: … _Own, but _Base were given"),
+])  # fmt: skip
 def test_one_sentence_says_what_is_wrong(given, sentence):
     with pytest.raises(OptionError) as caught:
         read_options(_Own, given, "m")

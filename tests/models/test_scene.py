@@ -47,11 +47,6 @@ def small_scene(**changes: object) -> Scene:
     return Scene(**(fields | changes))
 
 
-def test_a_sound_scene_is_accepted():
-    scene = small_scene()
-    assert (scene.nq, scene.nu, scene.nc) == (1, 1, 1)
-
-
 def test_contact_bodies_are_shapes_or_fixed():
     """A scene that draws nothing may name its bodies as it likes."""
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
@@ -65,14 +60,11 @@ def test_a_depth_follows_the_parameters():
     assert scene.with_parameters(w=2.0).depths == (0.5,)
 
 
-@pytest.mark.parametrize(
-    ("goal", "limits", "missing"),
-    [
-        ((0.5, None), (), "terminal_position_error"), ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
-        ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"), "terminal_velocity_error"),
-        ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"), ((None, None), (), None),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("goal", "limits", "missing"), [
+    ((0.5, None), (), "terminal_position_error"), ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
+    ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"), "terminal_velocity_error"),
+    ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"), ((None, None), (), None),
+])  # fmt: skip
 def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...], missing: str | None):
     task = Task(start=(0.0, 0.0), goal=goal, running_cost=u**2, step=0.01, steps=10)
     given = tuple(Limit(metric=metric, value=0.01, reason="this test") for metric in limits)

@@ -88,14 +88,10 @@ def test_velocities_left_out_are_those_of_the_time_step(reading):
     assert np.allclose(plan.v, [[0, 0, 0], [0.5, 0, 0], [0.75, 0, 0.5]], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        PLAIN.replace("\n", "\r\n"), "\ufeff" + PLAIN, PLAIN.replace(",", ";"), PLAIN.replace(",", ";").replace("0.5", "0,5"), PLAIN.replace(",", "\t"),
-        PLAIN.replace(",", " , "), PLAIN.replace("t,q1", '"t","q1"'), "# mine\n\n" + PLAIN + "\n", PLAIN.replace(",,", ""),
-    ],
-    ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments", "short last row"],
-)  # fmt: skip
+@pytest.mark.parametrize("text", [
+    PLAIN.replace("\n", "\r\n"), "\ufeff" + PLAIN, PLAIN.replace(",", ";"), PLAIN.replace(",", ";").replace("0.5", "0,5"), PLAIN.replace(",", "\t"),
+    PLAIN.replace(",", " , "), PLAIN.replace("t,q1", '"t","q1"'), "# mine\n\n" + PLAIN + "\n", PLAIN.replace(",,", ""),
+], ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments", "short last row"])  # fmt: skip
 def test_csv_of_other_programs_is_read(reading, text: str):
     plan = reading(text)
     assert plan.t.tolist() == [0.0, 1.0, 2.0]
@@ -103,65 +99,56 @@ def test_csv_of_other_programs_is_read(reading, text: str):
     assert plan.u.tolist() == [[1.0, 0.5], [1.0, 0.0]]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", ["0 rows"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 row;"]), ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
-        ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]), ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["line 3, column 'q1': 'nan'", "finite"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
-        ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1_0,2,3,1,0\n", ["line 3, column 'q1': '1_0' is not a number"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,٣,2,3,1,0\n", ["line 3, column 'q1': '٣' is not a number"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1e999,2,3,1,0\n", ["line 3, column 'q1': '1e999' is not a finite number"]),
-        ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
-        (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
-        ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
-        ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "words"), [
+    ("", ["0 rows"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 row;"]), ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
+    ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]), ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["line 3, column 'q1': 'nan'", "finite"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]), ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
+    ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1_0,2,3,1,0\n", ["line 3, column 'q1': '1_0' is not a number"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,٣,2,3,1,0\n", ["line 3, column 'q1': '٣' is not a number"]),
+    ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1e999,2,3,1,0\n", ["line 3, column 'q1': '1e999' is not a finite number"]),
+    ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
+    (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
+    ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
+    ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
+])  # fmt: skip
 def test_bad_csv_names_line_and_column(tmp_path: Path, reading, text: str, words: list[str]):
     with pytest.raises(TrajectoryError) as caught:
         reading(text)
     assert not unsaid(caught.value, str(tmp_path / "plan.csv"), *words)
 
 
-@pytest.mark.parametrize(
-    ("above", "scheme", "hold"),
-    [
-        ("", None, Hold.ZERO_ORDER),
-        ("# scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-        ("#scheme = semi_implicit_euler \n# hold: zero\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-        ("# hold: linear\n", None, Hold.LINEAR),
-        ("# Hold: linear\n", None, Hold.LINEAR),
-        ("  # scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-        ('"# scheme: semi_implicit_euler"\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-        ('"# scheme: semi_implicit_euler",,,\n"# mine",,\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
-        ("\t# hold: linear;;;\n", None, Hold.LINEAR),
-        ("# hold the line\n# scheme of mine\n# hold\n# scheme\n# hold zero or linear\n", None, Hold.ZERO_ORDER),
-        ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None, Hold.ZERO_ORDER),  # any other comment is a comment
-    ],
-)
+@pytest.mark.parametrize(("above", "scheme", "hold"), [
+    ("", None, Hold.ZERO_ORDER),
+    ("# scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ("#scheme = semi_implicit_euler \n# hold: zero\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ("# hold: linear\n", None, Hold.LINEAR),
+    ("# Hold: linear\n", None, Hold.LINEAR),
+    ("  # scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ('"# scheme: semi_implicit_euler"\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ('"# scheme: semi_implicit_euler",,,\n"# mine",,\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+    ("\t# hold: linear;;;\n", None, Hold.LINEAR),
+    ("# hold the line\n# scheme of mine\n# hold\n# scheme\n# hold zero or linear\n", None, Hold.ZERO_ORDER),
+    ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None, Hold.ZERO_ORDER),  # any other comment is a comment
+])  # fmt: skip
 def test_comments_declare_scheme_and_hold(reading, above: str, scheme, hold):
     plan = reading(above + PLAIN)
     assert (plan.scheme, plan.hold) == (scheme, hold)
 
 
-@pytest.mark.parametrize(
-    ("above", "words"),
-    [
-        ("# sheme: semi_implicit_euler\n", "line 1: … no 'sheme' … did you mean 'scheme'?"),
-        ("# mine\n# holds: zero\n", "line 2: … no 'holds' … did you mean 'hold'?"),
-        ("# scheme semi_implicit_euler\n", "line 1: '# scheme semi_implicit_euler' declares nothing; write '# scheme: semi_implicit_euler'."),
-        ("# mine\n# Hold  linear\n", "line 2: '# Hold  linear' declares nothing; write '# hold: linear'."),
-        ("# scheme: semi_implicit_eular\n", "scheme 'semi_implicit_eular' … did you mean semi_implicit_euler?"),
-        ("# scheme: my own\n", "scheme 'my own' … there are semi_implicit_euler,"), ("# scheme: my own\n", "without this line it declares none"),
-        ("# hold: cubic\n", "hold 'cubic' … zero or linear"), ("# hold: zero\n# hold: linear\n", "line 2: … hold 'linear', but 'zero' before"),
-        ("# scheme: semi_implicit_euler\n# hold: linear\n", "the plan's hold is linear; leave one"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("above", "words"), [
+    ("# sheme: semi_implicit_euler\n", "line 1: … no 'sheme' … did you mean 'scheme'?"),
+    ("# mine\n# holds: zero\n", "line 2: … no 'holds' … did you mean 'hold'?"),
+    ("# scheme semi_implicit_euler\n", "line 1: '# scheme semi_implicit_euler' declares nothing; write '# scheme: semi_implicit_euler'."),
+    ("# mine\n# Hold  linear\n", "line 2: '# Hold  linear' declares nothing; write '# hold: linear'."),
+    ("# scheme: semi_implicit_eular\n", "scheme 'semi_implicit_eular' … did you mean semi_implicit_euler?"),
+    ("# scheme: my own\n", "scheme 'my own' … there are semi_implicit_euler,"), ("# scheme: my own\n", "without this line it declares none"),
+    ("# hold: cubic\n", "hold 'cubic' … zero or linear"), ("# hold: zero\n# hold: linear\n", "line 2: … hold 'linear', but 'zero' before"),
+    ("# scheme: semi_implicit_euler\n# hold: linear\n", "the plan's hold is linear; leave one"),
+])  # fmt: skip
 def test_a_declaration_that_is_none_is_refused(tmp_path: Path, reading, above: str, words: str):
     with pytest.raises(TrajectoryError) as caught:
         reading(above + PLAIN)
@@ -178,15 +165,12 @@ def test_hold_and_scheme_must_agree_with_declarations(reading):
     assert reading(PLAIN, scheme="semi_implicit_euler").scheme is Scheme.SEMI_IMPLICIT_EULER
 
 
-@pytest.mark.parametrize(
-    ("header", "words"),
-    [
-        ("t,q1,q2,u1,u3", "'q3' is missing beside 'q1'; give q1, q2, q3, or none"),
-        ("t,q1,q2,q3,v1,u1,u3", "'v2' is missing beside 'v1'; give v1, v2, v3, or none"),
-        ("t,u1,u3,lam_right", "the column 'lam_left' is missing beside 'lam_right'"),
-        ("t,v1,v2,v3,u1,u3", "no positions; give q1, q2, q3 too"),
-    ],
-)
+@pytest.mark.parametrize(("header", "words"), [
+    ("t,q1,q2,u1,u3", "'q3' is missing beside 'q1'; give q1, q2, q3, or none"),
+    ("t,q1,q2,q3,v1,u1,u3", "'v2' is missing beside 'v1'; give v1, v2, v3, or none"),
+    ("t,u1,u3,lam_right", "the column 'lam_left' is missing beside 'lam_right'"),
+    ("t,v1,v2,v3,u1,u3", "no positions; give q1, q2, q3 too"),
+])  # fmt: skip
 def test_half_a_group_of_columns_is_refused(reading, scene, header: str, words: str):
     columns = header.split(",")
     rows = [",".join([str(row), *["1"] * (len(columns) - 1)]) for row in range(3)]
@@ -229,14 +213,10 @@ def test_inputs_at_both_ends_of_the_last_step_need_no_step_more(reading, scene):
 ARRAYS = {"t": np.arange(4.0), "q1": np.arange(4.0), "q2": np.arange(4.0), "q3": np.arange(4.0), "u1": np.ones(4), "u3": np.ones(3)}
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)}, {"u1": [True, True, True]},
-        {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)}, {"q1": ["0", " 1 ", "2.", "+3e0"]}, {"q1": np.ma.masked_array(np.arange(4.0))},
-    ],
-    ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text", "a mask that masks nothing"],
-)  # fmt: skip
+@pytest.mark.parametrize("changes", [
+    {}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)}, {"u1": [True, True, True]},
+    {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)}, {"q1": ["0", " 1 ", "2.", "+3e0"]}, {"q1": np.ma.masked_array(np.arange(4.0))},
+], ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text", "a mask that masks nothing"])  # fmt: skip
 def test_arrays_by_name_are_a_plan(scene, changes: dict):
     plan = trajectory_from(ArrayTable(ARRAYS | changes, scheme="semi_implicit_euler"), scene)
     assert (plan.steps, plan.scheme, plan.missing) == (3, Scheme.SEMI_IMPLICIT_EULER, {"v", "lam"})
@@ -244,20 +224,17 @@ def test_arrays_by_name_are_a_plan(scene, changes: dict):
     assert plan.u.tolist() == [[1.0, 1.0]] * 3
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"q2": np.arange(3.0)}, "the column 'q2' has 3 numbers, but t has 4"), ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
-        ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "'q2', row 1: nan"), ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
-        ({"q2": ["a", "b", "c", "d"]}, "'q2' … real numbers … 'a'"), ({"q2": ["0", "1_0", "2", "3"]}, "'q2' … real numbers … '1_0'"),
-        ({"q2": np.arange(4) + 5j}, "'q2' … complex128 … real numbers"), ({"q2": np.array([1j, 1, 2, 3], dtype=object)}, "'q2' … real numbers … 1j"),
-        ({"t": np.arange(4).astype("timedelta64[ms]")}, "the column 't' is of type timedelta64[ms]"),
-        ({"t": np.arange(4).astype("datetime64[ms]")}, "the column 't' is of type datetime64[ms]"),
-        ({"t": np.array([timedelta(seconds=n) for n in range(4)])}, "'t' … real numbers … datetime.timedelta(0)"),
-        ({"q2": np.ma.masked_equal(np.arange(4.0), 2.0)}, "the column 'q2' has masked values"), ({"q2": [[1.0], 2.0, 3.0, 4.0]}, "'q2' … rows of equal length"),
-        ({0: np.zeros(4)}, "called 0 … must be text"), ({"q4": np.zeros(4)}, "the column 'q4' is unknown"), ({"t": np.zeros(1)}, "1 row; at least two"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"q2": np.arange(3.0)}, "the column 'q2' has 3 numbers, but t has 4"), ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
+    ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "'q2', row 1: nan"), ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
+    ({"q2": ["a", "b", "c", "d"]}, "'q2' … real numbers … 'a'"), ({"q2": ["0", "1_0", "2", "3"]}, "'q2' … real numbers … '1_0'"),
+    ({"q2": np.arange(4) + 5j}, "'q2' … complex128 … real numbers"), ({"q2": np.array([1j, 1, 2, 3], dtype=object)}, "'q2' … real numbers … 1j"),
+    ({"t": np.arange(4).astype("timedelta64[ms]")}, "the column 't' is of type timedelta64[ms]"),
+    ({"t": np.arange(4).astype("datetime64[ms]")}, "the column 't' is of type datetime64[ms]"),
+    ({"t": np.array([timedelta(seconds=n) for n in range(4)])}, "'t' … real numbers … datetime.timedelta(0)"),
+    ({"q2": np.ma.masked_equal(np.arange(4.0), 2.0)}, "the column 'q2' has masked values"), ({"q2": [[1.0], 2.0, 3.0, 4.0]}, "'q2' … rows of equal length"),
+    ({0: np.zeros(4)}, "called 0 … must be text"), ({"q4": np.zeros(4)}, "the column 'q4' is unknown"), ({"t": np.zeros(1)}, "1 row; at least two"),
+])  # fmt: skip
 def test_wrong_arrays_are_named(scene, changes: dict, words: str):
     with pytest.raises(TrajectoryError, match=saying(words)):
         trajectory_from(ArrayTable(ARRAYS | changes), scene)
@@ -277,19 +254,16 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
         read_csv(tmp_path, scene)
 
 
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({"t": np.zeros(8)}, "increase"), ({"q": np.zeros((7, 3))}, "q has shape"), ({"v": np.zeros((8, 2))}, "agree"),
-        ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"), ({"u_end": np.zeros(3)}, "u_end has shape"),
-        ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR}, "holds its inputs over each step"),
-        ({"scheme": "rk4"}, "the scheme 'rk4' is unknown; there are semi_implicit_euler"), ({"scheme": ["radau_iia_2"]}, "the scheme .* is unknown"),
-        ({"hold": "cubic"}, "the hold 'cubic'.*zero or linear"), ({"hold": None}, "the hold None.*zero or linear"),
-        ({"missing": None}, "missing is None.*'q', 'v', 'lam', 'friction', or empty"), ({"missing": "lam"}, "missing is 'lam', but must be a set"),
-        ({"missing": {"foo"}}, "missing is {'foo'}, but must be a set"), ({"missing": [["q"]]}, "missing is .*, but must be a set"),
-        ({"q": np.full((8, 3), 1j)}, "q is of type complex128"), ({"u": "fast"}, "u must be real numbers, but holds 'fast'"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "word"), [
+    ({"t": np.zeros(8)}, "increase"), ({"q": np.zeros((7, 3))}, "q has shape"), ({"v": np.zeros((8, 2))}, "agree"),
+    ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"), ({"u_end": np.zeros(3)}, "u_end has shape"),
+    ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR}, "holds its inputs over each step"),
+    ({"scheme": "rk4"}, "the scheme 'rk4' is unknown; there are semi_implicit_euler"), ({"scheme": ["radau_iia_2"]}, "the scheme .* is unknown"),
+    ({"hold": "cubic"}, "the hold 'cubic'.*zero or linear"), ({"hold": None}, "the hold None.*zero or linear"),
+    ({"missing": None}, "missing is None.*'q', 'v', 'lam', 'friction', or empty"), ({"missing": "lam"}, "missing is 'lam', but must be a set"),
+    ({"missing": {"foo"}}, "missing is {'foo'}, but must be a set"), ({"missing": [["q"]]}, "missing is .*, but must be a set"),
+    ({"q": np.full((8, 3), 1j)}, "q is of type complex128"), ({"u": "fast"}, "u must be real numbers, but holds 'fast'"),
+])  # fmt: skip
 def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
     with pytest.raises(TrajectoryError, match=word):
         replace(plan, **changes)

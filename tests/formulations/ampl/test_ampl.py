@@ -117,16 +117,13 @@ def test_names_stand_beside_the_file(written):
     assert list(model.x) == ["flow[1,'a']", "speed", "force"]
 
 
-@pytest.mark.parametrize(
-    ("row", "bounds", "start", "best"),
-    [
-        # min (y - 3)^2 + (z - 1)^2 with y - 1 and z: the pair leaves one side; the nearer one wins
-        ((1,), ("2", "d", 0.0), (1.0, 1.0), (3.0, 0.0)),
-        ((2,), ("1", "d", 0.0), (1.0, -1.0), (1.0, 0.0)),
-        ((3,), ("0", "dd", 0.0, 0.5), (1.0, 0.2), (3.0, 0.0)),
-        ((0,), ("3", ""), (0.0, 0.0), (1.0, 1.0)),
-    ],
-)
+@pytest.mark.parametrize(("row", "bounds", "start", "best"), [
+    # min (y - 3)^2 + (z - 1)^2 with y - 1 and z: the pair leaves one side; the nearer one wins
+    ((1,), ("2", "d", 0.0), (1.0, 1.0), (3.0, 0.0)),
+    ((2,), ("1", "d", 0.0), (1.0, -1.0), (1.0, 0.0)),
+    ((3,), ("0", "dd", 0.0, 0.5), (1.0, 0.2), (3.0, 0.0)),
+    ((0,), ("3", ""), (0.0, 0.0), (1.0, 1.0)),
+])  # fmt: skip
 def test_each_kind_of_complementarity(written, row, bounds, start, best):
     segments = [
         ("C", "i", 0), ("n", "d", -1.0),
@@ -193,26 +190,23 @@ def _with(index: int, item: tuple) -> bytes:
 _AT = {code: next(i for i, item in enumerate(SEGMENTS) if item[0] == code) for code in "5vkJxorO"}
 
 
-@pytest.mark.parametrize(
-    ("data", "parts"),
-    [
-        (_with(_AT["5"], ("5", "ii", 1, 9)), ("row 2", "variable 8", "0 to 2")), (_with(_AT["5"], ("5", "ii", 1, 0)), ("row 2", "variable -1")),
-        (_with(_AT["5"], ("5", "ii", 7, 3)), ("row 2", "sides 7")), (_with(_AT["5"], ("5", "ii", 2, 3)), ("row 2", "upper bound of variable 2", "none")),
-        (_with(_AT["5"] - 2, ("0", "dd", "nan", 7.0)), ("row 0", "no number")), (_with(_AT["5"] - 2, ("0", "dd", 7.0, 1.0)), ("row 0", "bounds 7 and 1")),
-        (_with(_AT["5"] - 1, ("4", "d", "inf")), ("row 1", "inf")), (_with(_AT["v"], ("v", "i", 4)), ("common expression 1",)),
-        (_with(_AT["v"], ("v", "i", 3)), ("common expression 0", "before")), (_with(_AT["o"], ("o", "o", 35)), ("'if'",)),
-        (_with(_AT["o"], ("o", "o", 999)), ("999",)), (_with(_AT["v"], ("f", "ii", 0, 1)), ("imported function '0'",)),
-        (_with(_AT["J"], ("J", "ii", 5, 3)), ("row 5", "0 to 2")), (_with(_AT["J"], ("J", "ii", 0, 8)), ("8 entries", "at most 3")),
-        (_with(_AT["x"] + 1, (None, "id", 3, 1.0)), ("entry 3", "0 to 2")),
-        (_with(_AT["x"] + 1, (None, "id", 0, "one")), ("a whole number, a number", "0 one")), (_with(_AT["r"], ("L", "i", 0)), ("logical constraint",)),
-        (_with(_AT["k"], ("q", "i", 2)), ("'q'",)), (b"", ("no .nl file", "header")), (b"not a problem\n" * 12, ("no .nl file",)),
-        (as_text().replace(b" 3 3 1 1 1 ", b" 3 3 1 1 1 2"), ("2 logical constraints",)),
-        (as_text().replace(b" 3 3 1 1 1 ", b" three 3 1 1 1 "), ("line 2", "whole numbers", "three")),
-        (as_text().replace(b" 3 3 1 1 1 ", b" 999999999 3 1 1 1 "), ("line 2", "999999999 variables", "bytes")),
-        (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("another byte order",)),
-        (as_binary("<").replace(b" 0 0 1 1", b" 0 0 5 1"), ("line 6", "arithmetic 5")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("data", "parts"), [
+    (_with(_AT["5"], ("5", "ii", 1, 9)), ("row 2", "variable 8", "0 to 2")), (_with(_AT["5"], ("5", "ii", 1, 0)), ("row 2", "variable -1")),
+    (_with(_AT["5"], ("5", "ii", 7, 3)), ("row 2", "sides 7")), (_with(_AT["5"], ("5", "ii", 2, 3)), ("row 2", "upper bound of variable 2", "none")),
+    (_with(_AT["5"] - 2, ("0", "dd", "nan", 7.0)), ("row 0", "no number")), (_with(_AT["5"] - 2, ("0", "dd", 7.0, 1.0)), ("row 0", "bounds 7 and 1")),
+    (_with(_AT["5"] - 1, ("4", "d", "inf")), ("row 1", "inf")), (_with(_AT["v"], ("v", "i", 4)), ("common expression 1",)),
+    (_with(_AT["v"], ("v", "i", 3)), ("common expression 0", "before")), (_with(_AT["o"], ("o", "o", 35)), ("'if'",)),
+    (_with(_AT["o"], ("o", "o", 999)), ("999",)), (_with(_AT["v"], ("f", "ii", 0, 1)), ("imported function '0'",)),
+    (_with(_AT["J"], ("J", "ii", 5, 3)), ("row 5", "0 to 2")), (_with(_AT["J"], ("J", "ii", 0, 8)), ("8 entries", "at most 3")),
+    (_with(_AT["x"] + 1, (None, "id", 3, 1.0)), ("entry 3", "0 to 2")),
+    (_with(_AT["x"] + 1, (None, "id", 0, "one")), ("a whole number, a number", "0 one")), (_with(_AT["r"], ("L", "i", 0)), ("logical constraint",)),
+    (_with(_AT["k"], ("q", "i", 2)), ("'q'",)), (b"", ("no .nl file", "header")), (b"not a problem\n" * 12, ("no .nl file",)),
+    (as_text().replace(b" 3 3 1 1 1 ", b" 3 3 1 1 1 2"), ("2 logical constraints",)),
+    (as_text().replace(b" 3 3 1 1 1 ", b" three 3 1 1 1 "), ("line 2", "whole numbers", "three")),
+    (as_text().replace(b" 3 3 1 1 1 ", b" 999999999 3 1 1 1 "), ("line 2", "999999999 variables", "bytes")),
+    (as_binary("<").replace(b" 0 0 1 1", b" 0 0 2 1"), ("another byte order",)),
+    (as_binary("<").replace(b" 0 0 1 1", b" 0 0 5 1"), ("line 6", "arithmetic 5")),
+])  # fmt: skip
 def test_what_is_damaged_or_cannot_be_said_is_named(written, data, parts):
     with pytest.raises(NlError) as refused:
         read_nl(written(data))
@@ -418,15 +412,12 @@ def test_options_come_from_the_environment_and_the_command_line(stub, capsys, mo
     assert "objective" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "parts"),
-    [
-        (["nothing"], ("nothing.nl", "cannot be read")), ([""], ("no file", ".nl")), (["/"], ("'/' is no file",)), (["."], ("'.' is no file",)), ([], ("usage",)), (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
-        (["STUB", "strategy=magic"], ("strategy", "magic", "scholtes")), (["STUB", "objno=2"], ("1 objectives", "2")),
-        (["STUB", "objno=half"], ("objno", "half")), (["STUB", "timelimit=-1"], ("timelimit", "-1", "seconds")), (["STUB", "tol="], ("tol=", "name=value")),
-        (["STUB", "tolerance_of_all=1"], ("tolerance_of_all",)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("words", "parts"), [
+    (["nothing"], ("nothing.nl", "cannot be read")), ([""], ("no file", ".nl")), (["/"], ("'/' is no file",)), (["."], ("'.' is no file",)), ([], ("usage",)), (["a", "b"], ("usage",)), (["STUB", "-q"], ("usage",)),
+    (["STUB", "strategy=magic"], ("strategy", "magic", "scholtes")), (["STUB", "objno=2"], ("1 objectives", "2")),
+    (["STUB", "objno=half"], ("objno", "half")), (["STUB", "timelimit=-1"], ("timelimit", "-1", "seconds")), (["STUB", "tol="], ("tol=", "name=value")),
+    (["STUB", "tolerance_of_all=1"], ("tolerance_of_all",)),
+])  # fmt: skip
 def test_bad_calls_end_in_one_sentence(stub, capsys, words, parts):
     path = str(stub())
     assert main([path if word == "STUB" else word for word in words]) == 2

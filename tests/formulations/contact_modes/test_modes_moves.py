@@ -71,21 +71,18 @@ def test_moves_do_what_they_say() -> None:
     assert add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
 
 
-@pytest.mark.parametrize(
-    "move",
-    [
-        shift(contact=0, index=0, stop=-5),  # empty
-        shift(contact=0, index=0, stop=10),  # adjoins the next
-        shift(contact=0, index=0, first=-6),  # before the beginning
-        shift(contact=0, index=1, stop=11),  # after the end
-        shift(contact=0, index=0, first=12, stop=12),  # overlaps
-        shift(contact=0, index=2, first=1),
-        merge(contact=0, index=1),
-        split(contact=0, index=0, first=5, stop=6),  # at the edge
-        drop(contact=1, index=0),
-        add(contact=0, first=8, stop=12),
-    ],
-)
+@pytest.mark.parametrize("move", [
+    shift(contact=0, index=0, stop=-5),  # empty
+    shift(contact=0, index=0, stop=10),  # adjoins the next
+    shift(contact=0, index=0, first=-6),  # before the beginning
+    shift(contact=0, index=1, stop=11),  # after the end
+    shift(contact=0, index=0, first=12, stop=12),  # overlaps
+    shift(contact=0, index=2, first=1),
+    merge(contact=0, index=1),
+    split(contact=0, index=0, first=5, stop=6),  # at the edge
+    drop(contact=1, index=0),
+    add(contact=0, first=8, stop=12),
+])  # fmt: skip
 def test_impossible_moves_give_nothing(move) -> None:
     assert move.apply((((5, 10), (20, 30)), ()), STEPS) is None
 
@@ -113,14 +110,11 @@ class Landscape:
         return plan if plan.cost < below else None
 
 
-@pytest.mark.parametrize(
-    ("start", "target"),
-    [
-        ((((3, 8),), ((30, 35),)), (((11, 20),), ((22, 36),))),  # shifts
-        ((((10, 20),), ()), (((10, 14), (16, 20)), ((5, 8),))),  # a split and a new interval
-        ((((10, 14), (16, 20)), ((5, 6),)), (((10, 20),), ())),  # a merge and a drop
-    ],
-)
+@pytest.mark.parametrize(("start", "target"), [
+    ((((3, 8),), ((30, 35),)), (((11, 20),), ((22, 36),))),  # shifts
+    ((((10, 20),), ()), (((10, 14), (16, 20)), ((5, 8),))),  # a split and a new interval
+    ((((10, 14), (16, 20)), ((5, 6),)), (((10, 20),), ())),  # a merge and a drop
+])  # fmt: skip
 def test_the_search_reaches_the_target(start, target) -> None:
     landscape = Landscape(closed_steps(target, STEPS))
     found = search_sequences(landscape.plan(closed_steps(start, STEPS)), landscape.improve, stride=4, is_over=lambda: False)
@@ -329,14 +323,11 @@ class _Finder:
         return FinderResult(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
 
 
-@pytest.mark.parametrize(
-    ("spends", "allowed"),
-    [
-        ([50.0, 25.0, 12.0, 6.5, 6.5], [50.0, 25.0, 12.5, 6.5, 6.5]),
-        ([0.0, 10.0, 50.0, 20.0, 20.0], [50.0, 50.0, 45.0, 20.0, 20.0]),  # what one leaves, or takes beyond, is felt by those after it
-        ([100.0], [50.0]),  # nothing is left: the others are not tried
-    ],
-)
+@pytest.mark.parametrize(("spends", "allowed"), [
+    ([50.0, 25.0, 12.0, 6.5, 6.5], [50.0, 25.0, 12.5, 6.5, 6.5]),
+    ([0.0, 10.0, 50.0, 20.0, 20.0], [50.0, 50.0, 45.0, 20.0, 20.0]),  # what one leaves, or takes beyond, is felt by those after it
+    ([100.0], [50.0]),  # nothing is left: the others are not tried
+])  # fmt: skip
 def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
     finder, budget = _Finder(spends), SolveBudget(60.0)
     budget.most_work = 100.0

@@ -260,13 +260,10 @@ def test_another_radius_uses_the_same_models(compiled: list[object]) -> None:
     assert second.residuals["terminal_error"] == pytest.approx(0.01, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("pairs", "letter", "least"),
-    [
-        ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0), ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
-        ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0), ([], "S", 0.0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pairs", "letter", "least"), [
+    ([(1.0, 2.0), (0.0, 3.0)], "S", 0.0), ([(1.0, 2.0), (0.0, -3.0)], "M", -3.0), ([(-1.0, -2.0), (1.0, 1.0)], "C", -2.0),
+    ([(-1.0, 2.0), (1.0, 1.0)], "A", -1.0), ([(-1.0, 2.0), (-1.0, -1.0)], "W", -1.0), ([], "S", 0.0),
+])  # fmt: skip
 def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) -> None:
     force, separation = np.full((8, 1), 50.0), np.full((8, 1), -50.0)  # of pairs that are not biactive: they do not count
     biactive = np.zeros((8, 1), dtype=bool)

@@ -9,13 +9,13 @@ from pyomo.contrib.solver.common.factory import SolverFactory
 from pyomo.contrib.solver.common.results import SolutionStatus
 from pyomo.contrib.solver.common.results import TerminationCondition as Ended
 from pyomo.contrib.solver.common.util import NoDualsError, NoFeasibleSolutionError, NoOptimalSolutionError
-from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
 import formulations  # noqa: F401 - registers the solver
 from formulations.ipopt import ModelRefusedError, UnknownOptionError, compile_model, pyomo_solver, solve
 from formulations.ipopt.pyomo_solver import dual_start
 from formulations.solution import Outcome
+from tests.formulations.mpec.nearest import nearest
 
 
 @pytest.fixture
@@ -147,15 +147,12 @@ def test_a_solution_can_be_loaded_later(solver):
     assert m.ipopt_zU_out[m.a] == pytest.approx(-1.0, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("change", "options", "condition"),
-    [
-        (lambda m: m.demand.set_value(m.a + m.b**2 <= -1), {}, TerminationCondition.infeasible),
-        (lambda m: (m.b.setlb(None), m.demand.deactivate()), {}, TerminationCondition.unbounded),
-        (lambda m: None, {"max_iter": 1}, TerminationCondition.maxIterations),
-        (lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)), {}, TerminationCondition.invalidProblem),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "options", "condition"), [
+    (lambda m: m.demand.set_value(m.a + m.b**2 <= -1), {}, TerminationCondition.infeasible),
+    (lambda m: (m.b.setlb(None), m.demand.deactivate()), {}, TerminationCondition.unbounded),
+    (lambda m: None, {"max_iter": 1}, TerminationCondition.maxIterations),
+    (lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)), {}, TerminationCondition.invalidProblem),
+])  # fmt: skip
 def test_a_solve_without_solution_is_a_warning(solver, change, options, condition, caplog):
     m = linear(pyo.minimize)
     change(m)
@@ -180,26 +177,14 @@ def test_an_error_is_raised_unless_nothing_is_to_be_loaded(solver):
 def test_options_stay_and_can_be_given_for_one_solve(solver):
     m = linear(pyo.minimize)
     solver.options["tol"] = 1e-5
-    solver.solve(m, options={"max_iter": 77}, options_string="mu_init=0.01")
+    solver.solve(m, options={"max_iter": 77}, options_string="mu_init=0.01", timelimit=12)
     used = solver.last_result.options
-    assert (used["tol"], used["max_iter"], used["mu_init"]) == (1e-5, 77, 0.01)
+    assert (used["tol"], used["max_iter"], used["mu_init"], used["max_wall_time"]) == (1e-5, 77, 0.01, 12.0)
     solver.solve(m)
     assert "max_iter" not in solver.last_result.options
     with pytest.raises(UnknownOptionError, match="max_iter"):
         solver.solve(m, options={"maxiter": 3})
     assert dict(pyo.SolverFactory("touchstone_ipopt", options={"tol": 1e-4}).options) == {"tol": 1e-4}
-
-
-def test_a_time_limit_reaches_ipopt(solver):
-    solver.solve(linear(pyo.minimize), timelimit=12)
-    assert solver.last_result.options["max_wall_time"] == 12.0
-
-
-def test_tee_shows_the_log_and_silence_is_silent(solver, capsys):
-    solver.solve(linear(pyo.minimize))
-    assert capsys.readouterr().out == ""
-    solver.solve(linear(pyo.minimize), tee=True)
-    assert "inf_pr" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("tee", [False, True])
@@ -314,13 +299,10 @@ def test_what_the_message_says_helps(linear_solver):
         assert plain.outcome is Outcome.SOLVED or np.max(np.abs(plain.lagrange)) < 1e8 or "perturb_always_cd" in plain.message
 
 
-@pytest.mark.parametrize(
-    ("ends", "options", "asked", "ended"),
-    [
-        (["stalled", "solved"], {}, [None, "yes"], "optimal"), (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
-        (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"), (["solved"], {}, [None], "optimal"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("ends", "options", "asked", "ended"), [
+    (["stalled", "solved"], {}, [None, "yes"], "optimal"), (["stalled", "stalled"], {}, [None, "yes"], "feasible"),
+    (["stalled", "solved"], {"perturb_always_cd": "no"}, ["no"], "feasible"), (["solved"], {}, [None], "optimal"),
+])  # fmt: skip
 def test_one_more_solve_where_nobody_said_how(monkeypatch, ends, options, asked, ended):
     m, seen, left = repeated(0), [], iter(ends)
 
@@ -385,10 +367,7 @@ def test_loading_waits_until_asked():
 
 
 def test_a_complementarity():
-    model = pyo.ConcreteModel()
-    model.x, model.y = pyo.Var(initialize=1), pyo.Var(initialize=1)
-    model.cost = pyo.Objective(expr=(model.x - 1) ** 2 + (model.y - 2) ** 2)
-    model.pair = Complementarity(expr=complements(model.x >= 0, model.y >= 0))
+    model = nearest()
     results = SolverFactory("mpec_ipopt").solve(model, solver_options={"strategy": "scholtes"}, time_limit=60)
     assert (model.x.value, model.y.value, results.incumbent_objective) == pytest.approx((0, 2, 1), abs=1e-8)
     assert "scholtes" in results.extra_info.message
@@ -421,10 +400,7 @@ def test_without_a_point_there_is_nothing_to_load():
 
 
 def test_a_point_without_multipliers_says_so():
-    model = pyo.ConcreteModel()
-    model.x, model.y = pyo.Var(initialize=1), pyo.Var(initialize=1)
-    model.cost = pyo.Objective(expr=(model.x - 1) ** 2 + (model.y - 2) ** 2)
-    model.pair = Complementarity(expr=complements(model.x >= 0, model.y >= 0))
+    model = nearest()
     results = SolverFactory("mpec_ipopt").solve(
         model, solver_options={"polish": False}, load_solutions=False, raise_exception_on_nonoptimal_result=False
     )
@@ -444,9 +420,3 @@ def test_refusals_and_output():
     assert "EXIT: Optimal" in heard.getvalue()
     assert solver.available()
     assert len(solver.version()) == 3
-
-
-def test_the_first_interface_keeps_its_solvers():
-    from formulations.ipopt.pyomo_solver import TouchstoneIpopt
-
-    assert isinstance(pyo.SolverFactory("touchstone_ipopt"), TouchstoneIpopt)

@@ -63,14 +63,11 @@ def test_values_are_as_of_the_last_refresh():
     assert problem.objective(x) == pytest.approx(before + 97.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda m: m.x[1].fix(), "x[1]"), (lambda m: m.z.unfix(), "'z'"), (lambda m: m.c.deactivate(), "1 constraints"),
-        (lambda m: m.add_component("new", pyo.Constraint(expr=m.x[1] >= 0)), "3 constraints"), (lambda m: m.c.set_value(m.x[1] == 0), "'c'"),
-        (lambda m: m.e.set_value(m.x[1]), "'e'"), (lambda m: setattr(m.cost, "sense", pyo.maximize), "objective"), (lambda m: m.cost.deactivate(), "objective"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "named"), [
+    (lambda m: m.x[1].fix(), "x[1]"), (lambda m: m.z.unfix(), "'z'"), (lambda m: m.c.deactivate(), "1 constraints"),
+    (lambda m: m.add_component("new", pyo.Constraint(expr=m.x[1] >= 0)), "3 constraints"), (lambda m: m.c.set_value(m.x[1] == 0), "'c'"),
+    (lambda m: m.e.set_value(m.x[1]), "'e'"), (lambda m: setattr(m.cost, "sense", pyo.maximize), "objective"), (lambda m: m.cost.deactivate(), "objective"),
+])  # fmt: skip
 def test_a_change_of_structure_is_named(change, named):
     m = small()
     problem = compile_model(m)
@@ -104,22 +101,19 @@ def _external(m):
     m.cost = pyo.Objective(expr=m.f(m.x))
 
 
-@pytest.mark.parametrize(
-    ("build", "words"),
-    [
-        (lambda m: m.add_component("cost", pyo.Objective(expr=abs(m.x))), ["cost", "abs", "sqrt"]),
-        (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.Expr_if(m.x >= 0, m.x, 0) == 1)), ["'c'", "Expr_if"]),
-        (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.ceil(m.x) == 1)), ["'c'", "ceil"]),
-        (lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))), ["'c'", "Complementarity", "mpec_ipopt"]),
-        (_disjunction, ["Disjunct"]), (_external, ["cost", "variable"]),
-        (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)), ["'s'", "SOSConstraint"]),
-        (lambda m: (m.add_component("o1", pyo.Objective(expr=m.x)), m.add_component("o2", pyo.Objective(expr=m.y))), ["'o1'", "'o2'"]),
-        (lambda m: (m.add_component("n", pyo.Var(domain=pyo.Integers)), m.add_component("c", pyo.Constraint(expr=m.n >= m.x))), ["'n'", "Integers"]),
-        (lambda m: (m.add_component("e", pyo.Expression()), m.add_component("o", pyo.Objective(expr=m.x + m.e))), ["'e'", "'o'"]),
-        (lambda m: m.add_component("r", pyo.Constraint(expr=(m.y, m.x, 3))), ["'r'"]),
-        (lambda m: (m.add_component("b", pyo.BooleanVar()), m.add_component("l", pyo.LogicalConstraint(expr=m.b))), ["'l'", "LogicalConstraint"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("build", "words"), [
+    (lambda m: m.add_component("cost", pyo.Objective(expr=abs(m.x))), ["cost", "abs", "sqrt"]),
+    (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.Expr_if(m.x >= 0, m.x, 0) == 1)), ["'c'", "Expr_if"]),
+    (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.ceil(m.x) == 1)), ["'c'", "ceil"]),
+    (lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))), ["'c'", "Complementarity", "mpec_ipopt"]),
+    (_disjunction, ["Disjunct"]), (_external, ["cost", "variable"]),
+    (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)), ["'s'", "SOSConstraint"]),
+    (lambda m: (m.add_component("o1", pyo.Objective(expr=m.x)), m.add_component("o2", pyo.Objective(expr=m.y))), ["'o1'", "'o2'"]),
+    (lambda m: (m.add_component("n", pyo.Var(domain=pyo.Integers)), m.add_component("c", pyo.Constraint(expr=m.n >= m.x))), ["'n'", "Integers"]),
+    (lambda m: (m.add_component("e", pyo.Expression()), m.add_component("o", pyo.Objective(expr=m.x + m.e))), ["'e'", "'o'"]),
+    (lambda m: m.add_component("r", pyo.Constraint(expr=(m.y, m.x, 3))), ["'r'"]),
+    (lambda m: (m.add_component("b", pyo.BooleanVar()), m.add_component("l", pyo.LogicalConstraint(expr=m.b))), ["'l'", "LogicalConstraint"]),
+])  # fmt: skip
 def test_what_cannot_be_treated_is_refused_by_name(build, words):
     message = refused(build)
     for word in words:
@@ -178,14 +172,11 @@ def test_a_missing_number_is_named(value):
         compile_model(m)
 
 
-@pytest.mark.parametrize(
-    ("place", "named"),
-    [
-        (lambda m: m.add_component("more", pyo.Constraint(expr=m.r * m.x[1] <= 1)), "'r' has no value"),
-        (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)), "a bound of constraint 'more' has no value"),
-        (lambda m: m.x[1].setub(2 * m.r), "a bound of variable 'x\\[1\\]' has no value"),
-    ],
-)
+@pytest.mark.parametrize(("place", "named"), [
+    (lambda m: m.add_component("more", pyo.Constraint(expr=m.r * m.x[1] <= 1)), "'r' has no value"),
+    (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)), "a bound of constraint 'more' has no value"),
+    (lambda m: m.x[1].setub(2 * m.r), "a bound of variable 'x\\[1\\]' has no value"),
+])  # fmt: skip
 def test_a_param_without_value_is_named_by_where_it_stands(place, named):
     m = small()
     m.r = pyo.Param(mutable=True, domain=pyo.Any)

@@ -15,9 +15,7 @@ from wording import unsaid
 
 from formulations.mpec import certify
 from formulations.mpec.certificate.active import (
-    ANY,
     CHOICES,
-    ActiveSet,
     Stationarity,
     _multiplier_limits,
     active_set,
@@ -54,14 +52,11 @@ class Source:
     name: str
 
 
-@pytest.mark.parametrize(
-    ("pairs", "kind"),
-    [
-        ([], S), ([(1, 1)], S), ([(0, 0)], S), ([(-0.1, 0.5)], S), ([(0, -1)], M), ([(-1, 0)], M), ([(0.1, -1)], M), ([(-1, -1)], C), ([(1, -1)], A),
-        ([(-1, 1)], A), ([(1, 1), (0, -1)], M), ([(0, -1), (-1, -1)], C), ([(1, -1), (0, -1)], A), ([(1, -1), (-1, -1)], W), ([(-0.2, 0.5)], A),
-        ([(0.2, -1)], A),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pairs", "kind"), [
+    ([], S), ([(1, 1)], S), ([(0, 0)], S), ([(-0.1, 0.5)], S), ([(0, -1)], M), ([(-1, 0)], M), ([(0.1, -1)], M), ([(-1, -1)], C), ([(1, -1)], A),
+    ([(-1, 1)], A), ([(1, 1), (0, -1)], M), ([(0, -1), (-1, -1)], C), ([(1, -1), (0, -1)], A), ([(1, -1), (-1, -1)], W), ([(-0.2, 0.5)], A),
+    ([(0.2, -1)], A),
+])  # fmt: skip
 def test_classes_by_the_signs_of_multipliers(pairs: list[tuple[float, float]], kind: Stationarity):
     """What is no larger than a tenth counts as zero."""
     assert class_of(pairs, 0.1) is kind
@@ -71,13 +66,10 @@ def test_each_class_has_its_letter():
     assert [kind.letter for kind in Stationarity] == ["S", "M", "C", "A", "W", "-"]
 
 
-@pytest.mark.parametrize(
-    ("pair", "kind", "wrong"),
-    [
-        ((-2, -3), S, 3), ((-2, 1), S, 2), ((-2, -3), M, 2), ((2, -3), M, 2), ((4, -3), M, 3), ((-2, 3), C, 2), ((5, -3), C, 3), ((-2, -3), A, 2),
-        ((-2, -3), W, 0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pair", "kind", "wrong"), [
+    ((-2, -3), S, 3), ((-2, 1), S, 2), ((-2, -3), M, 2), ((2, -3), M, 2), ((4, -3), M, 3), ((-2, 3), C, 2), ((5, -3), C, 3), ((-2, -3), A, 2),
+    ((-2, -3), W, 0),
+])  # fmt: skip
 def test_signs_are_missed_by_the_nearest(pair: tuple[float, float], kind: Stationarity, wrong: float):
     assert wrong_by(pair, CHOICES[kind]) == wrong
 
@@ -86,15 +78,12 @@ def row(value: float, lower: float = -INF, upper: float = INF, argument: int | N
     return ConstraintRow(source=Source(name), value=value, lower=lower, upper=upper, argument=argument)
 
 
-@pytest.mark.parametrize(
-    ("item", "found"),
-    [
-        (row(0.0), None), (row(1.125, lower=1.0), (0.0, None)), (row(1.13, lower=1.0), None), (row(-9.0, lower=1.0), (0.0, None)),
-        (row(4.5, lower=4.0), (0.0, None)), (row(4.51, lower=4.0), None), (row(-4.5, upper=-4.0), (None, 0.0)), (row(-4.51, upper=-4.0), None),
-        (row(0.875, upper=1.0), (None, 0.0)), (row(0.87, upper=1.0), None), (row(1.0, lower=1.0, upper=1.0), (None, None)),
-        (row(0.0, lower=-0.05, upper=5.0), (0.0, None)), (row(0.0, lower=-5.0, upper=0.05), (None, 0.0)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("item", "found"), [
+    (row(0.0), None), (row(1.125, lower=1.0), (0.0, None)), (row(1.13, lower=1.0), None), (row(-9.0, lower=1.0), (0.0, None)),
+    (row(4.5, lower=4.0), (0.0, None)), (row(4.51, lower=4.0), None), (row(-4.5, upper=-4.0), (None, 0.0)), (row(-4.51, upper=-4.0), None),
+    (row(0.875, upper=1.0), (None, 0.0)), (row(0.87, upper=1.0), None), (row(1.0, lower=1.0, upper=1.0), (None, None)),
+    (row(0.0, lower=-0.05, upper=5.0), (0.0, None)), (row(0.0, lower=-5.0, upper=0.05), (None, 0.0)),
+])  # fmt: skip
 def test_a_row_is_active_within_an_eighth_of_its_bound(item: ConstraintRow, found: tuple | None):
     assert _multiplier_limits(item, 0.125) == found
 
@@ -155,13 +144,10 @@ def test_nothing_active_has_no_limits():
     assert pairs_of(found, np.zeros(0)) == []
 
 
-@pytest.mark.parametrize(
-    ("slopes", "side", "lower", "counted"),
-    [
-        ((2.0, 0.0), 0.02, 0.0, 0), ((0.5, 0.0), 0.005, 0.0, 0), ((2.0, 0.0), 0.02 + 0.9e-12, 0.0, 0), ((2.0, 0.0), 0.02 + 1.1e-12, 0.0, 1),
-        ((2.0, 0.0), 0.02, -0.01, 1), ((-2.0, 0.0), -0.02, 0.0, 1), ((2.0, 1.0), 0.02, 0.0, 1), ((0.0, 2.0), 0.02, 0.0, 1),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("slopes", "side", "lower", "counted"), [
+    ((2.0, 0.0), 0.02, 0.0, 0), ((0.5, 0.0), 0.005, 0.0, 0), ((2.0, 0.0), 0.02 + 0.9e-12, 0.0, 0), ((2.0, 0.0), 0.02 + 1.1e-12, 0.0, 1),
+    ((2.0, 0.0), 0.02, -0.01, 1), ((-2.0, 0.0), -0.02, 0.0, 1), ((2.0, 1.0), 0.02, 0.0, 1), ((0.0, 2.0), 0.02, 0.0, 1),
+])  # fmt: skip
 def test_a_bound_that_is_a_side_of_a_pair_is_not_counted_twice(slopes: tuple[float, float], side: float, lower: float, counted: int):
     """x = 0.01: of a side 2 x its lower bound 0 is the same once more."""
     x = [row(0.01, lower=lower), row(3.0)]
@@ -173,12 +159,9 @@ def test_a_bound_that_is_a_side_of_a_pair_is_not_counted_twice(slopes: tuple[flo
     ), "an upper one is"
 
 
-@pytest.mark.parametrize(
-    ("item", "violation", "size"),
-    [
-        (row(1.0, 2.0, 5.0), 1.0, 5.0), (row(7.0, -6.0, 5.0), 2.0, 6.0), (row(3.0, 2.0, 5.0), 0.0, 5.0), (row(3.0), 0.0, 1.0), (row(0.0, 0.25), 0.25, 1.0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("item", "violation", "size"), [
+    (row(1.0, 2.0, 5.0), 1.0, 5.0), (row(7.0, -6.0, 5.0), 2.0, 6.0), (row(3.0, 2.0, 5.0), 0.0, 5.0), (row(3.0), 0.0, 1.0), (row(0.0, 0.25), 0.25, 1.0),
+])  # fmt: skip
 def test_a_violation_is_what_is_beyond_and_its_size_that_of_the_bounds(item: ConstraintRow, violation: float, size: float):
     assert (_violation(item), _size(item)) == (violation, size)
 
@@ -211,19 +194,16 @@ BOX = local(
 (_least, _equal), (_x, _y), (_pair,) = ((item.source for item in items) for items in (BOX.rows, BOX.bounds, BOX.pairs))
 
 
-@pytest.mark.parametrize(
-    ("rows", "bounds", "pairs", "left"),
-    [
-        ({}, {}, {}, 8.0),
-        ({_equal: -8.0}, {}, {}, 4.0),
-        ({_equal: -8.0, _least: 4.0}, {}, {}, 4.0),  # its row is 2 away from its bound: a multiplier there counts whole
-        ({_equal: -13.0}, {_y: 5.0}, {}, 5.0),  # y has no lower bound: no push of 5 may come from there
-        ({_equal: -8.0}, {_x: 4.0}, {}, 4.0),  # x is 1 away from its bound
-        ({}, {_x: 4.0, _y: -8.0}, {}, 8.0),  # y is 0.5 away from its upper one
-        ({_equal: -8.0}, {}, {_pair: (2.0, 0.0)}, 2.0),  # of the second argument, which is the first side: mu = 2
-        ({_equal: -8.0}, {}, {_pair: (0.0, -4.0)}, 4.0),  # of the first side, flipped: nu = 4, which leaves (0, -4)
-    ],
-)
+@pytest.mark.parametrize(("rows", "bounds", "pairs", "left"), [
+    ({}, {}, {}, 8.0),
+    ({_equal: -8.0}, {}, {}, 4.0),
+    ({_equal: -8.0, _least: 4.0}, {}, {}, 4.0),  # its row is 2 away from its bound: a multiplier there counts whole
+    ({_equal: -13.0}, {_y: 5.0}, {}, 5.0),  # y has no lower bound: no push of 5 may come from there
+    ({_equal: -8.0}, {_x: 4.0}, {}, 4.0),  # x is 1 away from its bound
+    ({}, {_x: 4.0, _y: -8.0}, {}, 8.0),  # y is 0.5 away from its upper one
+    ({_equal: -8.0}, {}, {_pair: (2.0, 0.0)}, 2.0),  # of the second argument, which is the first side: mu = 2
+    ({_equal: -8.0}, {}, {_pair: (0.0, -4.0)}, 4.0),  # of the first side, flipped: nu = 4, which leaves (0, -4)
+])  # fmt: skip
 def test_what_multipliers_leave_by_hand(rows: dict, bounds: dict, pairs: dict, left: float):
     found = _given_residual(BOX, active_set(BOX, 1e-6), Multipliers(rows=rows, bounds=bounds, pairs=pairs))
     assert found == pytest.approx(left / 8.0)
@@ -320,34 +300,28 @@ def certificate(**changes: Any) -> Certificate:
     return Certificate(**(said | changes))
 
 
-@pytest.mark.parametrize(
-    ("changes", "feasible", "lives", "stationary", "holds"),
-    [
-        ({}, True, False, True, True), ({"primal_relative": 1.01e-6}, False, False, True, False), ({"complementarity": 1.01e-6}, False, False, True, False),
-        ({"complementarity": 1.01e-6, "tolerances": Tolerances(complementarity=2e-6)}, True, False, True, True),
-        ({"primal_relative": 1.01e-6, "tolerances": Tolerances(feasibility=2e-6)}, True, False, True, True), ({"forced": 1.01e-6}, False, True, True, False),
-        ({"forced": math.nan}, False, True, True, False), ({"primal_relative": math.nan}, False, False, True, False),
-        ({"descent": -1.01e-5}, True, False, False, False), ({"descent": math.nan}, True, False, None, False),
-        ({"descent": math.nan, "stationarity": S}, True, False, True, True), ({"given_dual": 1e-4}, True, False, True, True),
-        ({"given_dual": 1.01e-4}, True, False, True, False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "feasible", "lives", "stationary", "holds"), [
+    ({}, True, False, True, True), ({"primal_relative": 1.01e-6}, False, False, True, False), ({"complementarity": 1.01e-6}, False, False, True, False),
+    ({"complementarity": 1.01e-6, "tolerances": Tolerances(complementarity=2e-6)}, True, False, True, True),
+    ({"primal_relative": 1.01e-6, "tolerances": Tolerances(feasibility=2e-6)}, True, False, True, True), ({"forced": 1.01e-6}, False, True, True, False),
+    ({"forced": math.nan}, False, True, True, False), ({"primal_relative": math.nan}, False, False, True, False),
+    ({"descent": -1.01e-5}, True, False, False, False), ({"descent": math.nan}, True, False, None, False),
+    ({"descent": math.nan, "stationarity": S}, True, False, True, True), ({"given_dual": 1e-4}, True, False, True, True),
+    ({"given_dual": 1.01e-4}, True, False, True, False),
+])  # fmt: skip
 def test_what_a_certificate_concludes_at_each_limit(changes, feasible, lives, stationary, holds):
     found = certificate(**changes)
     assert (found.feasible, found.lives_on_tolerance, found.b_stationary, found.holds) == (feasible, lives, stationary, holds)
 
 
-@pytest.mark.parametrize(
-    ("changes", "parts", "missing"),
-    [
-        ({}, ["primal 1.0e-07", "complementarity 1.0e-06", "dual 2.0e-07", "class M", "B-stationary", "3 of 9 pairs"], ["not", "multipliers", "most in"]),
-        ({"descent": -0.25}, ["not B-stationary (slope -2.5e-01)"], []), ({"descent": math.nan}, ["B-stationarity unknown"], []),
-        ({"primal_relative": 1.0}, ["not feasible, most in least", "in no class"], ["class M"]), ({"complementarity": 1.0}, ["not feasible, so"], ["most in"]),
-        ({"primal_relative": 1.0, "worst": ""}, ["not feasible, so"], ["most in"]), ({"least": 0.125}, ["with multipliers of at least 0.125"], ["unique"]),
-        ({"least": 0.125, "unique": True}, ["with unique multipliers of at least 0.125"], []),
-        ({"least": 0.125, "biactive": 0}, ["0 of 9 pairs"], ["multipliers"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "parts", "missing"), [
+    ({}, ["primal 1.0e-07", "complementarity 1.0e-06", "dual 2.0e-07", "class M", "B-stationary", "3 of 9 pairs"], ["not", "multipliers", "most in"]),
+    ({"descent": -0.25}, ["not B-stationary (slope -2.5e-01)"], []), ({"descent": math.nan}, ["B-stationarity unknown"], []),
+    ({"primal_relative": 1.0}, ["not feasible, most in least", "in no class"], ["class M"]), ({"complementarity": 1.0}, ["not feasible, so"], ["most in"]),
+    ({"primal_relative": 1.0, "worst": ""}, ["not feasible, so"], ["most in"]), ({"least": 0.125}, ["with multipliers of at least 0.125"], ["unique"]),
+    ({"least": 0.125, "unique": True}, ["with unique multipliers of at least 0.125"], []),
+    ({"least": 0.125, "biactive": 0}, ["0 of 9 pairs"], ["multipliers"]),
+])  # fmt: skip
 def test_a_certificate_in_words(changes: dict[str, Any], parts: list[str], missing: list[str]):
     words = certificate(**changes).sentence
     assert not unsaid(words, *parts)
@@ -359,18 +333,10 @@ def test_limits_of_a_plan_are_tighter_than_those_of_any_point():
     assert Tolerances() == Tolerances(feasibility=1e-6, complementarity=1e-6)
 
 
-def test_no_signs_are_asked_of_any():
-    assert ANY == ("*", "*")
-    assert isinstance(active_set(local([row(0.0)]), 0.1), ActiveSet)
-
-
-@pytest.mark.parametrize(
-    ("variables", "choices", "biactive", "nodes"),
-    [
-        (100, 2, 10, 2048), (100, 2, 11, 12), (400, 2, 8, 512), (400, 2, 9, 12), (10**6, 2, 3, 16), (10**6, 2, 4, 12), (0, 3, 0, 2), (100, 3, 6, 1458),
-        (100, 3, 7, 12),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("variables", "choices", "biactive", "nodes"), [
+    (100, 2, 10, 2048), (100, 2, 11, 12), (400, 2, 8, 512), (400, 2, 9, 12), (10**6, 2, 3, 16), (10**6, 2, 4, 12), (0, 3, 0, 2), (100, 3, 6, 1458),
+    (100, 3, 7, 12),
+])  # fmt: skip
 def test_a_tree_is_searched_to_its_end_where_that_costs_little(variables: int, choices: int, biactive: int, nodes: int):
     """1024 leaves at most, fewer where 200 000 are not enough for each to have one of every variable, but always 8; else 12 nodes."""
     active: Any = SimpleNamespace(gradient=np.zeros(variables), both=np.arange(biactive))

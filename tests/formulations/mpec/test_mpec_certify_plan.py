@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pyomo.environ as pyo
 import pytest
-import scipy.sparse as sparse
 from pyomo.core.expr.numeric_expr import MaxExpression, MinExpression
 from pyomo.mpec import Complementarity, complements
 from scipy.optimize import OptimizeResult
@@ -16,7 +15,6 @@ from formulations.mpec import Certificate, Stationarity, certify, certify_plan, 
 from formulations.mpec.certificate import multipliers as decision
 from formulations.mpec.certificate import multipliers as programs
 from formulations.mpec.certificate import stationarity
-from formulations.mpec.certificate.multipliers import least_squares
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
@@ -164,26 +162,6 @@ def test_bounds_of_a_pair_do_not_hide_the_signs(slopes: tuple[float, float], let
     assert certificate.least == pytest.approx(min(slopes))
     assert certificate.b_stationary is (letter == "S")
     assert certificate.descent == (0.0 if letter == "S" else pytest.approx(min(slopes) / max(1.0, *(abs(slope) for slope in slopes))))
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_least_squares_finds_multipliers_that_exist(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    matrix = sparse.random(40, 15, density=0.3, random_state=random, format="csc") + sparse.vstack(
-        [sparse.identity(15), sparse.csc_matrix((25, 15))]
-    )
-    y = random.normal(size=15)
-    found = least_squares(matrix.tocsc(), matrix @ y)
-    np.testing.assert_allclose(found.y, y, atol=1e-10)
-    np.testing.assert_allclose(found.rest, 0.0, atol=1e-12)
-    direction = found.leaving(3)
-    np.testing.assert_allclose(matrix.T @ direction, np.eye(15)[3], atol=1e-10)
-
-
-def test_dependent_gradients_have_no_single_answer() -> None:
-    column = np.array([[1.0], [2.0], [3.0]])
-    assert least_squares(sparse.csc_matrix(np.hstack([column, 2 * column])), column.ravel()) is None
-    assert least_squares(sparse.csc_matrix(np.ones((1, 2))), np.ones(1)) is None
 
 
 def at_the_origin(first, second, cost) -> Certificate:

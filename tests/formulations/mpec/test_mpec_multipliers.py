@@ -56,13 +56,10 @@ def test_without_gradients_everything_is_left():
     assert (found.y.tolist(), found.rest.tolist()) == ([], [3.0, -4.0])
 
 
-@pytest.mark.parametrize(
-    ("items", "one"),
-    [
-        ([(1, 0), (0, 1)], True), ([(1, 0), (0, 1), (1, 1)], False), ([(1, 2, 0), (2, 4, 0)], False), ([(1, 0), (0, 0)], False), ([(1, 0), (1, 1e-5)], True),
-        ([(1, 0), (1, 1e-9)], False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("items", "one"), [
+    ([(1, 0), (0, 1)], True), ([(1, 0), (0, 1), (1, 1)], False), ([(1, 2, 0), (2, 4, 0)], False), ([(1, 0), (0, 0)], False), ([(1, 0), (1, 1e-5)], True),
+    ([(1, 0), (1, 1e-9)], False),
+])  # fmt: skip
 def test_gradients_that_depend_on_each_other_have_many(items: list, one: bool):
     assert (least_squares(columns(*items), np.ones(len(items[0]))) is not None) == one
 
@@ -123,13 +120,10 @@ def test_a_cone_of_nothing_leaves_the_gradient():
     assert (nothing.y.tolist(), nothing.rest.tolist()) == ([0.0], [0.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("tolerance", "across", "proved"),
-    [
-        (2.66, 0.0, True), (2.67, 0.0, False), (-2.67, 0.0, True), (2.6, 1e-10, True), (2.6, 1.1e-10, False), (2.66659, 1e-10, True),
-        (2.66663, 1e-10, False), (2.66663, 0.0, True),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("tolerance", "across", "proved"), [
+    (2.66, 0.0, True), (2.67, 0.0, False), (-2.67, 0.0, True), (2.6, 1e-10, True), (2.6, 1.1e-10, False), (2.66659, 1e-10, True),
+    (2.66663, 1e-10, False), (2.66663, 0.0, True),
+])  # fmt: skip
 def test_a_vector_proves_by_what_it_says_of_the_gradient(tolerance: float, across: float, proved: bool):
     """(1, -0.5)' (3, -2) = 4, of |(1, -0.5)| = 1.5 in all and 1 at most; a millionth of a multiplier counts 1e-4 here. However long the vector is."""
     for length in (1.0, 4.0):
@@ -305,13 +299,10 @@ def test_of_many_multipliers_the_best_signs_count(pair: tuple[float, float], kin
     assert (without.kind, without.least) == (S, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("gradient", "limits", "kind"),
-    [
-        ((-1.0, 1.0), RISES, M), ((1.0, -1.0), RISES, M), ((-1.0, -1.0), RISES, C), ((1.0, 1.0), RISES, S), ((-1.0, -2.0), FALLS, S),
-        ((-1.0, 1.0), FALLS, S), ((-1.0, -2.0), STAYS, S),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("gradient", "limits", "kind"), [
+    ((-1.0, 1.0), RISES, M), ((1.0, -1.0), RISES, M), ((-1.0, -1.0), RISES, C), ((1.0, 1.0), RISES, S), ((-1.0, -2.0), FALLS, S),
+    ((-1.0, 1.0), FALLS, S), ((-1.0, -2.0), STAYS, S),
+])  # fmt: skip
 def test_a_row_may_take_what_a_pair_may_not(gradient: tuple[float, float], limits: Limits, kind: Stationarity):
     """Sides x and y of the pair, a row x + y: nu = g1 - w, mu = g2 - w, for any w that the row allows."""
     found = classify(active(gradient, [((1, 1), limits)], [((1, 0), (0, 1), "both")]), 1e-6)
@@ -326,13 +317,10 @@ def test_a_class_that_is_known_need_not_be_found(given: Stationarity, kind: Stat
 
 
 @pytest.mark.parametrize("many", [0, 400], ids=["every piece", "a tree"])
-@pytest.mark.parametrize(
-    ("gradient", "slope", "direction"),
-    [
-        ((-1.0, -2.0), -1.0, (0.0, 1.0)), ((-2.0, -1.0), -1.0, (1.0, 0.0)), ((-1.0, 2.0), -0.5, (1.0, 0.0)), ((2.0, -1.0), -0.5, (0.0, 1.0)),
-        ((1.0, 2.0), 0.0, None), ((0.0, 0.0), 0.0, None), ((-1e-7, 2.0), None, None),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("gradient", "slope", "direction"), [
+    ((-1.0, -2.0), -1.0, (0.0, 1.0)), ((-2.0, -1.0), -1.0, (1.0, 0.0)), ((-1.0, 2.0), -0.5, (1.0, 0.0)), ((2.0, -1.0), -0.5, (0.0, 1.0)),
+    ((1.0, 2.0), 0.0, None), ((0.0, 0.0), 0.0, None), ((-1e-7, 2.0), None, None),
+])  # fmt: skip
 def test_the_steepest_piece_of_a_pair(many: int, gradient: tuple[float, float], slope: float | None, direction: tuple | None):
     """Sides 10 x and y: one stays 0, the other rises; with more variables than are looked at one by one, the side that rises less is held first."""
     rest = [0.0] * many

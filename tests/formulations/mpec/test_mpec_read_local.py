@@ -42,19 +42,16 @@ FORMS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("form", "x", "y", "sides", "flips", "arguments", "first", "second"),
-    [
-        ("both from below", 3.0, 2.5, (2.0, 1.5), (1, 1), (0, 1), [1, 0], [0, 3]), ("above and below", 3.0, 2.5, (2.0, 1.5), (-1, 1), (0, 1), [-2, 0], [0, 1]),
-        ("below and above", 3.0, 2.5, (2.0, 1.5), (1, -1), (0, 1), [1, 0], [0, -1]), ("below and above", 0.5, 4.25, (-0.5, -0.25), (1, -1), (0, 1), [1, 0], [0, -1]),
-        ("box", 0.525, 1.0, (0.05, 3.0), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 0.525, -1.0, (0.05, -3.0), (1, 1), (0, 1), [2, 0], [0, 3]),
-        ("box", 2.475, -1.0, (0.05, 3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]), ("box", 2.475, 1.0, (0.05, -3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
-        ("box", 1.0, 0.05, (1.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 1.0, -0.05, (3.0, 0.15), (-1, -1), (0, 1), [-2, 0], [0, -3]),
-        ("box", 2.0, 0.05, (3.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box last", 0.525, 1.0, (0.05, 3.0), (1, 1), (1, 0), [2, 0], [0, 3]),
-        ("box last", 2.475, -1.0, (0.05, 3.0), (-1, -1), (1, 0), [-2, 0], [0, -3]), ("box", 0.25, 0.0, (-0.5, 0.0), (1, 1), (0, 1), [2, 0], [0, 3]),
-        ("box", 3.0, 0.0, (-1.0, 0.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("form", "x", "y", "sides", "flips", "arguments", "first", "second"), [
+    ("both from below", 3.0, 2.5, (2.0, 1.5), (1, 1), (0, 1), [1, 0], [0, 3]), ("above and below", 3.0, 2.5, (2.0, 1.5), (-1, 1), (0, 1), [-2, 0], [0, 1]),
+    ("below and above", 3.0, 2.5, (2.0, 1.5), (1, -1), (0, 1), [1, 0], [0, -1]), ("below and above", 0.5, 4.25, (-0.5, -0.25), (1, -1), (0, 1), [1, 0], [0, -1]),
+    ("box", 0.525, 1.0, (0.05, 3.0), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 0.525, -1.0, (0.05, -3.0), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box", 2.475, -1.0, (0.05, 3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]), ("box", 2.475, 1.0, (0.05, -3.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+    ("box", 1.0, 0.05, (1.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box", 1.0, -0.05, (3.0, 0.15), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+    ("box", 2.0, 0.05, (3.0, 0.15), (1, 1), (0, 1), [2, 0], [0, 3]), ("box last", 0.525, 1.0, (0.05, 3.0), (1, 1), (1, 0), [2, 0], [0, 3]),
+    ("box last", 2.475, -1.0, (0.05, 3.0), (-1, -1), (1, 0), [-2, 0], [0, -3]), ("box", 0.25, 0.0, (-0.5, 0.0), (1, 1), (0, 1), [2, 0], [0, 3]),
+    ("box", 3.0, 0.0, (-1.0, 0.0), (-1, -1), (0, 1), [-2, 0], [0, -3]),
+])  # fmt: skip
 def test_a_pair_has_its_sides_with_their_signs(form, x, y, sides, flips, arguments, first, second):
     m = model(x, y)
     m.pair = Complementarity(expr=FORMS[form](m))
@@ -66,13 +63,10 @@ def test_a_pair_has_its_sides_with_their_signs(form, x, y, sides, flips, argumen
     assert local.rows == ()
 
 
-@pytest.mark.parametrize(
-    ("form", "y", "rows"),
-    [
-        ("box", 0.03, [(0, 2.0, 1.0, 5.0), (1, 0.09, 0.0, 0.0)]), ("box", -0.03, [(0, 2.0, 1.0, 5.0), (1, -0.09, 0.0, 0.0)]), ("box last", 0.03, [(0, 0.09, 0.0, 0.0), (1, 2.0, 1.0, 5.0)]),
-        ("equal", 0.5, [(0, 2.0, 3.0, 3.0)]), ("equal last", 0.5, [(1, 2.0, 3.0, 3.0)]), ("empty", 0.03, [(0, 2.0, 3.0, 1.0), (1, 0.09, 0.0, 0.0)]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("form", "y", "rows"), [
+    ("box", 0.03, [(0, 2.0, 1.0, 5.0), (1, 0.09, 0.0, 0.0)]), ("box", -0.03, [(0, 2.0, 1.0, 5.0), (1, -0.09, 0.0, 0.0)]), ("box last", 0.03, [(0, 0.09, 0.0, 0.0), (1, 2.0, 1.0, 5.0)]),
+    ("equal", 0.5, [(0, 2.0, 3.0, 3.0)]), ("equal last", 0.5, [(1, 2.0, 3.0, 3.0)]), ("empty", 0.03, [(0, 2.0, 3.0, 1.0), (1, 0.09, 0.0, 0.0)]),
+])  # fmt: skip
 def test_where_there_is_no_choice_rows_are_imposed(form: str, y: float, rows: list):
     m = model(1.0, y)
     m.p = pyo.Param(initialize=1.0, mutable=True)
@@ -132,13 +126,10 @@ def origin(f1: float, f2: float) -> Any:
     return m
 
 
-@pytest.mark.parametrize(
-    ("row", "given", "left", "kind"),
-    [
-        (1.0, (1.0, 3.0), 0.0, Stationarity.STRONG), (3.0, (-1.0, 1.0), 0.0, Stationarity.STRONG), (1.0, (1.0, 2.0), 0.25, Stationarity.STRONG),
-        (None, None, math.nan, Stationarity.STRONG), (1.0, None, 0.75, Stationarity.STRONG),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("row", "given", "left", "kind"), [
+    (1.0, (1.0, 3.0), 0.0, Stationarity.STRONG), (3.0, (-1.0, 1.0), 0.0, Stationarity.STRONG), (1.0, (1.0, 2.0), 0.25, Stationarity.STRONG),
+    (None, None, math.nan, Stationarity.STRONG), (1.0, None, 0.75, Stationarity.STRONG),
+])  # fmt: skip
 def test_multipliers_that_come_along_are_checked(row: float | None, given: tuple | None, left: float, kind: Stationarity):
     m = origin(2.0, 4.0)
     multipliers = None if row is None else Multipliers(rows={m.row: row}, pairs={} if given is None else {m.pair: given})  # type: ignore[arg-type]
@@ -293,14 +284,10 @@ def test_first_middle_and_last_of_a_shape_are_differentiated_by_pyomo_too(what, 
     assert bool(found.notes) == seen
 
 
-@pytest.mark.parametrize(
-    ("expression", "value", "slope"),
-    [
-        (lambda x: 3 * x + 2 - x, 1.4, 2.0), (lambda x: x**2, 0.09, -0.6), (lambda x: x**1.5, np.nan, np.nan), (lambda x: pyo.log(x), np.nan, np.nan),
-        (lambda x: 1 / (x + 0.3), np.nan, np.nan), (lambda x: pyo.exp(1e4 * (x + 1.0)), np.nan, np.nan), (lambda x: pyo.sinh(x), np.sinh(-0.3), np.cosh(-0.3)),
-    ],
-    ids=["affine", "square", "complex", "logarithm", "pole", "overflow", "hyperbolic"],
-)  # fmt: skip
+@pytest.mark.parametrize(("expression", "value", "slope"), [
+    (lambda x: 3 * x + 2 - x, 1.4, 2.0), (lambda x: x**2, 0.09, -0.6), (lambda x: x**1.5, np.nan, np.nan), (lambda x: pyo.log(x), np.nan, np.nan),
+    (lambda x: 1 / (x + 0.3), np.nan, np.nan), (lambda x: pyo.exp(1e4 * (x + 1.0)), np.nan, np.nan), (lambda x: pyo.sinh(x), np.sinh(-0.3), np.cosh(-0.3)),
+], ids=["affine", "square", "complex", "logarithm", "pole", "overflow", "hyperbolic"])  # fmt: skip
 def test_values_and_slopes_of_one_expression(expression, value, slope):
     """At x = -0.3."""
     m = pyo.ConcreteModel()
@@ -341,15 +328,11 @@ def _curve(function, at: float) -> pyo.ConcreteModel:
     return m
 
 
-@pytest.mark.parametrize(
-    ("function", "slope"),
-    [
-        (lambda x, _: pyo.cosh(x), np.cosh(-0.3) - 0.3 * np.sinh(-0.3)),
-        (lambda x, _: pyo.atanh(x), np.arctanh(-0.3) - 0.3 / (1 - 0.09)),
-        (lambda x, p: x**p, 3 * 0.09),
-    ],
-    ids=["cosh", "atanh", "Param as exponent"],
-)
+@pytest.mark.parametrize(("function", "slope"), [
+    (lambda x, _: pyo.cosh(x), np.cosh(-0.3) - 0.3 * np.sinh(-0.3)),
+    (lambda x, _: pyo.atanh(x), np.arctanh(-0.3) - 0.3 / (1 - 0.09)),
+    (lambda x, p: x**p, 3 * 0.09),
+], ids=["cosh", "atanh", "Param as exponent"])  # fmt: skip
 def test_what_pyomos_reverse_mode_does_not_know(function, slope):
     """Hyperbolic functions, and a negative base with a Param for an exponent: right, and no word of a disagreement."""
     model = _curve(function, -0.3)

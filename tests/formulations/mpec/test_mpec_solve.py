@@ -11,9 +11,8 @@ from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
-import formulations.mpec
 from benchmarks.mpec.macmpec.toy import jr1, ralph1
-from formulations.mpec import STRATEGY_NAMES, MpecIpopt, MpecSettings, Multipliers, Stationarity, certify, solve_mpec
+from formulations.mpec import STRATEGY_NAMES, MpecSettings, Multipliers, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
 from formulations.mpec.homotopy import WorkBudget, Workspace, compile_branches
 from formulations.mpec.lifted import lift
@@ -45,11 +44,6 @@ def test_every_relaxation_leads_there_without_polish(strategy):
     assert not result.polished
     assert result.residual <= 1e-8
     assert result.objective == pytest.approx(0.5, abs=1e-7)
-
-
-def test_the_plugin_is_registered_under_its_name():
-    assert isinstance(pyo.SolverFactory("mpec_ipopt"), MpecIpopt)
-    assert formulations.mpec.MpecIpopt is MpecIpopt
 
 
 def test_a_point_that_is_not_stationary_is_not_certified():
@@ -169,13 +163,10 @@ def _crossed(m):
     m.x.setub(2)
 
 
-@pytest.mark.parametrize(
-    ("change", "ended", "words"),
-    [
-        (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""), (_both_at_least_one, "infeasible", "branches"),
-        (_crossed, "infeasible", "'x'"), (_without_end, "unbounded", ""),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "ended", "words"), [
+    (lambda m: m.add_component("apart", pyo.Constraint(expr=m.x + m.y <= -1)), "infeasible", ""), (_both_at_least_one, "infeasible", "branches"),
+    (_crossed, "infeasible", "'x'"), (_without_end, "unbounded", ""),
+])  # fmt: skip
 def test_what_has_no_solution_is_a_warning(change, ended, words, caplog):
     m = two(near)
     change(m)
@@ -188,24 +179,28 @@ def test_what_has_no_solution_is_a_warning(change, ended, words, caplog):
         assert (m.x.value, m.y.value) == (1.0, 1.0)  # nothing worth loading
 
 
-def test_bounded_by_its_complementarity_only():
-    """min -x y: unbounded on the quadrant, 0 on its axes."""
-    m = two(lambda m: -m.x * m.y + m.x + m.y)
-    m.row.deactivate()
-    results = solver().solve(m)
-    pyo.assert_optimal_termination(results)
-    assert (m.x.value, m.y.value) == pytest.approx((0, 0), abs=1e-8)
-
-
-def test_degenerate_rows_do_not_matter():
-    m = two(near)
+def _repeated(m):
+    """Active at (0, 2), seven rows in all."""
     m.again = pyo.ConstraintList()
     for _ in range(3):
-        m.again.add(m.x + m.y <= 2)  # active at (0, 2), four times in all with the next
+        m.again.add(m.x + m.y <= 2)
         m.again.add(2 * m.x + 2 * m.y <= 4)
-    results = solver().solve(m)
-    pyo.assert_optimal_termination(results)
-    assert (m.x.value, m.y.value) == pytest.approx((0, 2), abs=1e-8)
+
+
+def _bounded_by_its_pair(m):
+    """min -x y: unbounded on the quadrant, 0 on its axes."""
+    m.cost.set_value(-m.x * m.y + m.x + m.y)
+    m.row.deactivate()
+
+
+@pytest.mark.parametrize(
+    ("change", "point"), [(_bounded_by_its_pair, (0, 0)), (_repeated, (0, 2)), (lambda m: m.pair.deactivate(), (1, 2))]
+)
+def test_what_is_odd_of_a_model_does_not_matter(change, point):
+    m = two(near)
+    change(m)
+    pyo.assert_optimal_termination(solver().solve(m))
+    assert (m.x.value, m.y.value) == pytest.approx(point, abs=1e-7 if point == (1, 2) else 1e-8)
 
 
 def test_biactive_and_strongly_stationary():
@@ -228,13 +223,6 @@ def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     branch = branching.polish(x)
     assert branch.objective == pytest.approx(1.0, abs=1e-8)
     assert branch.is_strong
-
-
-def test_a_model_without_complementarity_is_an_nlp():
-    m = two(near)
-    m.pair.deactivate()
-    pyo.assert_optimal_termination(solver().solve(m))
-    assert (m.x.value, m.y.value) == pytest.approx((1, 2), abs=1e-7)
 
 
 def test_a_model_without_objective_is_made_feasible():
@@ -262,14 +250,9 @@ def test_a_maximised_objective():
         assert result.objective == pytest.approx(-1.0, abs=1e-8)
 
 
-def test_an_iteration_limit_is_told():
-    result = solve_mpec(two(near), MpecSettings(strategy="scholtes", step_iterations=1))
-    assert result.outcome is Outcome.ITERATION_LIMIT
-
-
-def test_a_time_limit_is_told():
-    result = solve_mpec(two(near), time_limit=1e-9)
-    assert result.outcome is Outcome.TIME_LIMIT
+def test_limits_are_told():
+    assert solve_mpec(two(near), MpecSettings(strategy="scholtes", step_iterations=1)).outcome is Outcome.ITERATION_LIMIT
+    assert solve_mpec(two(near), time_limit=1e-9).outcome is Outcome.TIME_LIMIT
 
 
 # -- multipliers -------------------------------------------------------------------------------------------------------------------------
@@ -314,16 +297,6 @@ def test_a_solver_that_lies_about_multipliers_is_found_out(monkeypatch):
     assert result.solved
     assert not result.has_multipliers
     assert math.isnan(result.zl[0])
-
-
-def test_class_letters_by_multipliers():
-    """The same biactive origin under different slopes: (nu, mu) is the gradient there."""
-    letters = {(1, 1): "S", (-1, 0): "M", (-1, -1): "C", (-1, 1): "A"}
-    for (a, b), letter in letters.items():
-        m = two(lambda m, a=a, b=b: a * m.x + b * m.y, bounds=(None, None), start=0.0)
-        certificate = certify(m)
-        assert certificate.stationarity.letter == letter
-        assert certificate.b_stationary is (letter == "S")
 
 
 # x and y must not both be 0 in any of them, as far as the other row goes: none has a solution.

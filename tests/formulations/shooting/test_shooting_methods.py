@@ -17,7 +17,6 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.errors import TrajectoryError
-from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
 METHODS = (("relu_gd", None), ("softplus_gd", 1e-3))
@@ -29,13 +28,10 @@ def test_what_they_are():
     assert (softplus.kind, softplus.needs_eps) == (Kind.INDIRECT, True)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"learning_rate": 0.0}, "learning_rate is 0.0"), ({"learning_rate": float("nan")}, "learning_rate is nan"),
-        ({"iterations": 0}, "iterations is 0"), ({"input_weight": -1.0}, "input_weight is -1.0"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("options", "words"), [
+    ({"learning_rate": 0.0}, "learning_rate is 0.0"), ({"learning_rate": float("nan")}, "learning_rate is nan"),
+    ({"iterations": 0}, "iterations is 0"), ({"input_weight": -1.0}, "input_weight is -1.0"),
+])  # fmt: skip
 def test_impossible_options_are_named(options: dict[str, object], words: str):
     with pytest.raises(OptionError, match=words):
         load_method("relu_gd").open(SCENE, options)
@@ -98,14 +94,11 @@ def test_warm_start_on_another_grid_is_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "eps", "changes", "rate"),
-    [
-        *((name, eps, {"steps": 400}, 500.0) for name, eps in METHODS),
-        ("softplus_gd", 1e-3, {"steps": 250, "step": 0.02}, 150.0), ("softplus_gd", 1e-3, {"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
-        ("softplus_gd", 1e-3, {"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "eps", "changes", "rate"), [
+    *((name, eps, {"steps": 400}, 500.0) for name, eps in METHODS),
+    ("softplus_gd", 1e-3, {"steps": 250, "step": 0.02}, 150.0), ("softplus_gd", 1e-3, {"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
+    ("softplus_gd", 1e-3, {"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
+])  # fmt: skip
 def test_other_tasks_end_at_rest_and_nearer_to_the_goal(name: str, eps: float | None, changes: dict, rate: float):
     solution = solve(SCENE.with_task(**changes), name, eps, learning_rate=rate, tolerance=1e-3)
     assert solution.outcome is Outcome.SOLVED, solution.message
@@ -165,16 +158,11 @@ CHAIN = (
 )
 
 
-def _solve(method: str, eps: float | None, plan: Trajectory | None, **options: object) -> Solution:
-    with load_method(method).open(SCENE, options) as session:
-        return session.solve(eps=eps, warm_start=plan, time_limit=60.0)
-
-
 @pytest.fixture(scope="module")
 def chain() -> list[Solution]:
     solutions: list[Solution] = []
     for method, eps, iterations, *_ in CHAIN:
-        solutions.append(_solve(method, eps, solutions[-1].trajectory if solutions else None, iterations=iterations))
+        solutions.append(solve(SCENE, method, eps, solutions[-1].trajectory if solutions else None, iterations=iterations))
     return solutions
 
 
@@ -192,11 +180,15 @@ def test_costs_and_stability_of_the_softplus_chain(chain: list[Solution], row: i
     assert np.linalg.norm(replayed.q[-1] - np.array(SCENE.task.goal[:3])) == pytest.approx(stability, abs=5e-4)
 
 
-def test_cold_relu_row():
-    solution = _solve("relu_gd", None, None, iterations=200)
-    assert solution.cost == pytest.approx(542.56, abs=TOLERANCE)
-    assert solution.residuals["terminal_position_error"] == pytest.approx(0.040, abs=5e-4)
-    assert "no contact" not in solution.message  # it gets into contact by overshooting, after some iterations
+@pytest.fixture(scope="module")
+def cold() -> Solution:
+    return solve(SCENE, iterations=200)
+
+
+def test_cold_relu_row(cold: Solution):
+    assert cold.cost == pytest.approx(542.56, abs=TOLERANCE)
+    assert cold.residuals["terminal_position_error"] == pytest.approx(0.040, abs=5e-4)
+    assert "no contact" not in cold.message  # it gets into contact by overshooting, after some iterations
 
 
 @pytest.mark.slow
@@ -207,14 +199,14 @@ def test_relu_row_after_softplus_collocation():
         for eps in (1e-3, 1e-5, 1e-7):
             plan = session.solve(eps=eps, warm_start=plan, time_limit=60.0).trajectory
     assert plan is not None
-    solution = _solve("relu_gd", None, plan, iterations=6)
+    solution = solve(SCENE, plan=plan, iterations=6)
     assert solution.cost == pytest.approx(360.31, abs=TOLERANCE)
     assert solution.residuals["terminal_position_error"] == pytest.approx(0.047, abs=5e-4)
 
 
-def test_relu_rows_have_no_physics_residual_at_all(chain: list[Solution]):
+def test_relu_rows_have_no_physics_residual_at_all(chain: list[Solution], cold: Solution):
     kernel = load_kernel(SCENE)
-    for plan in (chain[-1].trajectory, _solve("relu_gd", None, None, iterations=200).trajectory):
+    for plan in (chain[-1].trajectory, cold.trajectory):
         assert plan.lam.max() > 0.0
         assert (np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))) == 0.0).all()
 
@@ -229,15 +221,14 @@ def test_the_bounds_of_the_inputs_do_not_touch_the_papers_rows(chain: list[Solut
 def test_our_own_rule_reaches_the_bottom_that_a_long_descent_shows():
     """200 000 plain iterations by an independent numpy loop end at these losses; the rule may leave 0.1 % of the loss."""
     for method, eps, loss in (("softplus_gd", 1e-3, 9.039952e-4), ("relu_gd", None, 1.838244e-3)):
-        solution = _solve(method, eps, None)
+        solution = solve(SCENE, method, eps)
         assert solution.outcome is Outcome.SOLVED
         assert min(solution.history["loss"]) == pytest.approx(loss, rel=1e-3)
         assert min(solution.history["loss"]) >= loss * (1 - 1e-6)
 
 
 HILL = example_scene("leaning_mass")
-CARTS = load_scene("three_cart")
-APART = CARTS.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))
+APART = SCENE.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))
 
 
 def test_the_goal_is_met_and_nothing_is_cheaper():
@@ -251,10 +242,10 @@ def test_the_goal_is_met_and_nothing_is_cheaper():
 
 
 def test_without_rounds_it_is_the_minimum_of_the_loss_of_gradient_descent():
-    kernel = load_kernel(CARTS)
+    kernel = load_kernel(SCENE)
     objective = Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8), 60.0)
-    descent = solve(CARTS, "softplus_gd", 1e-3)
+    found = minimise(objective, np.zeros((SCENE.task.steps, 2)), QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8), 60.0)
+    descent = solve(SCENE, "softplus_gd", 1e-3)
     assert found.u is not None
     assert objective.value(found.u) <= objective.value(descent.trajectory.u)
     assert objective.value(found.u) == pytest.approx(objective.value(descent.trajectory.u), rel=1e-3)
@@ -281,7 +272,7 @@ def test_dead_contact_is_told():
 
 
 def test_noise_comes_in_pairs_of_the_size_asked_for():
-    w = noise(CARTS, deviation=0.1, unbounded=1.0, samples=4000, pieces=5, seed=0)
+    w = noise(SCENE, deviation=0.1, unbounded=1.0, samples=4000, pieces=5, seed=0)
     assert w.shape == (4000, 500, 2)
     np.testing.assert_allclose(w.mean(axis=0), 0.0, atol=1e-12)
     assert w.std() == pytest.approx(1.0, rel=0.03), "a tenth of half the range of 20 N"
@@ -290,7 +281,7 @@ def test_noise_comes_in_pairs_of_the_size_asked_for():
 
 @pytest.mark.slow
 def test_another_seed_is_other_noise_and_another_plan():
-    drawn = [noise(CARTS, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
+    drawn = [noise(SCENE, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
     assert np.array_equal(drawn[0], drawn[1])
     assert not any(np.isclose(drawn[0], other).any(axis=(1, 2)).any() for other in drawn[2:])
     costs = [solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
@@ -308,11 +299,11 @@ def test_noise_makes_contact_that_the_plan_itself_does_not():
 
 def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():
     """Least inputs that end at rest: nothing to do, whatever the goal."""
-    kernel = load_kernel(CARTS)
+    kernel = load_kernel(SCENE)
     objective = Objective(
         kernel, law=ContactLaw.RELU, loss=lambda plan, u: (u - 0.5).square().mean((-2, -1)) + plan.end[..., 3:].square().sum(-1)
     )
-    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), QuasiNewtonOptions(tolerance=1e-10), 60.0)
+    found = minimise(objective, np.zeros((SCENE.task.steps, 2)), QuasiNewtonOptions(tolerance=1e-10), 60.0)
     assert found.u is not None
     assert found.history["loss"][-1] < found.history["loss"][0] / 2.0
     assert "displaced" not in found.message

@@ -331,13 +331,10 @@ def gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "law", "eps"),
-    [
-        ("transport", ContactLaw.RELU, None), ("transport", ContactLaw.SOFTPLUS, 1e-3), ("hopper_planar", ContactLaw.RELU, None),
-        ("hopper_planar", ContactLaw.SOFTPLUS, 1e-3), ("two_finger_lift", ContactLaw.RELU, None), ("two_finger_lift", ContactLaw.SOFTPLUS, 1e-3),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "law", "eps"), [
+    ("transport", ContactLaw.RELU, None), ("transport", ContactLaw.SOFTPLUS, 1e-3), ("hopper_planar", ContactLaw.RELU, None),
+    ("hopper_planar", ContactLaw.SOFTPLUS, 1e-3), ("two_finger_lift", ContactLaw.RELU, None), ("two_finger_lift", ContactLaw.SOFTPLUS, 1e-3),
+])  # fmt: skip
 def test_values_and_gradients_are_those_of_the_compiled_rollout(name: str, law: ContactLaw, eps: float | None):
     scene = example_scene(name)
     u = torch.from_numpy(np.random.default_rng(5).uniform(-0.5, 0.5, size=(8, scene.nu)))

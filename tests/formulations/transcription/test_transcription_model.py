@@ -282,13 +282,10 @@ def test_a_rollout_has_no_residuals() -> None:
     assert soft["physics"] > 1.0
 
 
-@pytest.mark.parametrize(
-    ("field", "where", "by", "figure", "least"),
-    [
-        ("q", (40, 0), 1e-3, "dynamics_defect", 9e-4), ("v", (40, 2), 1e-3, "dynamics_defect", 9e-4), ("q", (0, 1), 1e-3, "start_error", 9e-4),
-        ("u", (7, 0), 20.0, "input_bound_excess", 5.0), ("lam", (39, 1), -50.0, "force_sign", 10.0), ("lam", (0, 0), 1.0, "complementarity", 0.5),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("field", "where", "by", "figure", "least"), [
+    ("q", (40, 0), 1e-3, "dynamics_defect", 9e-4), ("v", (40, 2), 1e-3, "dynamics_defect", 9e-4), ("q", (0, 1), 1e-3, "start_error", 9e-4),
+    ("u", (7, 0), 20.0, "input_bound_excess", 5.0), ("lam", (39, 1), -50.0, "force_sign", 10.0), ("lam", (0, 0), 1.0, "complementarity", 0.5),
+])  # fmt: skip
 def test_each_residual_sees_its_own_fault(field, where, by, figure, least) -> None:
     functions = PlanResiduals(SCENE)
     assert functions.of(plan_of())[figure] < 1e-13

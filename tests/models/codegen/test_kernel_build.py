@@ -235,15 +235,12 @@ def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch, own_cache):
     assert integrated == [scene, *others]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda scene: replace(scene, potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
-        lambda scene: replace(scene, forces=(-scene.forces[0], *scene.forces[1:])), lambda scene: replace(scene, contacts=scene.contacts[::-1]),
-        lambda scene: replace(scene, contacts=(replace(scene.contacts[0], nominal=0.5), *scene.contacts[1:])),
-        lambda scene: scene.with_task(running_cost=2 * scene.task.running_cost), lambda scene: replace(scene, name="other"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("change", [
+    lambda scene: replace(scene, potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
+    lambda scene: replace(scene, forces=(-scene.forces[0], *scene.forces[1:])), lambda scene: replace(scene, contacts=scene.contacts[::-1]),
+    lambda scene: replace(scene, contacts=(replace(scene.contacts[0], nominal=0.5), *scene.contacts[1:])),
+    lambda scene: scene.with_task(running_cost=2 * scene.task.running_cost), lambda scene: replace(scene, name="other"),
+])  # fmt: skip
 def test_other_equations_are_written_anew(change, own_cache):
     scene = load_scene("three_cart")
     asked(scene)

@@ -12,6 +12,7 @@ from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.contact_law import ContactLaw, contact_force
 from models.dynamics import derive
 from models.scene import Scene
+from tests.models.test_scene_bank import points
 
 NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
@@ -22,42 +23,11 @@ def kernel_of(name: str) -> Kernel:
     return load_kernel(example_scene(name))
 
 
-def probes(rows: int, size: int) -> np.ndarray:
-    """zeros, ones, 0101, 0123 and random: an index mistake shows in one of them."""
-    count = np.arange(size, dtype=float)
-    fixed = [np.zeros(size), np.ones(size), count % 2, count]
-    return np.array([*fixed, *np.random.default_rng(rows).normal(size=(rows, size))])
-
-
-def points(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Probe points (q, v, u, lam), one a row."""
-    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nc])
-    q, v, u, lam, _ = np.split(probes(6, int(sizes[-1])), sizes, axis=1)
-    return q, v, u, lam
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_penetration_and_stiffness_are_those_of_the_scene(name: str):
+def test_stiffness_energy_power_and_cost_are_those_of_the_scene(name: str):
+    """At the points where test_scene_bank.py looks at accelerations and penetrations."""
     d, kernel = derive(example_scene(name)), kernel_of(name)
-    q = points(example_scene(name))[0]
-    phi, stiffness = d.function(d.penetration, d.q), d.function(d.stiffness)
-    assert kernel.penetration(q) == pytest.approx(np.array([phi(row).ravel() for row in q]).reshape(len(q), -1), rel=1e-14, abs=1e-14)
-    assert kernel.stiffness() == pytest.approx(stiffness().ravel(), rel=1e-15)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_acceleration_solves_the_equations_of_motion(name: str):
-    d, kernel = derive(example_scene(name)), kernel_of(name)
-    q, v, u, lam = points(example_scene(name))
-    mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
-    expected = [np.linalg.solve(mass(row[0]), force(*row).ravel()) for row in zip(q, v, u, lam, strict=True)]
-    assert kernel.acceleration(q, v, u, lam) == pytest.approx(np.array(expected), rel=1e-11, abs=1e-12)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_energy_power_and_cost_are_those_of_the_scene(name: str):
-    d, kernel = derive(example_scene(name)), kernel_of(name)
+    assert kernel.stiffness() == pytest.approx(d.function(d.stiffness)().ravel(), rel=1e-15)
     q, v, u, _ = points(example_scene(name))
     groups = (d.q, d.v, d.u)
     for found, expression in zip(

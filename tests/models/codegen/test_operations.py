@@ -76,15 +76,12 @@ def test_a_chain_costs_a_fixed_number_of_operations_a_cart(n: int):
     assert step_operations(cart_chain(n)) == Operations(add=2 * (n - 1) + 2 * n, multiply=2 * n, divide=1)
 
 
-@pytest.mark.parametrize(
-    ("expression", "expected"),
-    [
-        ("a + b*c", Operations(add=1, multiply=1)), ("-a - (-b)", Operations(add=1)), ("(1.0/2.0)*a", Operations(multiply=1)),
-        ("1.0/(a*a)", Operations(multiply=1, divide=1)), ("sqrt(a*a + 1.0e-12) + sin(2.0)", Operations(add=2, multiply=1, call=1)),
-        ("pow(a, b + c)", Operations(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Operations(add=1, multiply=1)), ("scene_energy(a*b, c)", Operations(multiply=1)),
-        ("3.0*4.0", Operations()),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("expression", "expected"), [
+    ("a + b*c", Operations(add=1, multiply=1)), ("-a - (-b)", Operations(add=1)), ("(1.0/2.0)*a", Operations(multiply=1)),
+    ("1.0/(a*a)", Operations(multiply=1, divide=1)), ("sqrt(a*a + 1.0e-12) + sin(2.0)", Operations(add=2, multiply=1, call=1)),
+    ("pow(a, b + c)", Operations(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Operations(add=1, multiply=1)), ("scene_energy(a*b, c)", Operations(multiply=1)),
+    ("3.0*4.0", Operations()),
+])  # fmt: skip
 def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operations):
     text = f"SCENE_FUNCTION double f(const double *x)\n{{\n    const double a = x[0];\n    return {expression};\n}}\n"
     assert count_operations(text) == {"f": expected}

@@ -408,13 +408,10 @@ def _in_wheel(path: str) -> Path:
 
 
 @pytest.mark.peer
-@pytest.mark.parametrize(
-    "path",
-    [
-        "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml", "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
-        "gymnasium/envs/mujoco/assets/humanoid.xml", "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("path", [
+    "dm_control/suite/hopper.xml", "dm_control/suite/quadruped.xml", "dm_control/suite/humanoid.xml", "gymnasium/envs/mujoco/assets/ant.xml",
+    "gymnasium/envs/mujoco/assets/humanoid.xml", "gymnasium_robotics/envs/assets/hand/manipulate_block.xml",
+])  # fmt: skip
 def test_robots_of_other_wheels_move_to_the_bit(path: str):
     robot = read_robot(_in_wheel(path))
     model, data, rng, touched = robot.model, mujoco.MjData(robot.model), np.random.default_rng(0), 0

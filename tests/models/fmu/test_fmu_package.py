@@ -128,13 +128,10 @@ def table(data):
 
 
 @both
-@pytest.mark.parametrize(
-    ("name", "schema"),
-    [
-        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
-        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
-    ],
-)
+@pytest.mark.parametrize(("name", "schema"), [
+    ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+    ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+])  # fmt: skip
 def test_xml_follows_the_schema(any_scene, version, name, schema):
     etree.XMLSchema(etree.parse(SCHEMAS / schema)).assertValid(etree.fromstring(read(any_scene, version, name)))
 

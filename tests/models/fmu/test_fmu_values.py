@@ -39,16 +39,12 @@ def test_derivatives_outputs_and_indicators_equal_numpy(any_scene, drive, refere
         for driver in (me, cs):
             names = driver.names
             expected = {
-                **dict(zip(names.der_q, v, strict=True)),
-                **dict(zip(names.der_v, a, strict=True)),
-                **dict(zip(names.lam, lam, strict=True)),
-                **dict(zip(names.gap, -phi, strict=True)),
-                names.kinetic_energy: truth.value("kinetic_energy", "q", "v")(q, v).item(),
-                names.potential_energy: truth.value("potential_energy", "q")(q).item(),
-                names.contact_energy: np.sum(lam * phi) / 2,
+                **dict(zip(names.der_q, v, strict=True)), **dict(zip(names.der_v, a, strict=True)), **dict(zip(names.lam, lam, strict=True)),
+                **dict(zip(names.gap, -phi, strict=True)), names.kinetic_energy: truth.value("kinetic_energy", "q", "v")(q, v).item(),
+                names.potential_energy: truth.value("potential_energy", "q")(q).item(), names.contact_energy: np.sum(lam * phi) / 2,
                 names.input_power: truth.value("input_power", "q", "v", "u")(q, v, u).item(),
                 names.dissipated_power: truth.value("dissipated_power", "q", "v")(q, v).item(),
-            }
+            }  # fmt: skip
             absent = expected.pop(None, 0.0)
             assert absent == 0.0  # what the FMU leaves out is zero in the equations
             assert set(expected) == set(calculated(names))
@@ -129,8 +125,8 @@ def test_declared_dependencies_are_those_of_the_equations(any_scene, drive):
     rng = np.random.default_rng(3)
     seen = None
     for _ in range(4):
-        for start in [_apart(any_scene)] + ([_in_contact(any_scene)] if any_scene.nc else []):
-            q = np.array(start) + 0.01 * rng.standard_normal(any_scene.nq)
+        for place in places(any_scene):
+            q = place + 0.01 * rng.standard_normal(any_scene.nq)
             me = drive(any_scene, "me").continuous(q, rng.standard_normal(any_scene.nq), rng.standard_normal(any_scene.nu))
             names = me.names
             unknowns, knowns = (*calculated(names), *names.q, *names.v), (*names.q, *names.v, *names.u)
@@ -159,12 +155,9 @@ def test_description_says_what_the_binary_offers(any_scene, drive, unpacked):
     }
     assert offered["ModelExchange"] == both | {"needsCompletedIntegratorStep"}
     assert offered["CoSimulation"] == both | {
-        "canHandleVariableCommunicationStepSize",
-        "providesIntermediateUpdate",
-        "mightReturnEarlyFromDoStep",
-        "canReturnEarlyAfterIntermediateUpdate",
-        "hasEventMode",
-    }
+        "canHandleVariableCommunicationStepSize", "providesIntermediateUpdate", "mightReturnEarlyFromDoStep",
+        "canReturnEarlyAfterIntermediateUpdate", "hasEventMode",
+    }  # fmt: skip
     assert xml.find("ScheduledExecution") is None
     assert [row.variable.name for row in description.eventIndicators] == list(names.gap)
     assert [row.variable.name for row in description.derivatives] == [*names.der_q, *names.der_v]
@@ -192,18 +185,16 @@ def test_co_simulation_gives_the_bits_of_fmi_2(any_scene, drive):
     np.testing.assert_array_equal(three.get(*every), two.get(*every))
 
 
-def points(scene):
+def places(scene):
     """Positions with contacts open, and closed if there are any."""
-    start = np.array(scene.task.start[: scene.nq])
-    closed = {"three_cart": [0.0, 0.4, 0.8], "bouncing_mass": [-0.1], "two_body_collision": [0.0, 0.1], "two_link_arm": [0.1, 0.1]}
-    return [start + 0.01, *([np.array(closed[scene.name])] if scene.nc else [])]
+    return [np.array(_apart(scene)), *([np.array(_in_contact(scene))] if scene.nc else [])]
 
 
 @pytest.mark.slow
 def test_adjoint_is_the_transpose_of_the_directional_derivative(any_scene, drive):
     """w . (J d) = (J' w) . d for states, inputs and parameters, in either contact mode, while running."""
     rng = np.random.default_rng(5)
-    for q in points(any_scene):
+    for q in places(any_scene):
         for kind in ("me", "cs"):
             driver = drive(any_scene, kind, "3.0")
             start = {"v": rng.standard_normal(any_scene.nq), "u": rng.standard_normal(any_scene.nu)}
@@ -224,7 +215,7 @@ def test_derivatives_by_parameters_while_running_equal_differences(any_scene, dr
     """A parameter is fixed once the simulation runs, so the differences are of instances that started with other values."""
     if not any_scene.parameters:
         pytest.skip("no parameters")
-    for q in points(any_scene):
+    for q in places(any_scene):
         for index, parameter in enumerate(any_scene.parameters):
             step = 1e-5 * max(abs(parameter.value), 1e-3)
             values = []

@@ -11,13 +11,10 @@ from validate.fmi.description import read_package
 mujoco = pytest.importorskip("mujoco")
 
 
-@pytest.mark.parametrize(
-    ("actuator", "unit"),
-    [
-        ('<motor joint="j"/>', "N m"), ('<motor joint="s"/>', "N"), ('<motor joint="j" gear="3"/>', "1"), ('<position joint="j" kp="7"/>', "rad"),
-        ('<position joint="s" kp="7" kv="1"/>', "m"), ('<velocity joint="s" kv="3"/>', "m/s"), ('<general joint="j" gainprm="2"/>', "1"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("actuator", "unit"), [
+    ('<motor joint="j"/>', "N m"), ('<motor joint="s"/>', "N"), ('<motor joint="j" gear="3"/>', "1"), ('<position joint="j" kp="7"/>', "rad"),
+    ('<position joint="s" kp="7" kv="1"/>', "m"), ('<velocity joint="s" kv="3"/>', "m/s"), ('<general joint="j" gainprm="2"/>', "1"),
+])  # fmt: skip
 def test_an_input_has_the_unit_that_is_known(robot, actuator: str, unit: str):
     text = f"""<mujoco><worldbody><body><joint name="j"/><joint name="s" type="slide"/><geom size=".1"/></body></worldbody>
     <actuator>{actuator}</actuator></mujoco>"""
@@ -32,19 +29,16 @@ def _body(inside: str, outside: str = "", option: str = "") -> str:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("hello", ("MuJoCo", "does not read it", "correct it")),
-        (_body('<joint name="j" apirate="1"/>'), ("apirate", "line 1", "another version")),
-        (_body('<geom type="mesh" mesh="no"/>', '<asset><mesh name="no" file="no.stl"/></asset>'), ("no.stl", "does not read it")),
-        (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'), ("actuator", "user", "take them out")),
-        (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'), ("sensor", "user", "take them out")),
-        (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'), ("sleep", "take the flag out")),
-        (_body("<freejoint/>", option='<option timestep="0"/>'), ("timestep", "0 s", "at least 1e-09 s")),
-        (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'), ("a:b", "a_b", "q_a_b", "rename")),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("hello", ("MuJoCo", "does not read it", "correct it")),
+    (_body('<joint name="j" apirate="1"/>'), ("apirate", "line 1", "another version")),
+    (_body('<geom type="mesh" mesh="no"/>', '<asset><mesh name="no" file="no.stl"/></asset>'), ("no.stl", "does not read it")),
+    (_body('<joint name="j"/>', '<actuator><general joint="j" dyntype="user"/></actuator>'), ("actuator", "user", "take them out")),
+    (_body("<freejoint/>", '<sensor><user dim="1"/></sensor>'), ("sensor", "user", "take them out")),
+    (_body("<freejoint/>", option='<option><flag sleep="enable"/></option>'), ("sleep", "take the flag out")),
+    (_body("<freejoint/>", option='<option timestep="0"/>'), ("timestep", "0 s", "at least 1e-09 s")),
+    (_body('<joint name="a:b"/><joint name="a_b" axis="1 0 0"/>'), ("a:b", "a_b", "q_a_b", "rename")),
+])  # fmt: skip
 def test_what_no_fmu_can_carry_is_refused_in_a_sentence(robot, text: str, said: tuple[str, ...]):
     with pytest.raises(RobotError) as refused:
         build_robot(robot(text))

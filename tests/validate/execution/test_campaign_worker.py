@@ -32,18 +32,15 @@ def misbehaved(cli, tmp_path_factory):
     return out, done
 
 
-@pytest.mark.parametrize(
-    ("pipeline", "outcome", "words"),
-    [
-        ("only_good", "solved", ""), ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
-        ("only_abort", "crashed", "signal 6 (SIGABRT)"), ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); … no result"),
-        ("only_exit_seven", "crashed", "exit code 7"), ("only_spoiled", "crashed", "its result file cannot be read"),
-        ("only_raises", "crashed", "ValueError in raises: the method's own mistake"), ("only_bad_soft", "crashed", "ValueError in bad_soft"),
-        ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"), ("only_no_solution", "crashed", "Solution, not str"),
-        ("only_quits", "crashed", "its last log line: SystemExit: 0"), ("only_refuses", "refused", "it wants friction"), ("only_infeasible", "infeasible", ""),
-        ("only_garbage", "solved", ""), ("only_litter", "solved", ""),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pipeline", "outcome", "words"), [
+    ("only_good", "solved", ""), ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
+    ("only_abort", "crashed", "signal 6 (SIGABRT)"), ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); … no result"),
+    ("only_exit_seven", "crashed", "exit code 7"), ("only_spoiled", "crashed", "its result file cannot be read"),
+    ("only_raises", "crashed", "ValueError in raises: the method's own mistake"), ("only_bad_soft", "crashed", "ValueError in bad_soft"),
+    ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"), ("only_no_solution", "crashed", "Solution, not str"),
+    ("only_quits", "crashed", "its last log line: SystemExit: 0"), ("only_refuses", "refused", "it wants friction"), ("only_infeasible", "infeasible", ""),
+    ("only_garbage", "solved", ""), ("only_litter", "solved", ""),
+])  # fmt: skip
 def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
     record = records(misbehaved[0])[pipeline]
     assert record.outcome == outcome

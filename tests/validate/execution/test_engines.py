@@ -116,14 +116,11 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
         dask_cell.run_on_worker(cast("Any", None), "", **asked, sources="another")
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"), ("dask:", "there is no such engine"),
-        ("local:2", "there is no such engine"), pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
-        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK), pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "words"), [
+    ("slurm", "no such engine; … local, dask, dask:ADDRESS and dask:FILE.json"), ("dask:", "there is no such engine"),
+    ("local:2", "there is no such engine"), pytest.param("dask:no.json", "scheduler file … No such file", marks=NEEDS_DASK),
+    pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK), pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
+])  # fmt: skip
 def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name, words):
     monkeypatch.chdir(tmp_path)
     Path("empty.json").write_text("")

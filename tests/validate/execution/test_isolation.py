@@ -83,19 +83,16 @@ def test_values_and_arrays_go_in_and_come_out():
     assert done.memory > 1024**2
 
 
-MISBEHAVIOUR = pytest.mark.parametrize(
-    ("name", "request_", "limits", "ending", "words"),
-    [
-        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."), ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
-        ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
-        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"), ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
-        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"), ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
-        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"), ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
-        ("aborts", None, {}, Ending.ABORT, "SIGABRT"), ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
-        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"), ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
-        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"), ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
-    ],
-)  # fmt: skip
+MISBEHAVIOUR = pytest.mark.parametrize(("name", "request_", "limits", "ending", "words"), [
+    ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."), ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+    ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
+    ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"), ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
+    ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"), ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+    ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"), ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
+    ("aborts", None, {}, Ending.ABORT, "SIGABRT"), ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
+    ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"), ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
+    ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"), ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
+])  # fmt: skip
 
 
 @pytest.mark.slow
@@ -213,13 +210,10 @@ def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "more"),
-    [
-        ("starts_and_hangs", ""), ("nested", ""),
-        pytest.param("waits", ", ours=True", marks=pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "more"), [
+    ("starts_and_hangs", ""), ("nested", ""),
+    pytest.param("waits", ", ours=True", marks=pytest.mark.skipif(sys.platform != "linux", reason="forks are Linux's")),
+])  # fmt: skip
 def test_nothing_is_left_when_the_parent_is_killed(name: str, more: str, tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
     code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r}{more})"

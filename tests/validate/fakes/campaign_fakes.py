@@ -116,28 +116,15 @@ def _linger() -> None:
 METHODS = {
     method.name: method
     for method in (
-        FakeMethod("good"),
-        FakeMethod("soft", kind=Kind.INDIRECT, needs_eps=True),
-        FakeMethod("bad_soft", _raise, kind=Kind.INDIRECT, needs_eps=True),
-        FakeMethod("refuses", refuses="it wants friction."),
-        FakeMethod("infeasible", lambda: Outcome.INFEASIBLE),
-        FakeMethod("segfault", _segfault),
-        FakeMethod("abort", os.abort),
-        FakeMethod("exit_zero", lambda: os._exit(0)),
-        FakeMethod("exit_seven", lambda: os._exit(7)),
-        FakeMethod("hang", _hang),
-        FakeMethod("family", _hang_with_family),
-        FakeMethod("litter", _leave_family),
-        FakeMethod("garbage", _garbage),
-        FakeMethod("raises", _raise),
-        FakeMethod("spoiled", _spoil_result),
-        FakeMethod("misfit", _plan_of_another_scene),
-        FakeMethod("no_solution", lambda: "solved!"),
-        FakeMethod("quits", lambda: sys.exit(0)),
-        FakeMethod("slow", _linger),
-        FakeMethod("violating"),
+        FakeMethod("good"), FakeMethod("soft", kind=Kind.INDIRECT, needs_eps=True),
+        FakeMethod("bad_soft", _raise, kind=Kind.INDIRECT, needs_eps=True), FakeMethod("refuses", refuses="it wants friction."),
+        FakeMethod("infeasible", lambda: Outcome.INFEASIBLE), FakeMethod("segfault", _segfault), FakeMethod("abort", os.abort),
+        FakeMethod("exit_zero", lambda: os._exit(0)), FakeMethod("exit_seven", lambda: os._exit(7)), FakeMethod("hang", _hang),
+        FakeMethod("family", _hang_with_family), FakeMethod("litter", _leave_family), FakeMethod("garbage", _garbage), FakeMethod("raises", _raise),
+        FakeMethod("spoiled", _spoil_result), FakeMethod("misfit", _plan_of_another_scene), FakeMethod("no_solution", lambda: "solved!"),
+        FakeMethod("quits", lambda: sys.exit(0)), FakeMethod("slow", _linger), FakeMethod("violating"),
     )
-}
+}  # fmt: skip
 
 PIPELINES = (
     Pipeline(name="soft+good", title="fake chain", legs=(Leg(method="soft", schedule=(1e-1, 1e-2), stage_options=({"iterations": 2},)), Leg(method="good"))),

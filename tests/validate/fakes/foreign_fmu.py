@@ -14,39 +14,12 @@ MODES = {
     name: number
     for number, name in enumerate(
         [
-            "good",
-            "hang",
-            "segfault",
-            "exit",
-            "abort",
-            "nan",
-            "garbage",
-            "fork",
-            "memory",
-            "fatal",
-            "chdir",
-            "closes",
-            "kills_parent",
-            "kills_group",
-            "overflow",
-            "signals",
-            "environment",
-            "rounding",
-            "trap",
-            "stops",
-            "alarm",
-            "daemon",
-            "fills",
-            "leaves_at_once",
-            "killed",
-            "descriptors",
-            "file",
-            "thread",
-            "mask",
-            "shell",
+            "good", "hang", "segfault", "exit", "abort", "nan", "garbage", "fork", "memory", "fatal", "chdir", "closes", "kills_parent",
+            "kills_group", "overflow", "signals", "environment", "rounding", "trap", "stops", "alarm", "daemon", "fills", "leaves_at_once",
+            "killed", "descriptors", "file", "thread", "mask", "shell",
         ]
     )
-}
+}  # fmt: skip
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="foreign" guid="{{cart}}" numberOfEventIndicators="1">
   {kinds}

@@ -75,16 +75,12 @@ METHODS = {
     method.name: method
     for method in (
         FakeMethod("relaxing", _counted("relaxing"), kind=Kind.INDIRECT, needs_eps=True),
-        FakeMethod("tuning", _counted("tuning"), kind=Kind.INDIRECT, needs_eps=True),
-        FakeMethod("one", _counted("one")),
-        FakeMethod("two", _counted("two")),
-        FakeMethod("late", _counted("late", Outcome.TIME_LIMIT), kind=Kind.INDIRECT, needs_eps=True),
-        _Cold("cold", _counted("cold")),
-        FakeMethod("slow", _used_up, kind=Kind.INDIRECT),
-        FakeMethod("falls", _falls),
+        FakeMethod("tuning", _counted("tuning"), kind=Kind.INDIRECT, needs_eps=True), FakeMethod("one", _counted("one")),
+        FakeMethod("two", _counted("two")), FakeMethod("late", _counted("late", Outcome.TIME_LIMIT), kind=Kind.INDIRECT, needs_eps=True),
+        _Cold("cold", _counted("cold")), FakeMethod("slow", _used_up, kind=Kind.INDIRECT), FakeMethod("falls", _falls),
         FakeMethod("picky", _counted("picky"), refuses="it wants friction."),
     )
-}
+}  # fmt: skip
 _BEGIN, _LATE = Leg(method="relaxing", schedule=(1e-1, 1e-2, 1e-3)), Leg(method="late", schedule=(1e-1,))
 PIPELINES = (
     Pipeline(name="begin+one", title="begins alike", legs=(_BEGIN, Leg(method="one"))),

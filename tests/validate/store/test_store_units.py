@@ -261,14 +261,11 @@ def test_a_campaign_has_its_tasks_in_its_order(tmp_path: Path):
     assert check.title == "stress: h01"
 
 
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        (None, ("no campaign in this folder", "--out")),
-        ("{}", ("damaged, or of another version", "(5 fields do not fit)", "run the campaign again")),
-        ('{"schema_version": 3}', ("schema 3", "run the campaign again")),
-    ],
-)
+@pytest.mark.parametrize(("text", "parts"), [
+    (None, ("no campaign in this folder", "--out")),
+    ("{}", ("damaged, or of another version", "(5 fields do not fit)", "run the campaign again")),
+    ('{"schema_version": 3}', ("schema 3", "run the campaign again")),
+])  # fmt: skip
 def test_what_is_no_campaign_is_refused_with_its_place(tmp_path: Path, text: str | None, parts: tuple[str, ...]):
     if text is not None:
         (tmp_path / CAMPAIGN).write_text(text)
@@ -302,13 +299,10 @@ def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -
     store.commit(partial, record.key)
 
 
-@pytest.mark.parametrize(
-    ("outcome", "time_limit", "used_again"),
-    [
-        ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True), ("crashed", 600.0, False), ("time_limit", 600.0, True),
-        ("time_limit", 599.0, False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("outcome", "time_limit", "used_again"), [
+    ("solved", 600.0, True), ("infeasible", 600.0, True), ("refused", 600.0, True), ("crashed", 600.0, False), ("time_limit", 600.0, True),
+    ("time_limit", 599.0, False),
+])  # fmt: skip
 def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
     store = Store(tmp_path)
     _stored(store, entry, _record(entry, outcome), time_limit)
@@ -360,15 +354,12 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
     assert reasons(with_stored([entry], store, settings), store) == [why]
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        (json.dumps({"schema_version": SCHEMA_VERSION - 1}), f"schema {SCHEMA_VERSION - 1},"),
-        (json.dumps({"schema_version": SCHEMA_VERSION + 1}), f"schema {SCHEMA_VERSION + 1},"),
-        (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"), (json.dumps({"schema_version": SCHEMA_VERSION}), ""), (json.dumps({}), ""),
-        ("[", ""), (None, ""),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "named"), [
+    (json.dumps({"schema_version": SCHEMA_VERSION - 1}), f"schema {SCHEMA_VERSION - 1},"),
+    (json.dumps({"schema_version": SCHEMA_VERSION + 1}), f"schema {SCHEMA_VERSION + 1},"),
+    (json.dumps({"schema_version": "9" * 50}), f"schema {'9' * 20},"), (json.dumps({"schema_version": SCHEMA_VERSION}), ""), (json.dumps({}), ""),
+    ("[", ""), (None, ""),
+])  # fmt: skip
 def test_records_of_another_version_are_named_and_run_again(text: str | None, named: str, tmp_path: Path):
     if text is not None:
         (tmp_path / CAMPAIGN).write_text(text, encoding="utf-8")

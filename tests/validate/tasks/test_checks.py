@@ -48,15 +48,12 @@ def asked(cli, tmp_path_factory):
     return out, notes, cli("all", *FAKES, "--out", str(out), "-j", "2", NOTED=str(notes))
 
 
-@pytest.mark.parametrize(
-    ("says", "outcome", "passed", "words"),
-    [
-        ("yes", "answered", True, "it says yes."), ("no", "answered", False, "it says no."), ("maybe", "answered", False, "it says maybe."),
-        ("refuse", "failed", False, "the check says why it cannot."), ("raise", "crashed", False, "ValueError: its own mistake"),
-        ("segfault", "crashed", False, r"signal 11 \(SIGSEGV\) during the question segfault"),
-        ("hang", "time_limit", False, "time limit of 12 s, during the question hang"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("says", "outcome", "passed", "words"), [
+    ("yes", "answered", True, "it says yes."), ("no", "answered", False, "it says no."), ("maybe", "answered", False, "it says maybe."),
+    ("refuse", "failed", False, "the check says why it cannot."), ("raise", "crashed", False, "ValueError: its own mistake"),
+    ("segfault", "crashed", False, r"signal 11 \(SIGSEGV\) during the question segfault"),
+    ("hang", "time_limit", False, "time limit of 12 s, during the question hang"),
+])  # fmt: skip
 def test_each_answer_is_the_right_record(asked, says: str, outcome: str, passed: bool, words: str):
     record = _records(asked[0])[says]
     assert (record.outcome, record.passed) == (outcome, passed)

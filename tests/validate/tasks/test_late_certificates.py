@@ -63,13 +63,10 @@ def _run(last: str, folder: Path, preloaded: Preloaded | None, monkeypatch: pyte
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("last", "outcome", "why"),
-    [
-        ("endless", "solved", "certificate is missing … limit of 100000 s, during … stage 3 (endless)."),
-        ("crashing", "crashed", "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing)."),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("last", "outcome", "why"), [
+    ("endless", "solved", "certificate is missing … limit of 100000 s, during … stage 3 (endless)."),
+    ("crashing", "crashed", "certificate is missing: … signal 11 (SIGSEGV) during … stage 3 (crashing)."),
+])  # fmt: skip
 def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
     with contextlib.closing(Preloaded(MODULES)) if last == "endless" else contextlib.nullcontext() as preloaded:
         record, folder = _run(last, tmp_path, preloaded, monkeypatch)

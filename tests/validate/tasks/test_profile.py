@@ -32,13 +32,10 @@ def test_laps_leave_nothing_out(passes):
     assert profile.total == 1.375
 
 
-@pytest.mark.parametrize(
-    ("parts", "expected"),
-    [
-        ({"build": 0.25, "evaluate": 0.5, "translate": 0.0}, {"build": 0.25, "evaluate": 0.5, "rest": 0.25}),
-        ({"build": 3.0, "evaluate": 1.0}, {"build": 0.75, "evaluate": 0.25, "rest": 0.0}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("parts", "expected"), [
+    ({"build": 0.25, "evaluate": 0.5, "translate": 0.0}, {"build": 0.25, "evaluate": 0.5, "rest": 0.25}),
+    ({"build": 3.0, "evaluate": 1.0}, {"build": 0.75, "evaluate": 0.25, "rest": 0.0}),
+])  # fmt: skip
 def test_a_split_lap_keeps_its_length(passes, parts, expected):
     """CPU clocks of several threads, or clocks that began before the lap, can say more than the wall: parts are scaled to it."""
     profile = Profile(99.0)

@@ -179,16 +179,12 @@ def test_what_a_stage_does_not_have_is_not_there():
     assert recorded(solution(size=one)).size is recorded(solution(paper_size=one)).size is None
 
 
-@pytest.mark.parametrize(
-    ("changes", "judged", "said"),
-    [
-        ({"trajectory": None, "outcome": Outcome.REFUSED}, Judged(), ("not applicable", "it took long")),
-        ({"trajectory": None, "message": ""}, Judged(), ("no plan", Outcome.ITERATION_LIMIT.value)),
-        ({}, Judged(problem="the judge stumbled"), ("undecided", "the judge stumbled")),
-        ({}, Judged(problem="unsaid", score=scored(verdict=Verdict.VIOLATES, why="it does not")), ("violates", "it does not")),
-    ],
-    ids=["refused", "without a plan", "without a score", "scored"],
-)
+@pytest.mark.parametrize(("changes", "judged", "said"), [
+    ({"trajectory": None, "outcome": Outcome.REFUSED}, Judged(), ("not applicable", "it took long")),
+    ({"trajectory": None, "message": ""}, Judged(), ("no plan", Outcome.ITERATION_LIMIT.value)),
+    ({}, Judged(problem="the judge stumbled"), ("undecided", "the judge stumbled")),
+    ({}, Judged(problem="unsaid", score=scored(verdict=Verdict.VIOLATES, why="it does not")), ("violates", "it does not")),
+], ids=["refused", "without a plan", "without a score", "scored"])  # fmt: skip
 def test_the_verdict_is_the_scores_or_says_why_there_is_none(changes: dict[str, Any], judged: Judged, said: tuple[str, str]):
     found = recorded(solution(**changes), judged)
     assert (found.verdict, found.why) == said
@@ -232,13 +228,10 @@ def test_what_was_not_measured_has_no_value(value: float | None):
     assert (found.value, found.limit, found.ok) == (None, None, None)
 
 
-@pytest.mark.parametrize(
-    ("forces", "windows"),
-    [
-        (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)), (((0.0, -1.0), (0.0, 0.0)), ()),
-        (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)), (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("forces", "windows"), [
+    (((1.0, 0.0),), (("left", 0, 0),)), (((0.0, 1.0), (0.0, 1.0)), (("right", 0, 1),)), (((0.0, -1.0), (0.0, 0.0)), ()),
+    (((1.0, 0.0), (0.0, 2.0), (3.0, 2.0), (4.0, 0.0)), (("left", 0, 0), ("left", 2, 3), ("right", 1, 2))),
+])  # fmt: skip
 def test_windows_are_the_first_and_the_last_step_of_each_force(forces: tuple, windows: tuple):
     (point,) = recorded(solution(front=(FrontPoint(tolerance=1.0, solution=solution(trajectory=plan(*forces))),))).front
     assert point.windows == windows
