@@ -21,8 +21,8 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
-from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
+from validate.judge.score.measures import MEASURES
 from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries
 from validate.judge.score.verdict import (
     EFFORT,

@@ -21,8 +21,8 @@ from models.trajectory import Trajectory
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
-from validate.judge.score.printing import half_unit
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 
