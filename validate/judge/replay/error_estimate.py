@@ -217,23 +217,17 @@ def estimate(
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
     source = " and ".join(name for name, found in (("second run", step), ("rollback", rollback)) if found is not None)
-    if not has_reference:
-        measured = larger(step, rollback)
-        if stated is not None:
-            source = f"{source}, stated" if source else "stated"
-            measured = by_entry(_larger_where_stated, measured, stated) or stated
-        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
-    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
-    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+    if has_reference:
+        # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+        judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+        judged, stated = by_entry(_judged, tolerance, step, everyday) or judged, None
+    else:
+        judged = larger(step, rollback)
+    if stated is not None:
+        judged, source = by_entry(_larger_where_stated, judged, stated) or stated, f"{source}, stated" if source else "stated"
     return ReplayError(
-        estimate=by_entry(_judged, tolerance, step, everyday) or judged,
-        tolerance=tolerance,
-        step=step,
-        everyday=everyday,
-        step_ratio=ratio,
-        rollback=rollback,
-        step_source=source or "none",
-    )
+        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated,
+    )  # fmt: skip
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
