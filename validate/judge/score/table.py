@@ -47,6 +47,11 @@ class MetricEntry:
     of_replay: bool = False
     quoted: str = ""
 
+    @property
+    def limited_by(self) -> str:
+        """By which metric a scene limits this one."""
+        return self.name.removeprefix(TRACKED)
+
     def quote(self, value: str) -> str:
         """How the sentence of a verdict says this metric; value: with its unit."""
         return self.quoted.format(value) if self.quoted else f"{self.name} is {value}"
