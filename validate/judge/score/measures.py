@@ -98,13 +98,9 @@ def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 def velocity_bound_violation(case: Evidence) -> Measured:
     """At the starts of the steps: the end belongs to the goal."""
-    lower, upper = _velocity_bounds(case)
-    return Measured(
-        values=eq.outside(case.v[:-1], lower, upper),
-        scales=_ranges(lower, upper),
-        allowed=case.printing("v"),
-        units=_velocity_units(case.scene),
-    )
+    bounds = _velocity_bounds(case)
+    values = eq.outside(case.v[:-1], *bounds)
+    return Measured(values=values, scales=_ranges(*bounds), allowed=case.printing("v"), units=_velocity_units(case.scene))
 
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -206,13 +202,9 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
-    values = np.abs(case.q - case.replay_q).max(axis=0)
+    values, nominals = np.abs(case.q - case.replay_q).max(axis=0), _nominals(case.scene)
     return Measured(
-        values=values,
-        error=case.error.position,
-        scales=_nominals(case.scene),
-        allowed=case.printing("q"),
-        units=_position_units(case.scene),
+        values=values, error=case.error.position, scales=nominals, allowed=case.printing("q"), units=_position_units(case.scene)
     )
 
 
@@ -339,13 +331,8 @@ def _impulse_error(case: Evidence) -> float:
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
     """How far the replay's velocities leave their bounds, of each velocity."""
-    lower, upper = _velocity_bounds(case)
-    return Measured(
-        values=eq.outside(case.all_replay_v[:-1], lower, upper),
-        error=case.error.state,
-        scales=_nominals(case.scene),
-        units=_velocity_units(case.scene),
-    )
+    values = eq.outside(case.all_replay_v[:-1], *_velocity_bounds(case))
+    return Measured(values=values, error=case.error.state, scales=_nominals(case.scene), units=_velocity_units(case.scene))
 
 
 # Question 6
