@@ -25,9 +25,9 @@ from models.collocation import lowest_between, penetration_rates
 from models.scene import Scene
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
-from validate.judge.replay.job import Job
-from validate.judge.replay.result import Difference, Recorded, Replay, ReplayError, ReplayOutcome
-from validate.judge.replay.subject import Subject, find_variables, recorded
+from validate.judge.replay.job import Job, Simulated
+from validate.judge.replay.result import Difference, Recorded, Replay, ReplayError, ReplayOutcome, Run
+from validate.judge.replay.subject import ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.wiring import Feedback, Variables
 
 # Steps within the contact that was overlooked; and steps in all that are taken for it.
@@ -54,7 +54,8 @@ def with_steps_of(subject: Subject, job: Job) -> Job:
     times, step = job.plan.t, float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
     parts = min(job.parts * max(1, longest), _MOST_PARTS)
-    return _finer(replace(job, parts=parts), base_step(times) / step - 1e-6)
+    job = _finer(replace(job, parts=parts), base_step(times) / step - 1e-6)
+    return fine_enough(subject, job) if isinstance(subject, Scene) else job
 
 
 def with_max_step(job: Job, longest: float) -> Job | None:
@@ -91,9 +92,10 @@ def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
     return None if twice == find_variables(package, scene) else twice
 
 
-def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Feedback | None, replayed: Replay) -> Replay:
+def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: Replay) -> Replay:
     """The replay with the lag's error in its own; as it is where there is none to be told (`twice_the_lag`)."""
-    if twice is None or not replayed.ok:
+    twice = twice_the_lag(job.package, scene) if replayed.ok else None
+    if twice is None:
         return replayed
     is_reference = replayed.method == "reference"
     tolerances, fineness = (job.tolerances[:1], ()) if is_reference else ((), job.fineness[-1:])
@@ -128,11 +130,8 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
     if one is None or other is None:
         return None
     state = np.hypot(np.linalg.norm(one.q - other.q, axis=1), np.linalg.norm(one.v - other.v, axis=1))
-    return Difference(
-        position=float(np.abs(one.q - other.q).max(initial=0.0)),
-        state=float(state.max()),
-        gap=float(np.abs(one.gap - other.gap).max(initial=0.0)),
-    )
+    position, gap = (float(np.abs(part).max(initial=0.0)) for part in (one.q - other.q, one.gap - other.gap))
+    return Difference(position=position, state=float(state.max()), gap=gap)
 
 
 # Below this position difference [m or rad] a ratio is one of roundings.
@@ -217,25 +216,47 @@ def estimate(
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
     source = " and ".join(name for name, found in (("second run", step), ("rollback", rollback)) if found is not None)
-    if not has_reference:
-        measured = larger(step, rollback)
-        if stated is not None:
-            source = f"{source}, stated" if source else "stated"
-            measured = by_entry(_larger_where_stated, measured, stated) or stated
-        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
-    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
-    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+    if has_reference:
+        # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+        judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+        judged, stated = by_entry(_judged, tolerance, step, everyday) or judged, None
+    else:
+        judged = larger(step, rollback)
+    if stated is not None:
+        judged, source = by_entry(_larger_where_stated, judged, stated) or stated, f"{source}, stated" if source else "stated"
     return ReplayError(
-        estimate=by_entry(_judged, tolerance, step, everyday) or judged,
-        tolerance=tolerance,
-        step=step,
-        everyday=everyday,
-        step_ratio=ratio,
-        rollback=rollback,
-        step_source=source or "none",
-    )
+        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated,
+    )  # fmt: skip
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
     """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)
+
+
+def error_of(subject: Subject, variables: Variables, simulated: Simulated) -> tuple[ReplayError, bool]:
+    """The error of the run that is judged, and whether that of the everyday replay's step is known: not where half the step changes nothing."""
+    reference, everyday = simulated.reference, simulated.everyday
+    # A run that ended the process has no other beside it: what is compared must be there twice.
+    nodes = [recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
+    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
+    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
+    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    error = estimate(
+        tolerance=difference(loose, tight),
+        step=difference(coarse, fine) if is_known else None,
+        everyday=difference(fine, tight),
+        has_reference=bool(reference),
+        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
+        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
+    )
+    return error, is_known
+
+
+def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Recorded | None, carried: bool) -> Difference | None:
+    if fine is None or len(run.local) != len(run.t) - 1:
+        return None
+    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
+    ends = recorded(subject, variables, Run(t=run.t[1:], outputs=coarse))
+    return local_errors(fine, ends, np.array(run.t), carried, heeds=variables.internal_step is not None or not carried)

@@ -14,26 +14,13 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Limits
 from validate.fmi.description import FmuError, Package, read_package, unpacked
-from validate.judge.replay.error_estimate import (
-    difference,
-    estimate,
-    fine_enough,
-    heeds_step,
-    local_errors,
-    overlooked,
-    step_ratio,
-    twice_the_lag,
-    with_lag_error,
-    with_max_step,
-    with_steps_of,
-    without_estimate,
-)
+from validate.judge.replay.error_estimate import error_of, overlooked, with_lag_error, with_max_step, with_steps_of, without_estimate
 from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
-from validate.judge.replay.result import Difference, Event, Growth, Recorded, Replay, ReplayError, ReplayOutcome, Run
+from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
-from validate.judge.replay.wiring import Feedback, Variables, measure_effort
+from validate.judge.replay.wiring import Feedback, measure_effort
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
@@ -74,14 +61,14 @@ def replay(
             package=package, variables=find_variables(package, scene), plan=trajectory, start=trajectory.start, limits=limits,
             tolerances=tolerances, fineness=fineness, event_budget=event_budget, ours=True,
         )  # fmt: skip
-        job, twice = fine_enough(scene, with_steps_of(scene, job)), twice_the_lag(package, scene)
+        job = with_steps_of(scene, job)
         kernel = load_kernel(scene)
         growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
         def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
             """The replay, and the inputs (steps, nu) [N or N m] that it applied. Raises FmuError, MachineError."""
             found, applied = _seeing_all(scene, kernel, job, feedback)
-            return with_lag_error(scene, job, twice, feedback, found), applied
+            return with_lag_error(scene, job, feedback, found), applied
 
         opened = replace(run(None)[0], growth=growth)
         return _with_tracked(opened, track, lambda: (design_feedback(kernel, scene, trajectory), growth), run, trajectory)
@@ -186,22 +173,8 @@ def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
 
 
 def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
-    reference, everyday, judged = simulated.reference, simulated.everyday, simulated.judged
-    variables = job.variables
-    # A run that ended the process has no other beside it: what is compared must be there twice.
-    nodes = [recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
-    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
-    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
-    error = estimate(
-        tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if is_known else None,
-        everyday=difference(fine, tight),
-        has_reference=bool(reference),
-        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
-        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
-    )
+    variables, judged = job.variables, simulated.judged
+    error, is_known = error_of(subject, variables, simulated)
     names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
     names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
     # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
@@ -211,7 +184,7 @@ def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
         scene=subject.name,
         outcome=judged.outcome,
         message=" ".join(_notes(subject, simulated, error, is_known, own_step=not job.tolerances)),
-        method="reference" if reference else "everyday",
+        method="reference" if simulated.reference else "everyday",
         t=np.array(judged.t, dtype=float),
         knots=np.array(judged.knots, dtype=np.int64),
         events=tuple(
@@ -249,11 +222,3 @@ def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known:
     if simulated.note:
         notes.append(simulated.note)
     return notes
-
-
-def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Recorded | None, carried: bool) -> Difference | None:
-    if fine is None or len(run.local) != len(run.t) - 1:
-        return None
-    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
-    ends = recorded(subject, variables, Run(t=run.t[1:], outputs=coarse))
-    return local_errors(fine, ends, np.array(run.t), carried, heeds=variables.internal_step is not None or not carried)

@@ -21,8 +21,8 @@ from models.trajectory import Trajectory
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
-from validate.judge.score.printing import half_unit
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 
@@ -487,13 +487,9 @@ class Evidence:
         Their means over steps are among them: of a bounce between two rows no row tells. Raises Unmeasured without a whole replay.
         """
         self.need("lam")
-        replay, steps = self.replay, self.trajectory.steps
-        mean = (
-            None
-            if replay.contact_impulse is None
-            else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
-        )
-        return force_window(replay.lam, self.step_of, steps, mean)
+        impulse, knots = self.replay.contact_impulse, self.replay.knots
+        mean = None if impulse is None else np.diff(impulse[knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        return force_window(self.replay.lam, self.step_of, self.trajectory.steps, mean)
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -19,7 +19,7 @@ What the judge says: metrics, the answers to its questions, and a verdict with t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Literal, TypeAlias
 
@@ -101,6 +101,11 @@ class Metric:
     def is_judged(self) -> bool:
         """Whether a question was asked by it."""
         return self.limit is not None
+
+    def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
+        """The same, judged by a limit; of what is asked of the judge itself the error counts once. Raises TypeError where there is no value."""
+        margin = 1.0 if self.question is Question.JUDGE else MARGIN
+        return replace(self, limit=limit, reason=reason, ok=compare(self.value, self.error, limit, margin), default=default)  # type: ignore[arg-type]
 
 
 Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
@@ -238,3 +243,15 @@ def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> V
         return alone
     # One of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
     return Verdict.UNDECIDED
+
+
+def decide(metrics: Sequence[Metric], has_feedback: bool) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:
+    """The verdict, the answers that it stands on, and of which replay they are: with feedback where that was tried, is wanted and helps."""
+    alone = answers(metrics)
+    verdict = verdict_of(alone)
+    if has_feedback and wants_feedback(metrics):
+        followed = answers_with_feedback(metrics)
+        verdict = verdict_with_feedback(verdict, followed)
+        if verdict is Verdict.HOLDS_WITH_FEEDBACK:
+            return verdict, followed, "feedback"
+    return verdict, alone, "open"

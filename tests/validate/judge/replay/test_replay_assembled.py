@@ -15,6 +15,7 @@ from models.trajectory import Hold, Trajectory
 from tests.validate.judge.replay.test_replay_job import JOB, NO_FMU, PLAN, START, VARIABLES
 from validate.execution.isolated import Limits
 from validate.judge.replay import Difference, ReplayError, ReplayOutcome
+from validate.judge.replay import error_estimate as estimate_module
 from validate.judge.replay import run as run_module
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Run
@@ -148,14 +149,14 @@ def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
     local = [np.array([0.125, 0.0, 0.0, 0.0]), np.array([-0.25, 0.5, 0.0, 0.0])]
     run = Run(t=[0.0, 0.5, 1.0], outputs=outputs, local=local, knots=[0, 1, 2])
     fine = recorded(MODEL, VARIABLES, run, run.knots)
-    found = run_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
+    found = estimate_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
     assert found == Difference(position=pytest.approx(0.375), state=pytest.approx(math.hypot(0.375, 0.5)), gap=0.0)
-    assert run_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
-    assert run_module._local_errors(MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False) is None
+    assert estimate_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
+    assert estimate_module._local_errors(MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False) is None
     still = replace(run, local=[np.zeros(4)] * 2)
-    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, "nobody knows whether it heeds its step"
-    assert run_module._local_errors(MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True) is not None
-    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
+    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, "nobody knows whether it heeds its step"
+    assert estimate_module._local_errors(MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True) is not None
+    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
 
 
 def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):
