@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from fmpy.model_description import ValidationError, read_model_description
+from fmpy.model_description import ValidationError, read_build_description, read_model_description
 from fmpy.validation import validate_model_description
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from validate.fmi.archive import ARCHIVE_CHECKS, DESCRIPTION, FmuError, binary_name, problems
+from validate.fmi.archive import ARCHIVE_CHECKS, FmuError, binary_name, problems
 from validate.fmi.description import read_description, without_garbage
 from validate.fmi.instance import CLASSES
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
@@ -159,71 +159,53 @@ def library_path(subject: Subject, kind: str) -> Path:
 _LONGEST = 300.0
 
 
-@dataclass(frozen=True)
-class Sources:
+class _Sources(NamedTuple):
     """What a binary is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE."""
 
-    files: tuple[str, ...]
-    folders: tuple[str, ...]
-    definitions: tuple[str, ...]
+    files: list[str]
+    folders: list[str]
+    definitions: list[str]
 
 
-def sources_of(folder: Path, identifier: str) -> Sources | None:
-    """Of an interface of an unpacked FMU, by its modelIdentifier; None where it has none. Raises FmuError for XML that cannot be read."""
-    described = folder / "sources" / "buildDescription.xml"
+def _sources_of(subject: Subject, kind: str) -> _Sources:
+    """Of an interface, as FMPy reads them. Raises FmuError for XML that cannot be read."""
     try:
-        if described.is_file():
-            for item in ElementTree.parse(described).iter("BuildConfiguration"):
-                if item.get("modelIdentifier") == identifier:
-                    return _found(item, "SourceFile")
-        for item in ElementTree.parse(folder / DESCRIPTION).getroot():
-            if item.get("modelIdentifier") == identifier and item.find("SourceFiles") is not None:
-                return _found(item, "File")
-    except ElementTree.ParseError as error:
-        raise FmuError(f"sources/{described.name} cannot be read ({error})") from error
-    return None
-
-
-def _found(item: ElementTree.Element, name: str) -> Sources:
-    files = tuple(file.get("name", "") for file in item.iter(name))
-    folders = tuple(place.get("name", "") for place in item.iter("IncludeDirectory"))
-    definitions = [(entry.get("name", ""), entry.get("value"), entry.get("optional")) for entry in item.iter("PreprocessorDefinition")]
-    return Sources(
-        files, folders, tuple(key if value is None else f"{key}={value}" for key, value, optional in definitions if optional != "true")
+        described = read_build_description(str(subject.folder), validate=False)
+    except Exception as error:  # FMPy raises anything
+        raise FmuError(f"sources/buildDescription.xml cannot be read ({error})") from error
+    configurations, identifier = (*described, *subject.description.buildConfigurations), subject.interface(kind).modelIdentifier
+    sets = next((item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), [])
+    definitions = (item for one in sets for item in one.preprocessorDefinitions)
+    return _Sources(
+        [name or "" for one in sets for name in one.sourceFiles],
+        [name or "" for one in sets for name in one.includeDirectories],
+        [item.name if item.value is None else f"{item.name}={item.value}" for item in definitions if not item.optional],
     )
 
 
-def compile_sources(folder: Path, sources: Sources, major: int, library: Path) -> str:
+def _compile(subject: Subject, sources: _Sources, library: Path) -> str:
     """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
     from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
 
-    place, compiler = (folder / "sources").resolve(), find_compiler()
+    place, compiler = (subject.folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*sources.files, *sources.folders)]
     for path, name in zip(paths, (*sources.files, *sources.folders), strict=True):
         if not path.is_relative_to(place) or not path.exists():
             raise FmuError(f"sources/{name} is named, and is not there")
     headers = library.parent / "headers"
-    for name, text in standard_headers(find_standard(f"{major}.0")).items():
+    for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
         (headers / name).parent.mkdir(parents=True, exist_ok=True)
         (headers / name).write_text(text, encoding="utf-8")
     includes = {place, *paths[len(sources.files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
     command = [
-        *compiler.command,
-        "-O2",
-        "-w",
-        "-fPIC",
-        "-shared",
-        f"-DFMI{major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
+        *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
+        f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
         *(f"-I{path}" for path in sorted(includes)),
         *(f"-D{text}" for text in sources.definitions),
+        *map(str, paths[: len(sources.files)]),
+        *("-o", str(library), "-lm"),
     ]
-    done = subprocess.run(
-        [*command, *map(str, paths[: len(sources.files)]), "-o", str(library), "-lm"],
-        capture_output=True,
-        text=True,
-        timeout=_LONGEST,
-        check=False,
-    )
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["no word"]
         raise FmuError(f"{compiler.command[0]} cannot compile it: {lines[0].replace(str(place), 'sources')}")
@@ -237,11 +219,11 @@ def compiled(subject: Subject, kind: str) -> Finding:
     if path.is_file():
         return not_offered("there is a binary for this machine.")
     try:
-        sources = sources_of(subject.folder, subject.interface(kind).modelIdentifier)
-        if sources is None or not sources.files:
+        sources = _sources_of(subject, kind)
+        if not sources.files:
             return not_offered("there is no binary for this machine, and no source.")
         path.parent.mkdir(parents=True, exist_ok=True)
-        compiler = compile_sources(subject.folder, sources, subject.major, path)
+        compiler = _compile(subject, sources, path)
     except FmuError as error:
         return failed(f"{error}.")
     except MachineError as error:
