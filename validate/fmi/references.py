@@ -15,7 +15,7 @@ import io
 import math
 import zipfile
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -160,10 +160,8 @@ def beside(path: Path) -> StoredResult:
 
 def _result(result: Path, where: str) -> StoredResult:
     stem = result.stem.removesuffix("_ref").removesuffix("_out")
-    error, settings, inputs = (
-        path if path.is_file() else None
-        for path in (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
-    )
+    paths = (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
+    error, settings, inputs = (path if path.is_file() else None for path in paths)
     return StoredResult(where, result, error, settings, inputs)
 
 
@@ -209,8 +207,7 @@ def _experiments(folder: Path, source: str) -> Iterator[StoredResult]:
         text = {name: item.get(name[0].lower() + name[1:], "0") for name in _SETTINGS[:3]} | {"RelTol": item.get("tolerance", "1e-4")}
         settings = read_settings(where, "".join(f"{name}, {value}\n" for name, value in text.items()))
         inputs = None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
-        error = result.with_name(f"{result.stem}_error.csv")
-        yield StoredResult(_where(folder, result), result, error if error.is_file() else None, None, inputs, settings)
+        yield replace(_result(result, _where(folder, result)), settings=None, inputs=inputs, experiment=settings)
 
 
 def _named(folder: Path, by: Path, what: str, source: str) -> Path:

@@ -193,22 +193,18 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
 
     Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
     """
-    descriptor, name = tempfile.mkstemp(prefix="answer-")
-    os.close(descriptor)
-    path = Path(name)
-    child = os.fork()
-    if child == 0:
-        _answer(function, path, own_group)
-    problem = _wait(child, seconds, own_group)
-    if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
-        path.unlink(missing_ok=True)
-        raise Misbehaviour(problem)
-    try:
-        answer = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
-    finally:
-        path.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(prefix="answer-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder, "answer.json")
+        child = os.fork()
+        if child == 0:
+            _answer(function, path, own_group)
+        problem = _wait(child, seconds, own_group)
+        if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
+            raise Misbehaviour(problem)
+        try:
+            answer = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
     for fault in _FAULTS:
         if fault.__name__ in answer:
             raise fault(answer[fault.__name__])

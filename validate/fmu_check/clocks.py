@@ -12,6 +12,7 @@ import ctypes
 import heapq
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -168,16 +169,12 @@ class _Log:
 def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     """Two runs with the same ticks give the same finite values."""
     first, second = runs(), runs()
-    if len(first.rows) != len(second.rows) or not all(map(_same, first.rows, second.rows)):
+    if len(first.rows) != len(second.rows) or not all(map(partial(np.array_equal, equal_nan=True), first.rows, second.rows)):
         return failed("a second run with the same activations gives other values.")
     if not all(np.isfinite(row).all() for row in first.rows):
         return failed("a value is no finite number.")
     most = max((row.size for row in first.rows), default=0)
     return passed(f"activated: {first.words()}; {more(first)}; up to {most} values each time, equal bits in a second run.")
-
-
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    return np.array_equal(one, other, equal_nan=True)
 
 
 def _clocked(subject: Subject, references: Sequence[int]) -> Block:
