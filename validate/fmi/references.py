@@ -226,7 +226,7 @@ def _parsed(path: Path, root_name: str = "fmiReferences", text: bytes | None = N
     """The root of an XML file, or of its text. Raises FmuError."""
     text = path.read_bytes() if text is None else text
     try:
-        XmlReader(False).read(text)  # no DOCTYPE
+        XmlReader().read(text)  # no DOCTYPE
         root = ElementTree.fromstring(text)
     except Exception as error:  # of expat, of an encoding, HasDoctype
         raise FmuError(f"{FOLDER}/{path.name} is no XML that can be read ({error or 'it has a DOCTYPE'})") from error

@@ -37,7 +37,6 @@ from validate.fmu_check.subject import FmuVariable, Subject
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,[0-9]+)?\)")
 _HEADER = 52  # bytes of the shorter header, that of 32 bits
-_CLASSES = {1: 32, 2: 64}
 _MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
 _DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
 _NEEDED, _UNDEFINED = 1, 0
@@ -45,12 +44,13 @@ _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 
 
 class _Layout(NamedTuple):
-    """What a file of 32 or 64 bits has where, as struct takes it.
+    """What a file of so many bits has where, as struct takes it.
 
     table, counts: where the section table begins, the size of its rows and their number, each with its place in the file; section: kind, offset, length,
     link and size of a row; symbol: name, info and section; dynamic: tag and value.
     """
 
+    bits: int
     table: tuple[str, int]
     counts: tuple[str, int]
     section: str
@@ -59,8 +59,8 @@ class _Layout(NamedTuple):
 
 
 _LAYOUTS = {
-    32: _Layout(("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
-    64: _Layout(("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
+    1: _Layout(32, ("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
+    2: _Layout(64, ("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
 }
 
 
@@ -83,52 +83,46 @@ def read_library(data: bytes) -> Library:
     """Raises NotElf."""
     if data[:4] != b"\x7fELF" or len(data) < _HEADER:
         raise NotElf("it does not begin like an ELF file")
-    bits = _CLASSES.get(data[4], 0)
-    order = {1: "<", 2: ">"}.get(data[5], "")
-    if not bits or not order:
+    layout, order = _LAYOUTS.get(data[4]), {1: "<", 2: ">"}.get(data[5])
+    if layout is None or order is None:
         raise NotElf("its class or byte order is unknown")
-    try:
-        return _read(data, bits, order)
-    except (struct.error, IndexError, ValueError, OverflowError) as error:
-        raise NotElf(f"its tables cannot be read ({error})") from error
-
-
-def _read(data: bytes, bits: int, order: str) -> Library:
-    layout = _LAYOUTS[bits]
 
     def read(form: str, at: int) -> tuple[int, ...]:
         return struct.unpack_from(f"{order}{form}", data, at)
 
-    (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
-    sections = [read(layout.section, table + number * size) for number in range(count)]
-    if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
-        raise NotElf("its tables are larger than the file")
-    exported: set[str] = set()
-    needed: list[str] = []
-    strings = b""
-    for kind, offset, length, link, entry in sections:
-        if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
-            continue
-        strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
-        for at in range(offset, offset + length, entry):
-            if kind == _SYMBOL_SECTION:
-                name, info, section = read(layout.symbol, at)
-                if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
-                    exported.add(_text(strings, name))
-            else:
-                tag, value = read(layout.dynamic, at)
-                if tag == _NEEDED:
-                    needed.append(_text(strings, value))
-    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
-    glibc = ".".join(map(str, max(versions))) if versions else ""
-    return Library(bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+    try:
+        (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
+        sections = [read(layout.section, table + number * size) for number in range(count)]
+        if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+            raise NotElf("its tables are larger than the file")
+        exported: set[str] = set()
+        needed: list[str] = []
+        strings = b""
+        for kind, offset, length, link, entry in sections:
+            if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
+                continue
+            strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
+            for at in range(offset, offset + length, entry):
+                if kind == _SYMBOL_SECTION:
+                    name, info, section = read(layout.symbol, at)
+                    if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
+                        exported.add(_text(strings, name))
+                else:
+                    tag, value = read(layout.dynamic, at)
+                    if tag == _NEEDED:
+                        needed.append(_text(strings, value))
+        versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
+        glibc = ".".join(map(str, max(versions))) if versions else ""
+        return Library(layout.bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
+        raise NotElf(f"its tables cannot be read ({error})") from error
 
 
 def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
