@@ -41,19 +41,13 @@ _NORMAL, _ONE_STEP = 1, 2
 ROOT_RETURN = 2
 # What a negative flag of `advance` means.
 _WHY = {
-    -1: "Could not reach endpoint after 'max_num_steps'.",
-    -2: "Could not satisfy demanded accuracy for an internal step.",
-    -3: "Error tests failed too many times, or reached min step size.",
-    -4: "Convergence tests failed too many times, or reached min step size.",
-    -5: "Linear solver initialization routine failed.",
-    -6: "Linear solver setup function unrecoverably failed.",
-    -7: "Linear solver solve function unrecoverably failed.",
-    -8: "The right-hand-side function had a non-recoverable error.",
-    -9: "The right-hand-side function failed on the first call.",
-    -12: "Event-detection routine unrecoverably failed.",
-    -22: "One of the function inputs is invalid.",
-    -27: "The output and initial times are too close to each other.",
-}
+    -1: "Could not reach endpoint after 'max_num_steps'.", -2: "Could not satisfy demanded accuracy for an internal step.",
+    -3: "Error tests failed too many times, or reached min step size.", -4: "Convergence tests failed too many times, or reached min step size.",
+    -5: "Linear solver initialization routine failed.", -6: "Linear solver setup function unrecoverably failed.",
+    -7: "Linear solver solve function unrecoverably failed.", -8: "The right-hand-side function had a non-recoverable error.",
+    -9: "The right-hand-side function failed on the first call.", -12: "Event-detection routine unrecoverably failed.",
+    -22: "One of the function inputs is invalid.", -27: "The output and initial times are too close to each other.",
+}  # fmt: skip
 # CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be filled, data.
 FILLS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 

@@ -285,12 +285,10 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
         if may_get:
             last[0] = time
             try:
-                finite = bool(np.isfinite(instance.get(watched)).all())
+                if not np.isfinite(instance.get(watched)).all():
+                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
             except FMICallException as error:
                 wrong.append(f"at t = {time:.6g} s values may be got, but that is refused ({str(error).rstrip('.')})")
-            else:
-                if not finite:
-                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
     def stepped(instance: CheckedInstance, step: int) -> None:
         instance.time = subject.time(step + 1)
