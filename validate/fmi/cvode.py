@@ -60,17 +60,11 @@ def why(flag: int) -> str:
 @lru_cache(maxsize=1)
 def functions() -> Any:
     """The library, whose functions are its attributes. Raises MachineError."""
-    found = importlib.util.find_spec("sksundae")
-    for folder in (found.submodule_search_locations or []) if found is not None else []:
-        for path in sorted(Path(folder).glob("_cy_cvode*")):
-            if path.suffix in (".so", ".dylib"):
-                return _loaded(path)
-    raise MachineError(
-        "the integrator of Model Exchange, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae."
-    )
-
-
-def _loaded(path: Path) -> Any:
+    what, found = "the integrator of Model Exchange, CVODE,", importlib.util.find_spec("sksundae")
+    folders = map(Path, (found.submodule_search_locations or ()) if found is not None else ())
+    path = next((path for folder in folders for path in sorted(folder.glob("_cy_cvode*")) if path.suffix in (".so", ".dylib")), None)
+    if path is None:
+        raise MachineError(f"{what} is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
     version = [ctypes.c_int() for _ in range(3)]
     label = ctypes.create_string_buffer(32)
     try:
@@ -80,13 +74,9 @@ def _loaded(path: Path) -> Any:
             function, (result, arguments) = getattr(module, name), signature.split(":")
             function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
     except (OSError, AttributeError) as error:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew."
-        ) from error
-    if version[0].value != _VERSION:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
-        )
+        raise MachineError(f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
+    if (major := version[0].value) != _VERSION:
+        raise MachineError(f"{what} is of SUNDIALS {major} in {path}, not {_VERSION}; install another scikit-sundae.")
     return module
 
 

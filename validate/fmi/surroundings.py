@@ -31,7 +31,7 @@ _FILE, _MOST_FILES = "the file here ", 1000
 
 
 @lru_cache(maxsize=1)
-def _library() -> Any:
+def symbols() -> Any:
     """The process' own symbols; None where they cannot be had."""
     try:
         return ctypes.CDLL(None)
@@ -51,7 +51,7 @@ def surroundings() -> dict[str, Any]:
     found["the mask of new files"] = f"{mask:03o}"
     if hasattr(signal, "getitimer"):
         found["the alarm clock"] = "set" if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0 else "not set"
-    call = _library()
+    call = symbols()
     if call is None or sys.platform != "linux":
         return found
     with contextlib.suppress(AttributeError):
@@ -106,7 +106,7 @@ def _files() -> dict[str, int]:
 
 def _environment() -> dict[str, bytes]:
     """That of C: os.environ is a copy."""
-    call = _library()
+    call = symbols()
     try:
         rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
     except (AttributeError, TypeError, ValueError):

@@ -297,7 +297,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
 
     watched = Block(item for item in subject.outputs if item.is_float)
     plain = fresh_run(subject, kind, steps)
-    options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
+    options = {"intermediateUpdate": update, "requiredIntermediateVariables": watched.references}
     with CheckedInstance(subject, kind, options=options) as instance:
         rows = run(instance.begin(), 0, steps, after=lambda step: stepped(instance, step))
     if not calls[0]:
@@ -325,9 +325,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
                 at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
                 instance.set(inputs, at)
                 if slopes is not None:
-                    instance.fmu.setRealInputDerivatives(
-                        [item.reference for item in inputs], [1] * len(inputs), [float(value) for value in slopes]
-                    )
+                    instance.fmu.setRealInputDerivatives(inputs.references, [1] * len(inputs), [float(value) for value in slopes])
                 begin = subject.start_time + length * stair / stairs
                 instance.do_step(begin, subject.start_time + length * (stair + 1) / stairs - begin)
             return instance.get(subject.states)

@@ -207,7 +207,8 @@ def directional(subject: Subject, kind: str) -> Finding:
                 point.back()
                 seed, ends = np.zeros(known.size), point.knowns.ends
                 seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
-                claimed = point.instance.directional(point.unknowns, known, list(seed))
+                claimed = point.instance.fmu.directional(point.unknowns.references, [known.reference], list(seed), point.unknowns.entries)
+                claimed = np.array(claimed)
                 found = point.column(place)
                 looked += claimed.size
                 sharp += int(np.sum(_resolved(claimed, found)))
@@ -249,7 +250,8 @@ def adjoint(subject: Subject, kind: str) -> Finding:
         point.back()
         rows = point.unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
-            claimed = point.instance.adjoint(point.unknowns, point.knowns, list(seed))
+            claimed = point.instance.fmu.adjoint(point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries)
+            claimed = np.array(claimed)
             used = seed != 0.0
             for (place, known), found in zip(point.entries(), columns, strict=True):
                 if bool((found.kink & used).any()):

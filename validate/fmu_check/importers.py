@@ -180,7 +180,7 @@ def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
         points = [subject.time(place) for place in range(steps + 1)]
     job = {
         "folder": str(subject.folder), "type": kind, "identifier": subject.interface(kind).modelIdentifier, "token": subject.description.guid,
-        "names": block.names, "references": [item.reference for item in block],
+        "names": block.names, "references": block.references,
         "inputs": [[item.name, item.reference, value] for item, value in zip(given[0], given[1].tolist(), strict=True)],
         "steps": [(begin, subject.step if kind == "CS" else after - begin) for begin, after in pairwise(points)],
     }  # fmt: skip
