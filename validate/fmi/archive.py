@@ -37,6 +37,7 @@ class ArchiveLimits:
     xml: int = 64 * 1024**2
 
 
+_ROOT = "fmiModelDescription"
 _KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 
 
@@ -45,20 +46,18 @@ class HasDoctype(Exception):  # noqa: N818 - it ends the reading
 
 
 class XmlReader:
-    """The root of an XML text, and refusal of a DOCTYPE."""
+    """The root of an XML text and, of a model description, its interfaces; refusal of a DOCTYPE."""
 
-    def __init__(self, keep: bool) -> None:
+    def __init__(self) -> None:
         self.root: dict[str, str] = {}
         self.root_name = ""
         self.kinds: dict[str, dict[str, str]] = {}
-        self._keep = keep
 
     def read(self, text: bytes) -> None:
         """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
         parser = self._parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
-        if self._keep:
-            parser.StartElementHandler = self._element
+        parser.StartElementHandler = self._element
         parser.Parse(text, True)
 
     def _doctype(self, *_: object) -> None:
@@ -69,13 +68,13 @@ class XmlReader:
             self.root_name, self.root = name, attributes
         elif name in _KINDS:
             self.kinds.setdefault(name, attributes)
-        elif name == "ModelVariables":  # interfaces come before it, and hundreds of thousands of elements after
+        if name == "ModelVariables" or self.root_name != _ROOT:  # interfaces come before it, and hundreds of thousands of elements after
             self._parser.StartElementHandler = None
 
 
 def interfaces(text: bytes) -> dict[str, dict[str, str]]:
     """What each interface of a model description says of itself, by the attributes' names in its version of FMI: FMPy does not read all of them."""
-    reader = XmlReader(True)
+    reader = XmlReader()
     reader.read(text)
     return reader.kinds
 
@@ -271,7 +270,7 @@ class _ArchiveCheck:
             )
             return
         is_description = item.filename == DESCRIPTION
-        reader = XmlReader(is_description)
+        reader = XmlReader()
         try:
             reader.read(archive.read(item))
         except HasDoctype:
@@ -283,8 +282,8 @@ class _ArchiveCheck:
                 yield self._problem("description", f"{DESCRIPTION} is not well-formed XML ({error}).")
         if is_description:
             self._root, self._kinds = reader.root, reader.kinds
-            if reader.root_name not in ("", "fmiModelDescription"):
-                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <fmiModelDescription>.")
+            if reader.root_name not in ("", _ROOT):
+                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <{_ROOT}>.")
 
     def _of_description(self) -> Iterator[Problem]:
         version = self._root.get("fmiVersion", "")

@@ -41,19 +41,13 @@ _NORMAL, _ONE_STEP = 1, 2
 ROOT_RETURN = 2
 # What a negative flag of `advance` means.
 _WHY = {
-    -1: "Could not reach endpoint after 'max_num_steps'.",
-    -2: "Could not satisfy demanded accuracy for an internal step.",
-    -3: "Error tests failed too many times, or reached min step size.",
-    -4: "Convergence tests failed too many times, or reached min step size.",
-    -5: "Linear solver initialization routine failed.",
-    -6: "Linear solver setup function unrecoverably failed.",
-    -7: "Linear solver solve function unrecoverably failed.",
-    -8: "The right-hand-side function had a non-recoverable error.",
-    -9: "The right-hand-side function failed on the first call.",
-    -12: "Event-detection routine unrecoverably failed.",
-    -22: "One of the function inputs is invalid.",
-    -27: "The output and initial times are too close to each other.",
-}
+    -1: "Could not reach endpoint after 'max_num_steps'.", -2: "Could not satisfy demanded accuracy for an internal step.",
+    -3: "Error tests failed too many times, or reached min step size.", -4: "Convergence tests failed too many times, or reached min step size.",
+    -5: "Linear solver initialization routine failed.", -6: "Linear solver setup function unrecoverably failed.",
+    -7: "Linear solver solve function unrecoverably failed.", -8: "The right-hand-side function had a non-recoverable error.",
+    -9: "The right-hand-side function failed on the first call.", -12: "Event-detection routine unrecoverably failed.",
+    -22: "One of the function inputs is invalid.", -27: "The output and initial times are too close to each other.",
+}  # fmt: skip
 # CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be filled, data.
 FILLS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
@@ -66,17 +60,11 @@ def why(flag: int) -> str:
 @lru_cache(maxsize=1)
 def functions() -> Any:
     """The library, whose functions are its attributes. Raises MachineError."""
-    found = importlib.util.find_spec("sksundae")
-    for folder in (found.submodule_search_locations or []) if found is not None else []:
-        for path in sorted(Path(folder).glob("_cy_cvode*")):
-            if path.suffix in (".so", ".dylib"):
-                return _loaded(path)
-    raise MachineError(
-        "the integrator of Model Exchange, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae."
-    )
-
-
-def _loaded(path: Path) -> Any:
+    what, found = "the integrator of Model Exchange, CVODE,", importlib.util.find_spec("sksundae")
+    folders = map(Path, (found.submodule_search_locations or ()) if found is not None else ())
+    path = next((path for folder in folders for path in sorted(folder.glob("_cy_cvode*")) if path.suffix in (".so", ".dylib")), None)
+    if path is None:
+        raise MachineError(f"{what} is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
     version = [ctypes.c_int() for _ in range(3)]
     label = ctypes.create_string_buffer(32)
     try:
@@ -86,13 +74,9 @@ def _loaded(path: Path) -> Any:
             function, (result, arguments) = getattr(module, name), signature.split(":")
             function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
     except (OSError, AttributeError) as error:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew."
-        ) from error
-    if version[0].value != _VERSION:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
-        )
+        raise MachineError(f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
+    if (major := version[0].value) != _VERSION:
+        raise MachineError(f"{what} is of SUNDIALS {major} in {path}, not {_VERSION}; install another scikit-sundae.")
     return module
 
 

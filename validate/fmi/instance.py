@@ -220,11 +220,8 @@ class FMU2Stepping(_Fmi2, fmi2.FMU2Slave):
 class FMU3Exchange(_Fmi3, fmi3.FMU3Model):
     """FMI 3.0, Model Exchange."""
 
-    rates, update, leave = (
-        fmi3.FMU3Model.getContinuousStateDerivatives,
-        fmi3.FMU3Model.updateDiscreteStates,
-        fmi3.FMU3Model.enterContinuousTimeMode,
-    )
+    rates = fmi3.FMU3Model.getContinuousStateDerivatives
+    update, leave = fmi3.FMU3Model.updateDiscreteStates, fmi3.FMU3Model.enterContinuousTimeMode
 
 
 class FMU3Stepping(_Fmi3, fmi3.FMU3Slave):

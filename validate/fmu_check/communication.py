@@ -14,7 +14,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed, unless
+from validate.fmu_check.check import Failed, Finding, Scope, advice, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
@@ -179,8 +179,8 @@ class _Eventful(Stepping):
             raise Misbehaviour(f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
 
 
-def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
-    """Which state goes another way, in words; empty if none does."""
+def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, how: str, than: str) -> None:
+    """Raise Failed if a state goes another way; how: what was done in the other run, than: what is said behind it."""
     columns: dict[int, slice] = {}
     for item, (begin, end) in zip(subject.observed, pairwise(subject.observed.ends), strict=True):
         columns.setdefault(item.reference, slice(begin, end))
@@ -191,8 +191,9 @@ def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
         off = np.abs(one - two) > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())
         if share > _OFTEN:
-            return f"{item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g})"
-    return ""
+            raise Failed(
+                f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g}) than {than}."
+            )
 
 
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
@@ -203,8 +204,7 @@ def event_mode(subject: Subject, kind: str) -> Finding:
     with _Eventful(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
         rows = instance.run(steps)
         events = instance.events
-        if wrong := _elsewhere(subject, plain, rows):
-            return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
+        _require_same_way(subject, plain, rows, "with event mode", "without: not every event is announced and handled")
         instance.fmu.reset()
         require_equal(subject, rows, instance.run(steps), "after reset in a run with event mode")
     return passed(f"{events} events handled in {steps} steps; the same after reset, bit for bit.")
@@ -227,17 +227,15 @@ def early_return(subject: Subject, kind: str) -> Finding:
             return failed(f"it returned early, though {MIGHT_RETURN} is false.")
         said.append(f"{instance.early} times at events")
     if asked and subject.can(kind, _UPDATE):
-        asked, wrong = _asked_to_return(subject, kind)
-        if wrong:
-            return failed(f"{wrong}.")
-        said.append("where it was asked to" if asked else "nowhere on demand, as its intermediate update never offered that")
+        offered = _returns_where_asked(subject, kind)
+        said.append("where it was asked to" if offered else "nowhere on demand, as its intermediate update never offered that")
     if not said:
         return not_offered("it has neither event mode nor intermediate update, by which it could be asked.")
     return passed(f"it returned early {' and '.join(said)}; the times told are right.")
 
 
-def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
-    """Ask for an early return at the first chance: (whether there was one, what is wrong, in words)."""
+def _returns_where_asked(subject: Subject, kind: str) -> bool:
+    """Ask for an early return at the first chance; whether there was one. Raises Failed where it does something else."""
     chances: list[float] = []
 
     def ask(_environment: Any, time: float, _set: bool, _get: bool, finished: bool, may: bool, early: Any, when: Any) -> None:
@@ -252,13 +250,13 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
         _, _, early, reached = instance.do_step(begin, step)
         near = _SAME * subject.step
         if not chances:
-            return False, ""
+            return False
         if not early and begin + step - chances[0] > near:
-            return True, f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s"
+            raise Failed(f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s.")
         if early and not chances[0] - near <= reached < begin + step + near:
-            return True, f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s"
+            raise Failed(f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s.")
         instance.do_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
-    return True, ""
+    return True
 
 
 # Stairs in place of a line: how many, and how much nearer to the line they must be than the constant is. What a slope changes must be this share of a value.
@@ -287,12 +285,10 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
         if may_get:
             last[0] = time
             try:
-                finite = bool(np.isfinite(instance.get(watched)).all())
+                if not np.isfinite(instance.get(watched)).all():
+                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
             except FMICallException as error:
                 wrong.append(f"at t = {time:.6g} s values may be got, but that is refused ({str(error).rstrip('.')})")
-            else:
-                if not finite:
-                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
     def stepped(instance: CheckedInstance, step: int) -> None:
         instance.time = subject.time(step + 1)
@@ -301,13 +297,12 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
 
     watched = Block(item for item in subject.outputs if item.is_float)
     plain = fresh_run(subject, kind, steps)
-    options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
+    options = {"intermediateUpdate": update, "requiredIntermediateVariables": watched.references}
     with CheckedInstance(subject, kind, options=options) as instance:
         rows = run(instance.begin(), 0, steps, after=lambda step: stepped(instance, step))
     if not calls[0]:
         return failed(f"it was never called in {steps} steps, though {_UPDATE} is true.")
-    if different := _elsewhere(subject, plain, rows):
-        return failed(f"with a callback that only reads, {different} than without.")
+    _require_same_way(subject, plain, rows, "with a callback that only reads", "without")
     return passed(
         f"{calls[0]} calls in {steps} steps, {calls[1]} of them to read {len(watched)} values; times within the step and never back."
     )
@@ -330,9 +325,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
                 at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
                 instance.set(inputs, at)
                 if slopes is not None:
-                    instance.fmu.setRealInputDerivatives(
-                        [item.reference for item in inputs], [1] * len(inputs), [float(value) for value in slopes]
-                    )
+                    instance.fmu.setRealInputDerivatives(inputs.references, [1] * len(inputs), [float(value) for value in slopes])
                 begin = subject.start_time + length * stair / stairs
                 instance.do_step(begin, subject.start_time + length * (stair + 1) / stairs - begin)
             return instance.get(subject.states)

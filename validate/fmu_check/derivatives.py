@@ -204,7 +204,11 @@ def directional(subject: Subject, kind: str) -> Finding:
     for point in itertools.chain(_points(subject, kind), _initial_point(subject, kind)):
         try:
             for place, known in point.entries():
-                claimed = _claimed(point, place, known)
+                point.back()
+                seed, ends = np.zeros(known.size), point.knowns.ends
+                seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
+                claimed = point.instance.fmu.directional(point.unknowns.references, [known.reference], list(seed), point.unknowns.entries)
+                claimed = np.array(claimed)
                 found = point.column(place)
                 looked += claimed.size
                 sharp += int(np.sum(_resolved(claimed, found)))
@@ -218,14 +222,6 @@ def directional(subject: Subject, kind: str) -> Finding:
         return not_offered("there is nothing to derive: no states or inputs, or no derivatives or outputs.")
     at_kinks = f", {kinks} lie at kinks" if kinks else ""
     return unless(wrong, f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.", end="")
-
-
-def _claimed(point: _CheckedPoint, place: int, known: FmuVariable) -> np.ndarray:
-    """The column that the FMU gives for an entry of the knowns."""
-    point.back()
-    seed, ends = np.zeros(known.size), point.knowns.ends
-    seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
-    return point.instance.directional(point.unknowns, known, list(seed))
 
 
 def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
@@ -254,7 +250,8 @@ def adjoint(subject: Subject, kind: str) -> Finding:
         point.back()
         rows = point.unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
-            claimed = point.instance.adjoint(point.unknowns, point.knowns, list(seed))
+            claimed = point.instance.fmu.adjoint(point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries)
+            claimed = np.array(claimed)
             used = seed != 0.0
             for (place, known), found in zip(point.entries(), columns, strict=True):
                 if bool((found.kink & used).any()):

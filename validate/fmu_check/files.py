@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from fmpy.model_description import ValidationError, read_model_description
+from fmpy.model_description import ValidationError, read_build_description, read_model_description
 from fmpy.validation import validate_model_description
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from validate.fmi.archive import ARCHIVE_CHECKS, DESCRIPTION, FmuError, binary_name, problems
+from validate.fmi.archive import ARCHIVE_CHECKS, FmuError, binary_name, problems
 from validate.fmi.description import read_description, without_garbage
 from validate.fmi.instance import CLASSES
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
@@ -37,7 +37,6 @@ from validate.fmu_check.subject import FmuVariable, Subject
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,[0-9]+)?\)")
 _HEADER = 52  # bytes of the shorter header, that of 32 bits
-_CLASSES = {1: 32, 2: 64}
 _MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
 _DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
 _NEEDED, _UNDEFINED = 1, 0
@@ -45,12 +44,13 @@ _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 
 
 class _Layout(NamedTuple):
-    """What a file of 32 or 64 bits has where, as struct takes it.
+    """What a file of so many bits has where, as struct takes it.
 
     table, counts: where the section table begins, the size of its rows and their number, each with its place in the file; section: kind, offset, length,
     link and size of a row; symbol: name, info and section; dynamic: tag and value.
     """
 
+    bits: int
     table: tuple[str, int]
     counts: tuple[str, int]
     section: str
@@ -59,8 +59,8 @@ class _Layout(NamedTuple):
 
 
 _LAYOUTS = {
-    32: _Layout(("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
-    64: _Layout(("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
+    1: _Layout(32, ("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
+    2: _Layout(64, ("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
 }
 
 
@@ -83,52 +83,46 @@ def read_library(data: bytes) -> Library:
     """Raises NotElf."""
     if data[:4] != b"\x7fELF" or len(data) < _HEADER:
         raise NotElf("it does not begin like an ELF file")
-    bits = _CLASSES.get(data[4], 0)
-    order = {1: "<", 2: ">"}.get(data[5], "")
-    if not bits or not order:
+    layout, order = _LAYOUTS.get(data[4]), {1: "<", 2: ">"}.get(data[5])
+    if layout is None or order is None:
         raise NotElf("its class or byte order is unknown")
-    try:
-        return _read(data, bits, order)
-    except (struct.error, IndexError, ValueError, OverflowError) as error:
-        raise NotElf(f"its tables cannot be read ({error})") from error
-
-
-def _read(data: bytes, bits: int, order: str) -> Library:
-    layout = _LAYOUTS[bits]
 
     def read(form: str, at: int) -> tuple[int, ...]:
         return struct.unpack_from(f"{order}{form}", data, at)
 
-    (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
-    sections = [read(layout.section, table + number * size) for number in range(count)]
-    if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
-        raise NotElf("its tables are larger than the file")
-    exported: set[str] = set()
-    needed: list[str] = []
-    strings = b""
-    for kind, offset, length, link, entry in sections:
-        if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
-            continue
-        strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
-        for at in range(offset, offset + length, entry):
-            if kind == _SYMBOL_SECTION:
-                name, info, section = read(layout.symbol, at)
-                if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
-                    exported.add(_text(strings, name))
-            else:
-                tag, value = read(layout.dynamic, at)
-                if tag == _NEEDED:
-                    needed.append(_text(strings, value))
-    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
-    glibc = ".".join(map(str, max(versions))) if versions else ""
-    return Library(bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+    try:
+        (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
+        sections = [read(layout.section, table + number * size) for number in range(count)]
+        if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+            raise NotElf("its tables are larger than the file")
+        exported: set[str] = set()
+        needed: list[str] = []
+        strings = b""
+        for kind, offset, length, link, entry in sections:
+            if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
+                continue
+            strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
+            for at in range(offset, offset + length, entry):
+                if kind == _SYMBOL_SECTION:
+                    name, info, section = read(layout.symbol, at)
+                    if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
+                        exported.add(_text(strings, name))
+                else:
+                    tag, value = read(layout.dynamic, at)
+                    if tag == _NEEDED:
+                        needed.append(_text(strings, value))
+        versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
+        glibc = ".".join(map(str, max(versions))) if versions else ""
+        return Library(layout.bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
+        raise NotElf(f"its tables cannot be read ({error})") from error
 
 
 def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
@@ -159,71 +153,53 @@ def library_path(subject: Subject, kind: str) -> Path:
 _LONGEST = 300.0
 
 
-@dataclass(frozen=True)
-class Sources:
+class _Sources(NamedTuple):
     """What a binary is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE."""
 
-    files: tuple[str, ...]
-    folders: tuple[str, ...]
-    definitions: tuple[str, ...]
+    files: list[str]
+    folders: list[str]
+    definitions: list[str]
 
 
-def sources_of(folder: Path, identifier: str) -> Sources | None:
-    """Of an interface of an unpacked FMU, by its modelIdentifier; None where it has none. Raises FmuError for XML that cannot be read."""
-    described = folder / "sources" / "buildDescription.xml"
+def _sources_of(subject: Subject, kind: str) -> _Sources:
+    """Of an interface, as FMPy reads them. Raises FmuError for XML that cannot be read."""
     try:
-        if described.is_file():
-            for item in ElementTree.parse(described).iter("BuildConfiguration"):
-                if item.get("modelIdentifier") == identifier:
-                    return _found(item, "SourceFile")
-        for item in ElementTree.parse(folder / DESCRIPTION).getroot():
-            if item.get("modelIdentifier") == identifier and item.find("SourceFiles") is not None:
-                return _found(item, "File")
-    except ElementTree.ParseError as error:
-        raise FmuError(f"sources/{described.name} cannot be read ({error})") from error
-    return None
-
-
-def _found(item: ElementTree.Element, name: str) -> Sources:
-    files = tuple(file.get("name", "") for file in item.iter(name))
-    folders = tuple(place.get("name", "") for place in item.iter("IncludeDirectory"))
-    definitions = [(entry.get("name", ""), entry.get("value"), entry.get("optional")) for entry in item.iter("PreprocessorDefinition")]
-    return Sources(
-        files, folders, tuple(key if value is None else f"{key}={value}" for key, value, optional in definitions if optional != "true")
+        described = read_build_description(str(subject.folder), validate=False)
+    except Exception as error:  # FMPy raises anything
+        raise FmuError(f"sources/buildDescription.xml cannot be read ({error})") from error
+    configurations, identifier = (*described, *subject.description.buildConfigurations), subject.interface(kind).modelIdentifier
+    sets = next((item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), [])
+    definitions = (item for one in sets for item in one.preprocessorDefinitions)
+    return _Sources(
+        [name or "" for one in sets for name in one.sourceFiles],
+        [name or "" for one in sets for name in one.includeDirectories],
+        [item.name if item.value is None else f"{item.name}={item.value}" for item in definitions if not item.optional],
     )
 
 
-def compile_sources(folder: Path, sources: Sources, major: int, library: Path) -> str:
+def _compile(subject: Subject, sources: _Sources, library: Path) -> str:
     """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
     from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
 
-    place, compiler = (folder / "sources").resolve(), find_compiler()
+    place, compiler = (subject.folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*sources.files, *sources.folders)]
     for path, name in zip(paths, (*sources.files, *sources.folders), strict=True):
         if not path.is_relative_to(place) or not path.exists():
             raise FmuError(f"sources/{name} is named, and is not there")
     headers = library.parent / "headers"
-    for name, text in standard_headers(find_standard(f"{major}.0")).items():
+    for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
         (headers / name).parent.mkdir(parents=True, exist_ok=True)
         (headers / name).write_text(text, encoding="utf-8")
     includes = {place, *paths[len(sources.files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
     command = [
-        *compiler.command,
-        "-O2",
-        "-w",
-        "-fPIC",
-        "-shared",
-        f"-DFMI{major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
+        *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
+        f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
         *(f"-I{path}" for path in sorted(includes)),
         *(f"-D{text}" for text in sources.definitions),
+        *map(str, paths[: len(sources.files)]),
+        *("-o", str(library), "-lm"),
     ]
-    done = subprocess.run(
-        [*command, *map(str, paths[: len(sources.files)]), "-o", str(library), "-lm"],
-        capture_output=True,
-        text=True,
-        timeout=_LONGEST,
-        check=False,
-    )
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["no word"]
         raise FmuError(f"{compiler.command[0]} cannot compile it: {lines[0].replace(str(place), 'sources')}")
@@ -237,11 +213,11 @@ def compiled(subject: Subject, kind: str) -> Finding:
     if path.is_file():
         return not_offered("there is a binary for this machine.")
     try:
-        sources = sources_of(subject.folder, subject.interface(kind).modelIdentifier)
-        if sources is None or not sources.files:
+        sources = _sources_of(subject, kind)
+        if not sources.files:
             return not_offered("there is no binary for this machine, and no source.")
         path.parent.mkdir(parents=True, exist_ok=True)
-        compiler = compile_sources(subject.folder, sources, subject.major, path)
+        compiler = _compile(subject, sources, path)
     except FmuError as error:
         return failed(f"{error}.")
     except MachineError as error:

@@ -211,12 +211,10 @@ def check_fmu(
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
             done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
+    if done.ending is Ending.MACHINE:
+        raise MachineError(done.sentence)
     if not done.ok:
-        raise MachineError(
-            done.sentence
-            if done.ending is Ending.MACHINE
-            else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
-        )
+        raise MachineError(f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end.")
     version, types, lacking = (done.value[name] for name in ("version", "types", "lacking"))
     return CheckReport(path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking)
 

@@ -167,21 +167,13 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
                     f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
                 )
             how = "steps and tolerances alike, as nothing continuous moves"
-    for run in runs:
-        _refuse_no_numbers(watched, times, run)
-    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
-
-
-def _refuse_no_numbers(watched: Block, times: np.ndarray, run: _Run) -> None:
-    """Raises FmuError where a value is none: it is no reference, and no bar can be told of it."""
-    for rows in (run.before, run.rows):
-        none = ~np.isfinite(rows)
-        if none.any():
-            row, column = np.argwhere(none)[0]
+    for rows in (rows for run in runs for rows in (run.before, run.rows)):
+        for row, column in np.argwhere(~np.isfinite(rows))[:1]:  # it is no reference, and no bar can be told of it
             raise FmuError(
                 f"{watched.names[column]} is {rows[row, column]:g} at t = {times[row]:.6g} s, which is no number to hold others against; "
                 "end the experiment before that."
             )
+    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
 
 
 class _Run(NamedTuple):

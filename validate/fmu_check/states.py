@@ -19,14 +19,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from validate.fmi.instance import Fault, Misbehaviour
-from validate.fmi.surroundings import changes, listed, surroundings
+from validate.fmi.surroundings import changes, listed, surroundings, symbols
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, in_fork, not_offered, passed, unless
 from validate.fmu_check.motion import compare, fresh_run, require_equal, restart_limit, run
 from validate.fmu_check.subject import CheckedInstance, Subject
@@ -259,23 +258,12 @@ class _MallocInfo(ctypes.Structure):
     _fields_ = [("numbers", ctypes.c_size_t * 10)]
 
 
-@lru_cache(maxsize=1)
-def _mallinfo2() -> Any:
-    """The function of the GNU C library; None with another one."""
-    try:
-        function = ctypes.CDLL(None).mallinfo2
-    except (AttributeError, OSError, TypeError):
-        return None
-    function.restype = _MallocInfo
-    return function
-
-
 def _memory() -> tuple[float, float]:
     """(bytes allocated on the heap, bytes resident), Python's own garbage collected; 0 where the system does not tell."""
     gc.collect()
     allocated = resident = 0.0
-    mallinfo2 = _mallinfo2()
-    if mallinfo2 is not None:
+    if mallinfo2 := getattr(symbols(), "mallinfo2", None):  # of the GNU C library alone
+        mallinfo2.restype = _MallocInfo
         numbers = mallinfo2().numbers
         allocated = float(numbers[4] + numbers[7])
     if os.path.exists("/proc/self/statm"):

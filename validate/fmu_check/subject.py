@@ -95,6 +95,11 @@ class Block(tuple[FmuVariable, ...]):
         """Of the variable of each entry."""
         return [item.name for item in self for _ in range(item.size)]
 
+    @property
+    def references(self) -> list[int]:
+        """Value references of the variables."""
+        return [item.reference for item in self]
+
     def each(self, of: Callable[[FmuVariable], float]) -> np.ndarray:
         """(entries,) a number of each entry's variable [unit of that]. Raises nothing."""
         return np.repeat(np.array([of(item) for item in self], dtype=float), self.sizes)
@@ -464,37 +469,3 @@ class CheckedInstance(Instance):
     def observe(self) -> np.ndarray:
         """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
         return self.get(self.subject.observed)
-
-    def directional(self, unknowns: Block, known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
-        """Directional derivatives of unknowns by one known.
-
-        Parameters
-        ----------
-        seed : (entries of the known,) the direction [unit of the known].
-
-        Returns
-        -------
-        (entries,) of the unknowns [unit of each unknown].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses the call.
-        """
-        return np.array(self.fmu.directional([item.reference for item in unknowns], [known.reference], seed, unknowns.entries))
-
-    def adjoint(self, unknowns: Block, knowns: Block, seed: Sequence[float]) -> np.ndarray:
-        """Adjoint derivatives of FMI 3.0 by all knowns.
-
-        Parameters
-        ----------
-        seed : (entries of the unknowns,) the weights [-].
-
-        Returns
-        -------
-        (entries,) of the knowns [unit of the unknown per unit of the known].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses the call.
-        """
-        return np.array(self.fmu.adjoint([item.reference for item in unknowns], [item.reference for item in knowns], seed, knowns.entries))
