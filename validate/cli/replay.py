@@ -151,9 +151,8 @@ def _factors(texts: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             found[name.strip()] = math.nan
         if not name.strip() or not math.isfinite(found[name.strip()]):
-            raise click.UsageError(
-                f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
-            )
+            wrong = f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
+            raise click.UsageError(wrong)
     return found
 
 
@@ -188,10 +187,8 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     assert trajectory is not None, "a file is a plan"
     takes, horizon = trajectory.duration, loaded.task.horizon
     if takes > _LONG * horizon:
-        say(
-            f"{plan}: it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer",
-            err=True,
-        )
+        doubt = f"it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer"
+        say(f"{plan}: {doubt}", err=True)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
@@ -286,20 +283,17 @@ def _print_engines(rows: list[EngineVerdict]) -> None:
     """What engines make of the plan, a row each, and in how many of them it is the same."""
     if not rows:
         return
-    cells = [
-        [row.engine, row.verdict, "" if row.agrees is None else "yes" if row.agrees else "no", row.kind.value, row.sentence] for row in rows
-    ]
+    same = {None: "", True: "yes", False: "no"}
+    cells = [[row.engine, row.verdict, same[row.agrees], row.kind.value, row.sentence] for row in rows]
     print_table(["engine", "verdict", "as ours", "why not", "measured"], cells, ())
     asked = [row for row in rows if row.agrees is not None]
     say(f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step.")
 
 
 def _own_error(what: str, replay: Replay) -> str:
-    estimate = replay.error.estimate
-    ratio = replay.error.step_ratio
+    estimate, ratio, source = replay.error.estimate, replay.error.step_ratio, replay.error.step_source
     shrinks = "" if ratio is None else f"; half the step divides the everyday replay's error by {ratio:.3g}"
     own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
-    source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
     events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
     return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()
