@@ -13,7 +13,8 @@ from models.catalog import load_scene
 from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
-from validate.cli.options import fmu_options, folder_of, scenes, wiring, write, written_to
+from validate.cli.options import folder_of, scenes, write, written_to
+from validate.cli.replay import fmu_options, read_fmu_options
 from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
 from validate.judge.judgement import as_trajectory, wire_fmu
@@ -74,7 +75,7 @@ def command(
     the plan fails. Inputs alone and with feedback apart.
     """
     if fmu is not None:
-        subject, trajectory, name = wire_fmu(fmu, plan, **wiring(scene, fmu, **given)), None, Path(plan).name
+        subject, trajectory, name = wire_fmu(fmu, plan, **read_fmu_options(scene, fmu, **given)), None, Path(plan).name
     elif given["map_path"] is not None or given["own_step"] or given["hold"] is not None:
         raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
