@@ -22,7 +22,7 @@ from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, f
 from validate.fmi.archive import DESCRIPTION
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed, Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.communication import MIGHT_RETURN, Stepping
+from validate.fmu_check.communication import MIGHT_RETURN, SteppedInstance
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
 from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
@@ -264,7 +264,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         return instance.log
 
 
-class _Ticking(Stepping):
+class _Ticking(SteppedInstance):
     """An instance whose clocks tick when their time comes: a tick is a time event of it."""
 
     log: _Log

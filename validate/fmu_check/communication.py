@@ -121,7 +121,7 @@ _UPDATE = "providesIntermediateUpdate"
 MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
-class Stepping(CheckedInstance):
+class SteppedInstance(CheckedInstance):
     """An instance whose steps have event mode, where it is Co-Simulation; events, early: how many it had, and how often it returned early."""
 
     events = early = 0
@@ -161,7 +161,7 @@ class Stepping(CheckedInstance):
                 self.event()
 
 
-class _Eventful(Stepping):
+class _Eventful(SteppedInstance):
     """An instance with event mode, whose every event is tried once more."""
 
     def run(self, steps: int) -> np.ndarray:
