@@ -106,16 +106,16 @@ class _Wiring:
             if name not in given.positions:
                 raise self._fail(f"velocities.{name}", f"there is no position of that name{map_schema.hint(name, given.positions)}.")
         read: dict[int, str] = {}
-        for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
-            for name, signal in signals.items():
-                path = f"{section}.{name}"
-                self._check_once(read, path, signal.variable)
-                self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
-        for name, signal in given.positions.items():
-            self._check_quantity(f"positions.{name}", "position", name, signal)
-        for name, signal in given.velocities.items():
+        positions = [(f"positions.{name}", name, signal) for name, signal in given.positions.items()]
+        velocities = [(f"velocities.{name}", self._velocity_column(name), signal) for name, signal in given.velocities.items()]
+        for path, column, signal in positions + velocities:
+            self._check_once(read, path, signal.variable)
+            self._check_unit(path, column, signal)
+        for path, column, signal in positions:
+            self._check_quantity(path, "position", column, signal)
+        for name, (path, column, signal) in zip(given.velocities, velocities, strict=True):
             self._check_rate(name)
-            self._check_quantity(f"velocities.{name}", "velocity", self._velocity_column(name), signal)
+            self._check_quantity(path, "velocity", column, signal)
         forces: dict[int, str] = {}
         gaps: dict[int, str] = {}
         for name, entry in given.contacts.items():

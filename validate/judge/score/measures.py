@@ -255,7 +255,7 @@ def grid_order(case: Evidence) -> float:
         raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
     for halvings in range(1, _HALVINGS + 1):
-        finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
+        finer, _ = eq.largest_difference(case.own_motion(2**halvings)[0], case.replay_q)
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
         error = finer
         if error <= near:
