@@ -202,9 +202,9 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
-    values, nominals = np.abs(case.q - case.replay_q).max(axis=0), _nominals(case.scene)
+    scene, values = case.scene, np.abs(case.q - case.replay_q).max(axis=0)
     return Measured(
-        values=values, error=case.error.position, scales=nominals, allowed=case.printing("q"), units=_position_units(case.scene)
+        values=values, error=case.error.position, scales=_nominals(scene), allowed=case.printing("q"), units=_position_units(scene)
     )
 
 
