@@ -19,7 +19,6 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import unpacked_from
 from validate.judge.replay import tracking as module
 from validate.judge.replay.tracking import (
-    FlowDerivative,
     TrackingError,
     design_feedback,
     input_scale,
@@ -164,7 +163,7 @@ def test_steps_are_linearised_in_the_contact_that_is_closed():
     kernel = load_kernel(scene)
     for state in ([0.05, 0.3], [0.2, -0.4], [0.0995, 0.9]):
         u = np.full((10, 1), 0.7)
-        A, B = FlowDerivative(kernel, 10).at(np.array(state), u, 1e-3)
+        A, B = kernel.end_derivatives(np.array(state), u, 1e-3)
 
         def end(x: np.ndarray, w: float) -> np.ndarray:
             rollout = kernel.rollout(x, np.full((10, 1), w), 1e-3)
