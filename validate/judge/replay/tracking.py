@@ -71,13 +71,13 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     return None
 
 
-def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits | None) -> tuple[Feedback, Growth | None]:
+def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits) -> tuple[Feedback, Growth | None]:
     """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
 
     Parameters
     ----------
     plan : in its own units.
-    limits : of the child; None: in this process.
+    limits : of the child that asks the FMU.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits:
 
 
 def linearised(
-    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits | None
+    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits
 ) -> tuple[np.ndarray, np.ndarray]:
     """An FMU's motion over each step, linearised along a plan, in the FMU's units, states in the order of variables.q + variables.v.
 
@@ -106,7 +106,7 @@ def linearised(
     plan : its times and inputs.
     start : (n,) start values [unit of each variable], in the order of Variables.start.
     states : (nodes, nx) the plan's states [unit of each state].
-    limits : of the child; None: in this process.
+    limits : of the child that asks the FMU.
 
     Returns
     -------
@@ -120,13 +120,10 @@ def linearised(
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
     request, given = str(package.path.resolve()), packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states}
-    if limits is None:
-        _, found = jacobians(request, given)
-    else:
-        done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
-        if not done.ok:
-            raise TrackingError(done.sentence)
-        found = done.arrays
+    done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
+    if not done.ok:
+        raise TrackingError(done.sentence)
+    found = done.arrays
     nx, h = states.shape[1], np.diff(plan.t)
     pair = (found["first"] + found["last"]) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
     if not np.isfinite(pair).all():
@@ -140,7 +137,7 @@ def linearised(
 
 
 def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
-    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives; in this process or in a child.
+    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives, in a child.
 
     Parameters
     ----------
