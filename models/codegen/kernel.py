@@ -395,6 +395,49 @@ class Kernel:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
         return u_bar, start_bar
 
+    def end_derivatives(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the state in which a motion under the true contact law ends.
+
+        Parameters
+        ----------
+        start
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (steps, nu) [N, N m].
+        step
+            Length of a step [s].
+
+        Returns
+        -------
+        by_start
+            (2*nq, 2*nq) by the start.
+        by_inputs
+            (2*nq, nu) by a change of all the inputs by the same.
+
+        Raises
+        ------
+        KernelError
+            Where the motion leaves every bound, M is not positive definite along it, or an array has another shape.
+        """
+        rollout, states = self.rollout(start, u, step), 2 * self.scene.nq
+        if rollout.diverged:
+            raise KernelError(f"scene {self.scene.name}: the true contact law leads out of every bound from {start.tolist()}.")
+        u = self._array("u", u, None, self.scene.nu)
+        by_start, by_inputs = np.empty((states, states)), np.empty((states, self.scene.nu))
+        end_bar, start_bar, u_bar = np.zeros(states), np.empty(states), np.empty_like(u)
+        # Looked up once for all rows: `adjoint` row by row takes three times as long.
+        given = (
+            *self.head(len(u), step, rollout.law, rollout.eps), address(rollout.q), address(rollout.v), address(rollout.lam), address(u), None, None, None,
+            address(end_bar), 0.0, address(u_bar), address(start_bar),
+        )  # fmt: skip
+        for row in range(states):
+            end_bar[row] = 1.0
+            if self.library.kernel_adjoint(*given):
+                raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
+            end_bar[row] = 0.0
+            by_start[row], by_inputs[row] = start_bar, u_bar.sum(axis=0)
+        return by_start, by_inputs
+
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kinetic and potential energy, without what contacts store.
 

@@ -46,6 +46,9 @@ class _Wiring:
         self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
         self._by_name = named.by_name
         self._dimensions = Dimensions(package.description)
+        # Where it stands in the map, column and signal of each.
+        self._positions: list[tuple[str, str, Signal]] = [(f"positions.{name}", name, signal) for name, signal in given.positions.items()]
+        self._velocities = [(f"velocities.{name}", self._velocity_column(name), signal) for name, signal in given.velocities.items()]
         self._check_names()
         self._check_limits()
         self._check_columns()
@@ -106,16 +109,14 @@ class _Wiring:
             if name not in given.positions:
                 raise self._fail(f"velocities.{name}", f"there is no position of that name{map_schema.hint(name, given.positions)}.")
         read: dict[int, str] = {}
-        for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
-            for name, signal in signals.items():
-                path = f"{section}.{name}"
-                self._check_once(read, path, signal.variable)
-                self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
-        for name, signal in given.positions.items():
-            self._check_quantity(f"positions.{name}", "position", name, signal)
-        for name, signal in given.velocities.items():
+        for path, column, signal in self._positions + self._velocities:
+            self._check_once(read, path, signal.variable)
+            self._check_unit(path, column, signal)
+        for path, column, signal in self._positions:
+            self._check_quantity(path, "position", column, signal)
+        for name, (path, column, signal) in zip(given.velocities, self._velocities, strict=True):
             self._check_rate(name)
-            self._check_quantity(f"velocities.{name}", "velocity", self._velocity_column(name), signal)
+            self._check_quantity(path, "velocity", column, signal)
         forces: dict[int, str] = {}
         gaps: dict[int, str] = {}
         for name, entry in given.contacts.items():
@@ -126,7 +127,7 @@ class _Wiring:
                     self._check_once(others, f"contacts.{name}.{what}", signal.variable)
                     self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
                     self._check_quantity(f"contacts.{name}.{what}", what, "", signal)
-        known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
+        known = [column for _, column, _ in self._positions + self._velocities]
         for name in given.goal:
             if name not in known:
                 near = map_schema.hint(name, known) or f"; there are {', '.join(known)}"
@@ -303,10 +304,7 @@ class _Wiring:
                     raise self._fail(path, f"the plan has no column {value!r}{map_schema.hint(value, self._table.names)}.")
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
-        for column, signal in [
-            *given.positions.items(),
-            *((self._velocity_column(name), signal) for name, signal in given.velocities.items()),
-        ]:
+        for _, column, signal in self._positions + self._velocities:
             variable = self._by_name[signal.variable]
             if column in self._table.names and variable.initial in ("exact", "approx") and variable.start is not None:
                 first = float(self._table.column(column, False)[0])

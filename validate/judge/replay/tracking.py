@@ -39,7 +39,6 @@ from typing import Any
 import numpy as np
 
 from models.codegen.kernel import Kernel, KernelError
-from models.contact_law import ContactLaw
 from models.errors import TouchstoneError
 from models.scene import Scene
 from models.scene.goal import goal_state
@@ -72,13 +71,13 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     return None
 
 
-def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits | None) -> tuple[Feedback, Growth | None]:
+def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits) -> tuple[Feedback, Growth | None]:
     """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
 
     Parameters
     ----------
     plan : in its own units.
-    limits : of the child; None: in this process.
+    limits : of the child that asks the FMU.
 
     Returns
     -------
@@ -98,7 +97,7 @@ def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits:
 
 
 def linearised(
-    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits | None
+    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits
 ) -> tuple[np.ndarray, np.ndarray]:
     """An FMU's motion over each step, linearised along a plan, in the FMU's units, states in the order of variables.q + variables.v.
 
@@ -107,7 +106,7 @@ def linearised(
     plan : its times and inputs.
     start : (n,) start values [unit of each variable], in the order of Variables.start.
     states : (nodes, nx) the plan's states [unit of each state].
-    limits : of the child; None: in this process.
+    limits : of the child that asks the FMU.
 
     Returns
     -------
@@ -121,13 +120,10 @@ def linearised(
     if refusal is not None:
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
     request, given = str(package.path.resolve()), packed(variables) | {"t": plan.t, "u": plan.u, "start": start, "states": states}
-    if limits is None:
-        _, found = jacobians(request, given)
-    else:
-        done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
-        if not done.ok:
-            raise TrackingError(done.sentence)
-        found = done.arrays
+    done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
+    if not done.ok:
+        raise TrackingError(done.sentence)
+    found = done.arrays
     nx, h = states.shape[1], np.diff(plan.t)
     pair = (found["first"] + found["last"]) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
     if not np.isfinite(pair).all():
@@ -141,7 +137,7 @@ def linearised(
 
 
 def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
-    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives; in this process or in a child.
+    """Derivatives of an FMU's rates at both ends of each step, by its own directional derivatives, in a child.
 
     Parameters
     ----------
@@ -212,14 +208,13 @@ def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | N
 
 def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
     """With each step of the plan in so many parts."""
-    h = np.diff(plan.t)
+    h = np.diff(plan.t).tolist()
     uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
     edges = _edges(plan.steps) if uniform else np.arange(plan.steps + 1)
-    of_length = {length: FlowDerivative(kernel, length * parts) for length in set(np.diff(edges).tolist())}
     try:
         blocks = [
-            of_length[last - first].at(
-                np.concatenate([plan.q[first], plan.v[first]]), np.repeat(plan.u[first:last], parts, axis=0), float(h[first]) / parts
+            kernel.end_derivatives(
+                np.concatenate([plan.q[first], plan.v[first]]), np.repeat(plan.u[first:last], parts, axis=0), h[first] / parts
             )[0]
             for first, last in pairwise(edges)
         ]
@@ -271,54 +266,6 @@ def _edges(steps: int) -> np.ndarray:
     return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 
-class FlowDerivative:
-    """Derivatives of the state after `steps` steps under the true contact law, in buffers whose addresses are looked up once."""
-
-    def __init__(self, kernel: Kernel, steps: int) -> None:
-        scene = kernel.scene
-        self._scene, self._steps, self._kernel = scene, steps, kernel
-        nq, nodes = scene.nq, (steps + 1, scene.nq)
-        self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
-        self._u_bar, self._start_bar, self._end_bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros(2 * nq)
-        self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
-        start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
-        self._rollout_of = start, u, *made
-        self._adjoint_of = *made, u, None, None, None, self._end_bar.ctypes.data, 0.0, self._u_bar.ctypes.data
-        self._rows = self._start_bar.ctypes.data
-
-    def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives at a state, under its inputs.
-
-        Parameters
-        ----------
-        state : (2*nq,) at the start [m or rad], [m/s or rad/s].
-        u : (steps, nu) inputs [N or N m], one a step.
-        h : step [s].
-
-        Returns
-        -------
-        (2*nq, 2*nq) with respect to the state, and (2*nq, nu) with respect to a change of all the inputs by the same.
-
-        Raises
-        ------
-        KernelError : if the motion leaves every bound, or the mass matrix is not positive definite.
-        """
-        scene, nq = self._scene, self._scene.nq
-        self._start[:], self._u[:] = state, u
-        head, library = self._kernel.head(self._steps, h, ContactLaw.RELU, None), self._kernel.library
-        if library.kernel_rollout(*head, *self._rollout_of) < self._steps:
-            raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
-        by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
-        for row in range(2 * nq):
-            self._end_bar[row] = 1.0
-            failed = library.kernel_adjoint(*head, *self._adjoint_of, self._rows)
-            self._end_bar[row] = 0.0
-            if failed:
-                raise KernelError(f"scene {scene.name}: the mass matrix is not positive definite along the rollout.")
-            by_state[row], by_input[row] = self._start_bar, self._u_bar.sum(axis=0)
-        return by_state, by_input
-
-
 # Small steps in one of the plan's, for A and B.
 _SUBSTEPS = 10
 
@@ -333,11 +280,10 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
         raise TrackingError(f"scene {scene.name}: it has no inputs, so there is nothing to feed back to.")
     h = np.diff(plan.t) / _SUBSTEPS
     states = np.hstack([plan.q, plan.v])
-    flow = FlowDerivative(kernel, _SUBSTEPS)
     try:
         pairs = [
-            flow.at(state, np.broadcast_to(u, (_SUBSTEPS, scene.nu)), float(step))
-            for state, u, step in zip(states, plan.u, h, strict=False)
+            kernel.end_derivatives(state, np.broadcast_to(u, (_SUBSTEPS, scene.nu)), step)
+            for state, u, step in zip(states, plan.u, h.tolist(), strict=False)
         ]
     except KernelError as error:
         raise TrackingError(f"plan: the motion cannot be linearised along it ({error}).") from error

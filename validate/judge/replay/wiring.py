@@ -69,8 +69,8 @@ class Feedback:
     upper: np.ndarray
     scale: np.ndarray
 
-    def wanted(self, step: int, state: np.ndarray) -> np.ndarray:
-        """The input asked for at the start of a step, before saturation.
+    def at(self, step: int, state: np.ndarray) -> np.ndarray:
+        """The input applied from the start of a step on: what is asked for, saturated.
 
         Parameters
         ----------
@@ -85,14 +85,8 @@ class Feedback:
         ------
         IndexError : for a step that the plan does not have.
         """
-        return self.u[step] + self.gains[step] @ (self.reference[step] - state)
-
-    def at(self, step: int, state: np.ndarray) -> np.ndarray:
-        """The input applied from the start of a step on, (nu,) [unit of each input], at state (nx,).
-
-        Raises IndexError for a step that the plan does not have.
-        """
-        return np.minimum(np.maximum(self.wanted(step, state), self.lower), self.upper)  # np.clip takes five times as long
+        wanted = self.u[step] + self.gains[step] @ (self.reference[step] - state)
+        return np.minimum(np.maximum(wanted, self.lower), self.upper)  # np.clip takes five times as long
 
     def in_units(self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]) -> Feedback:
         """The same law in an FMU's units.

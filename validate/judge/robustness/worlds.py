@@ -20,7 +20,7 @@ import numpy as np
 from models.errors import TrajectoryError, did_you_mean
 from models.scene import Scene
 from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START
-from models.trajectory import Trajectory
+from models.trajectory import Trajectory, columns_of
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
 from validate.judge.replay.wiring import World
@@ -79,8 +79,8 @@ def perturbations(
         if size is None:
             size, reason = PARAMETER * abs(item.value), f"{PARAMETER:.0%} of its value"
         add(kinds.PARAMETERS, index, item.name, item.value, size, item.unit, reason, item.lower, item.upper)
-    state = [(item.name, item.unit) for item in subject.coordinates]
-    state += [(item.velocity_name, item.velocity_unit) for item in subject.coordinates]
+    columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model answers what a scene answers
+    state = columns["q"] + columns["v"]
     start, sizes = nominal_world(subject, plan).start.tolist(), (START * nominals(subject)).tolist()
     for index in range(len(state)) if isinstance(subject, Scene) else subject.startable:
         add(kinds.START, index, f"start of {state[index][0]}", start[index], sizes[index], state[index][1], f"{START:.0%} of nominal")

@@ -240,9 +240,7 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
 def _of_depth(scored: ScoredPlan) -> str:
     if not isinstance(scored.scene, Scene) or scored.replay is None or not scored.replay.ok:
         return ""
-    share = np.maximum(-scored.replay.gap, 0.0).max(axis=0) / np.array(
-        [np.inf if depth is None else depth for depth in scored.scene.depths]
-    )
+    share = np.maximum(-scored.replay.gap, 0.0).max(axis=0) / np.array(scored.scene.depths)
     contact = scored.scene.contacts[int(share.argmax())]
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 

@@ -340,20 +340,16 @@ class Evidence:
         self.v  # noqa: B018 - refused where the plan does not say it
         return collocation.defect(self.kernel, self.trajectory)
 
-    def refined_motion(self, parts: int) -> np.ndarray:
-        """The plan's inputs run through its own time step in so many parts, with the true contact law: (nodes, nq) [m or rad]. Raises Unmeasured."""
-        return self._own_motion(parts)[0]
-
     @cached_property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m or rad] and velocities [m/s or rad/s], (nodes, nq) each, of the plan's inputs through its own time step with the true contact law.
 
         Raises Unmeasured without positions or equations, LeavesBounds where that diverges.
         """
-        return self._own_motion(1)
+        return self.own_motion(1)
 
-    def _own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """q, v (nodes, nq) with each step of the plan in so many parts."""
+    def own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """`true_motion` with each step of the plan in so many parts: q, v (nodes, nq) [m or rad], [m/s or rad/s]. Raises Unmeasured, LeavesBounds."""
         plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)

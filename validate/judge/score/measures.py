@@ -202,9 +202,9 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
-    values, nominals = np.abs(case.q - case.replay_q).max(axis=0), _nominals(case.scene)
+    scene, values = case.scene, np.abs(case.q - case.replay_q).max(axis=0)
     return Measured(
-        values=values, error=case.error.position, scales=nominals, allowed=case.printing("q"), units=_position_units(case.scene)
+        values=values, error=case.error.position, scales=_nominals(scene), allowed=case.printing("q"), units=_position_units(scene)
     )
 
 
@@ -255,7 +255,7 @@ def grid_order(case: Evidence) -> float:
         raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
     for halvings in range(1, _HALVINGS + 1):
-        finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
+        finer, _ = eq.largest_difference(case.own_motion(2**halvings)[0], case.replay_q)
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
         error = finer
         if error <= near:

@@ -31,7 +31,6 @@ from models.stability import step_stability
 from models.trajectory import Trajectory
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
-from validate.judge.replay.tracking import FlowDerivative
 
 A, B, D, BETA, K, MU = 0.5, 0.25, 10.0, 20.0, 150.0, 0.5
 DRAG = D * np.array([1.0, 1.0, mean_distance(A, B) ** 2, 1.0, 1.0])
@@ -246,7 +245,7 @@ def test_a_scene_whose_time_step_would_not_be_the_quasi_static_law_is_refused(na
 def test_errors_grow_as_in_the_first_order_model_on_any_grid() -> None:
     """The derivative of the end by the start over a step of 0.02 s in twenty parts, against finite differences of the motion by hand."""
     q, u = by_hand()[0][40], pushing()[40]
-    matrix, _ = FlowDerivative(load_kernel(scene().continuous()), 2000).at(np.concatenate([q, np.zeros(5)]), np.tile(u, (2000, 1)), 1e-5)
+    matrix, _ = load_kernel(scene().continuous()).end_derivatives(np.concatenate([q, np.zeros(5)]), np.tile(u, (2000, 1)), 1e-5)
 
     def end(start: np.ndarray) -> np.ndarray:
         return solve_ivp(lambda _, y: rates(y, u)[0], (0.0, 0.02), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]

@@ -115,8 +115,9 @@ LAW = Feedback(
 @pytest.mark.parametrize(("state", "expected"), [([1.5, 0.5], 0.25), ([0.0, 0.0], -0.5 + 6.0), ([4.0, 1.0], -6.5)])
 def test_feedback_asks_for_its_correction_and_gets_what_the_bounds_allow(state: list[float], expected: float):
     """-0.5 + 3 (2 - q) + 0.5 (1 - v) at the second node."""
+    free = np.array([np.inf])
     wanted = -0.5 + 3.0 * (2.0 - state[0]) + 0.5 * (1.0 - state[1])
-    assert LAW.wanted(1, np.array(state)).tolist() == [pytest.approx(wanted)]
+    assert replace(LAW, lower=-free, upper=free).at(1, np.array(state)).tolist() == [pytest.approx(wanted)]
     held = inputs_of([[0.5], [-0.5]], feedback=LAW)
     assert held.begin(1, np.array(state)).tolist() == [pytest.approx(min(max(wanted, -4.0), 3.0))]
     assert (held.values[1].tolist(), held.breaks.tolist()) == ([pytest.approx(min(max(wanted, -4.0), 3.0))], [True, True])

@@ -75,7 +75,7 @@ def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
     (tmp_path / "plan.csv").write_text("t,theta,omega,u\n" + "\n".join(rows) + "\n", encoding="utf-8")
     package = read_package(fmu)
     foreign, plan = wire(package, PlanTable(tmp_path / "plan.csv"), None, None, "plan")
-    A, B = linearised(package, foreign.variables, plan, foreign.start, states, None)
+    A, B = linearised(package, foreign.variables, plan, foreign.start, states, Limits(seconds=100.0))
     for step, stiffness in enumerate((0.0, 50.0, 100.0)):  # the second step touches at its end only
         whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0 - stiffness, 0.0, 1.0], [0.0, 0.0, 0.0]]))
         assert A[step] == pytest.approx(whole[:2, :2], abs=1e-12)

@@ -86,10 +86,9 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
 
 
 def test_the_motion_is_linearised_exactly_but_for_the_kernels_small_steps(scene: Scene, still: Trajectory, exact):
-    from validate.judge.replay.tracking import FlowDerivative
 
     A, B = exact
-    found = FlowDerivative(load_kernel(scene), 10).at(np.zeros(2), np.zeros((10, 1)), H / 10)
+    found = load_kernel(scene).end_derivatives(np.zeros(2), np.zeros((10, 1)), H / 10)
     assert np.abs(found[0] - A).max() < 0.02
     assert np.abs(found[1][:, 0] - B).max() < 0.01
     assert design_feedback(load_kernel(scene), scene, still).gains.shape == (STEPS, 1, 2)

@@ -19,7 +19,6 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import unpacked_from
 from validate.judge.replay import tracking as module
 from validate.judge.replay.tracking import (
-    FlowDerivative,
     TrackingError,
     design_feedback,
     input_scale,
@@ -164,7 +163,7 @@ def test_steps_are_linearised_in_the_contact_that_is_closed():
     kernel = load_kernel(scene)
     for state in ([0.05, 0.3], [0.2, -0.4], [0.0995, 0.9]):
         u = np.full((10, 1), 0.7)
-        A, B = FlowDerivative(kernel, 10).at(np.array(state), u, 1e-3)
+        A, B = kernel.end_derivatives(np.array(state), u, 1e-3)
 
         def end(x: np.ndarray, w: float) -> np.ndarray:
             rollout = kernel.rollout(x, np.full((10, 1), w), 1e-3)
@@ -267,11 +266,11 @@ def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: py
     assert (given_model, given_plan, a.tolist(), b.tolist()) == (model, plan, [[[1.0, 1.0], [6.0, 4.0]]], [[[100.0], [240.0]]])
     assert (steps is a, t is plan.t, sizes.tolist()) == (True, True, [0.25, 0.25])
     with pytest.raises(TrackingError, match="does not say its positions"):
-        module.design_foreign(foreign, "package", replace(plan, missing=frozenset({"q", "v"})), None)  # type: ignore[arg-type]
+        module.design_foreign(foreign, "package", replace(plan, missing=frozenset({"q", "v"})), "limits")  # type: ignore[arg-type]
 
 
 def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch: pytest.MonkeyPatch):
-    """x' = v, v' = a x + b u with a from 1 to 3 within the step, here as in a child."""
+    """x' = v, v' = a x + b u with a from 1 to 3 within the step."""
     first, last = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 4.0]]]), np.array([[[0.0, 1.0, 0.0], [3.0, 0.0, 6.0]]])
     mean = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
     plan = Trajectory(t=np.array([1.0, 1.25]), q=np.zeros((2, 1)), v=np.zeros((2, 1)), u=np.array([[7.0]]), lam=np.zeros((1, 0)))
@@ -279,20 +278,16 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
     fmu: Any = SimpleNamespace(path=Path("a.fmu"))
     states, asked = np.array([[1.0, 2.0], [3.0, 4.0]]), []
     monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: None)
-    monkeypatch.setattr(
-        module, "jacobians", lambda request, given: asked.append((request, given)) or (None, {"first": first, "last": last})
-    )
 
     def isolated(function: str, request: Any, given: Any, *, limits: Any, what: str) -> Any:
         asked.append((request, given))
         return SimpleNamespace(ok=function == "validate.judge.replay.tracking:jacobians" and limits == "limits" and what == "FMU a.fmu", arrays={"first": first, "last": last}, sentence="it crashed.")  # fmt: skip
 
     monkeypatch.setattr(module, "run_isolated", isolated)
-    for limits in (None, "limits"):
-        A, B = module.linearised(fmu, variables, plan, "start", states, limits)  # type: ignore[arg-type]
-        whole = expm(0.25 * mean)
-        assert A[0] == pytest.approx(whole[:2, :2], rel=1e-12)
-        assert B[0] == pytest.approx(whole[:2, 2:], rel=1e-12)
+    A, B = module.linearised(fmu, variables, plan, "start", states, "limits")  # type: ignore[arg-type]
+    whole = expm(0.25 * mean)
+    assert A[0] == pytest.approx(whole[:2, :2], rel=1e-12)
+    assert B[0] == pytest.approx(whole[:2, 2:], rel=1e-12)
     for request, given in asked:
         assert (request, unpacked_from(given)) == (str(Path("a.fmu").resolve()), ("variables",))
         assert (given["t"] is plan.t, given["u"] is plan.u, given["start"], given["states"] is states) == (True, True, "start", True)
@@ -300,10 +295,10 @@ def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch
         module.linearised(fmu, variables, plan, "start", states, "other")  # type: ignore[arg-type]
     last[0, 1, 0] = np.nan
     with pytest.raises(TrackingError, match="a directional derivative is not a finite number"):
-        module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
+        module.linearised(fmu, variables, plan, "start", states, "limits")  # type: ignore[arg-type]
     monkeypatch.setattr(module, "tracking_refusal", lambda package, variables: "it has no inputs")
     with pytest.raises(TrackingError, match=r"FMU a\.fmu: .*cannot be tracked.*no inputs\."):
-        module.linearised(fmu, variables, plan, "start", states, None)  # type: ignore[arg-type]
+        module.linearised(fmu, variables, plan, "start", states, "limits")  # type: ignore[arg-type]
 
 
 def test_the_largest_growth_is_that_of_the_piece_where_it_is_largest():

@@ -96,7 +96,7 @@ def refined(errors: list[float], limit: float | None = 0.4, waived: bool = False
             limit=lambda name: SimpleNamespace(value=None if waived else limit) if name == "replay_error" and (limit or waived) else None,
             nq=2, coordinates=[SimpleNamespace(nominal=0.5), SimpleNamespace(nominal=2.0)],
         ),
-        refined_motion=motion,
+        own_motion=lambda parts: (motion(parts), None),
     )  # fmt: skip
     return measures.grid_order(case), asked
 
