@@ -54,10 +54,10 @@ def arrays(subject: Subject, kind: str) -> Finding:
 
 def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
-    for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
-        name = variables.names[place]
-        return [f"{what} {place} is {values[place]:.10g} in the array, but the variable {name} is {read[place]:.10g} at t = {time:.6g} s"]
-    return []
+    return [
+        f"{what} {place} is {values[place]:.10g} in the array, but the variable {variables.names[place]} is {read[place]:.10g} at t = {time:.6g} s"
+        for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True))
+    ]
 
 
 @check("nominals are the XML's", Scope.EXCHANGE, clauses=("3.2.2", "2.3.3"))
@@ -75,8 +75,7 @@ def nominals(subject: Subject, kind: str) -> Finding:
     for place, (value, nominal) in enumerate(zip(values, declared, strict=False)):
         if nominal is not None and not np.isclose(value, nominal, rtol=1e-6):
             return failed(f"state {place} has the nominal {value:g} in the binary and {nominal:g} in the description.")
-    given = sum(nominal is not None for nominal in declared)
-    return passed(f"{count} nominals; {given} are given in the description and agree.")
+    return passed(f"{count} nominals; {sum(nominal is not None for nominal in declared)} are given in the description and agree.")
 
 
 @check("event indicators announce events", Scope.EXCHANGE, clauses=("3.1", "3.1.1"))
@@ -102,12 +101,11 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     mover.advance(subject.time(step) + subject.step * look / _LOOKS)
                 except Crowded:
                     break
-                if count:
-                    now = np.abs(instance.indicators())
-                    size = np.maximum(size, now)
-                    # The look falls on an event, which its indicator announces by being zero.
-                    if ((now <= _ZERO * size) & (size > 0)).any():
-                        continue
+                now = np.abs(instance.indicators()) if count else size
+                size = np.maximum(size, now)
+                # The look falls on an event, which its indicator announces by being zero.
+                if ((now <= _ZERO * size) & (size > 0)).any():
+                    continue
                 mover.update_unannounced()
                 if mover.record.surprises:
                     return failed(
@@ -171,8 +169,7 @@ def agree(subject: Subject) -> Finding:
     told = passed if shares[max(shares)] <= _COMPARED else not_offered
     if not unexplained.any():
         return told(f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}.")
-    euler = _euler(subject, compared, length - 1, awake)
-    if euler is not None:
+    if (euler := _euler(subject, compared, length - 1, awake)) is not None:
         unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - truth)))
         if not unexplained.any():
             return told(

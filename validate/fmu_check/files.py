@@ -240,17 +240,12 @@ def exports(subject: Subject, kind: str) -> Finding:
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     if library.machine != machine:
         return failed(f"{path.relative_to(subject.folder)} is for {library.machine}, but this platform is {machine}.")
-    missing = sorted(_required(subject, kind) - library.exported)
-    if missing:
+    required = {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    if missing := sorted(required - library.exported):
         return failed(f"{len(missing)} missing: {', '.join(missing[:6])}{' and more' if len(missing) > 6 else ''}.")
     foreign = [name for name in library.needed if not name.startswith(_EVERYWHERE) and not (path.parent / name).exists()]
     needs = f", needs {', '.join(foreign)} of the machine" if foreign else ""
-    return passed(f"all {len(_required(subject, kind))} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}.")
-
-
-def _required(subject: Subject, kind: str) -> set[str]:
-    """Names of the functions of a type of FMI."""
-    return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    return passed(f"all {len(required)} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}.")
 
 
 @check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))

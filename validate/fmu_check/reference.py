@@ -24,7 +24,7 @@ from validate.fmi.archive import FmuError
 from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
-from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_table, read_text, stored_results
+from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_settings, read_table, read_text, stored_results
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
 from validate.fmu_check.motion import Crowded, Exchange, Record
@@ -118,8 +118,7 @@ def no_variable(subject: Subject, where: str, name: str) -> FmuError:
 
 def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVariable:
     """The variable of a column (rows, entries) [its unit]. Raises FmuError."""
-    item = subject.by_name.get(name)
-    if item is None:
+    if (item := subject.by_name.get(name)) is None:
         raise no_variable(subject, where, name)
     if column.shape[1] != item.size:
         raise FmuError(f"{where}: {name!r} has {column.shape[1]} numbers a time; the variable has {item.size}.")
@@ -355,7 +354,7 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
             raise no_variable(subject, where, name.strip())
     table = read_table(where, text, others)
     watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
-    settings = result.read_settings()
+    settings = read_settings(result.settings.name, read_text(result.settings)) if result.settings else result.experiment
     claims, driven = (read_table(path.name, read_text(path)) if path else None for path in (result.error, result.inputs))
     inputs = signals_of(subject, result.inputs.name if result.inputs else "", driven)
     if claims is not None and ([*claims.columns] != [*table.columns] or not np.array_equal(claims.times, table.times)):

@@ -189,8 +189,7 @@ class Subject:
     @cached_property
     def variables(self) -> tuple[FmuVariable, ...]:
         """All variables that have numbers, in the order of the description (aliases included)."""
-        made = (_variable(item) for item in self.description.modelVariables)
-        return tuple(item for item in made if item is not None)
+        return tuple(filter(None, map(_variable, self.description.modelVariables)))
 
     @cached_property
     def by_name(self) -> dict[str, FmuVariable]:
@@ -272,8 +271,7 @@ class Subject:
     @property
     def internal_step(self) -> float:
         """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it; 0 where it does not."""
-        fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
-        return float(fixed) if fixed else 0.0
+        return float(getattr(self.description.coSimulation, "fixedInternalStepSize", None) or 0.0)
 
     @cached_property
     def tolerance(self) -> float:

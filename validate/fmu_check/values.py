@@ -74,8 +74,7 @@ def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterato
 @check("start values are the XML's", Scope.EACH, clauses=("2.2.7", "2.4.7.5"))
 def starts(subject: Subject, kind: str) -> Finding:
     """In Initialization Mode variables have the start values of the description."""
-    variables = subject.exact
-    if not variables:
+    if not (variables := subject.exact):
         return not_offered("no variable has a start value that counts.")
     with CheckedInstance(subject, kind) as instance:
         instance.setup()
