@@ -160,9 +160,6 @@ class _Log:
         self.counts = {item.name: 0 for item in clocks} | {"": 0}
         self.rows: list[np.ndarray] = []
 
-    def words(self) -> str:
-        return ", ".join(f"{name} {count} times" for name, count in self.counts.items() if name)
-
 
 def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     """Two runs with the same ticks give the same finite values."""
@@ -172,7 +169,8 @@ def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     if not all(np.isfinite(row).all() for row in first.rows):
         return failed("a value is no finite number.")
     most = max((row.size for row in first.rows), default=0)
-    return passed(f"activated: {first.words()}; {more(first)}; up to {most} values each time, equal bits in a second run.")
+    words = ", ".join(f"{name} {count} times" for name, count in first.counts.items() if name)
+    return passed(f"activated: {words}; {more(first)}; up to {most} values each time, equal bits in a second run.")
 
 
 def _clocked(subject: Subject, references: Sequence[int]) -> Block:

@@ -249,7 +249,9 @@ class Exchange:
                     self._event(())
                 continue
             flag = self._solver.advance(stop, stop, one_step=instance.wants_steps)
-            self._check()
+            problem, self.problem = self.problem, None
+            if problem is not None:
+                raise problem
             if flag < 0:
                 raise Misbehaviour(f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({why(flag)})")
             self.time = self._solver.time
@@ -312,14 +314,9 @@ class Exchange:
                 if self._drive is not None:
                     self._drive(time)
                 call(values.from_address(place), size)
-            except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
+            except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in advance()
                 self.problem = error
                 return -1
             return 0
 
         return FILLS(fill)
-
-    def _check(self) -> None:
-        problem, self.problem = self.problem, None
-        if problem is not None:
-            raise problem
