@@ -8,13 +8,14 @@ the same equations: the plainest integrator of order one.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import Crowded, Exchange, run
+from validate.fmu_check.motion import Crowded, Exchange, by_adams_or_bdf, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Values read in two ways are the same number.
@@ -151,8 +152,8 @@ def agree(subject: Subject) -> Finding:
         return not_offered("there are no continuous outputs or locals to compare.")
     compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
     steps = min(subject.long_steps(kind) for kind in subject.types)
-    fine, events = _exchange(subject, compared, steps, _RTOLS[1])
-    coarse, _ = _exchange(subject, compared, len(fine) - 1, _RTOLS[0])
+    fine, events = by_adams_or_bdf(partial(_integrated, subject, compared, steps, _RTOLS[1]))
+    coarse, _ = by_adams_or_bdf(partial(_integrated, subject, compared, len(fine) - 1, _RTOLS[0]))
     length = min(len(fine), len(coarse))
     truth, error, parts, awake = fine[:length], np.abs(fine[:length] - coarse[:length]), {}, 1
     for number in _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]:
@@ -193,15 +194,8 @@ def _begun(subject: Subject, kind: str, name: str) -> CheckedInstance:
     return CheckedInstance(subject, kind, name).begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
 
 
-def _exchange(subject: Subject, compared: Block, steps: int, rtol: float) -> tuple[np.ndarray, int]:
-    """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
-    try:
-        return _integrate(subject, compared, steps, rtol, ADAMS)
-    except Misbehaviour:
-        return _integrate(subject, compared, steps, rtol, BDF)
-
-
-def _integrate(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+def _integrated(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+    """Values by CVODE, and how many state events there were; shorter if events crowd."""
     with _begun(subject, "ME", "reference") as instance:
         mover = Exchange(instance, rtol, method)
         mover.renew(subject.start_time)

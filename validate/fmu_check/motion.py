@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from validate.fmi.cvode import BDF, FILLS, ROOT_RETURN, Cvode, array_of, why
+from validate.fmi.cvode import ADAMS, BDF, FILLS, ROOT_RETURN, Cvode, array_of, why
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
@@ -184,6 +184,14 @@ def run(
             if after is not None:
                 after(step)
     return np.array(rows) if observe == "each" else instance.observe()[np.newaxis]
+
+
+def by_adams_or_bdf(simulate: Callable[[tuple[int, int]], Any]) -> Any:
+    """What `simulate` gives with one method of CVODE: Adams where it does, BDF where the model is stiff. Raises Misbehaviour."""
+    try:
+        return simulate(ADAMS)
+    except Misbehaviour:
+        return simulate(BDF)
 
 
 class Exchange:

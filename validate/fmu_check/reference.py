@@ -21,13 +21,13 @@ from fmpy.fmi1 import FMICallException
 from models.errors import did_you_mean
 from validate.execution.isolated import Limits, run_isolated
 from validate.fmi.archive import FmuError
-from validate.fmi.cvode import ADAMS, BDF
+from validate.fmi.cvode import ADAMS
 from validate.fmi.description import read_description
-from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
+from validate.fmi.instance import Fault, TerminationRequested
 from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_settings, read_table, read_text, stored_results
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
-from validate.fmu_check.motion import Crowded, Exchange, Record
+from validate.fmu_check.motion import Crowded, Exchange, Record, by_adams_or_bdf
 from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
@@ -145,12 +145,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
     """
     runs: list[_Run]
     if kind == "ME":
-        method = ADAMS
-        try:
-            runs = [_exchanged(subject, times, signals, watched, rtol, method) for rtol in _RTOLS]
-        except Misbehaviour:
-            method = BDF
-            runs = [_exchanged(subject, times, signals, watched, rtol, method) for rtol in _RTOLS]
+        method, runs = by_adams_or_bdf(lambda by: (by, [_exchanged(subject, times, signals, watched, rtol, by) for rtol in _RTOLS]))
         how = f"CVODE ({'Adams' if method is ADAMS else 'BDF'}) at the tolerances {', '.join(f'{rtol:g}' for rtol in _RTOLS)}"
     else:
         parts = _PARTS if subject.can(kind, "canHandleVariableCommunicationStepSize") else _PARTS[:1]
