@@ -61,9 +61,7 @@ class Finding(NamedTuple):
 
 
 # Each makes the Finding of a sentence; of advice: nothing that the standard or common sense forbids, but worth a change.
-passed, failed, not_offered, advice = (
-    partial(Finding, status) for status in (Status.PASSED, Status.FAILED, Status.NOT_OFFERED, Status.ADVICE)
-)
+passed, failed, not_offered, advice = (partial(Finding, status) for status in Status if status is not Status.WAIVED)
 
 
 def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:

@@ -118,7 +118,7 @@ _UPDATE = "providesIntermediateUpdate"
 MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
-class Stepping(CheckedInstance):
+class EventStepping(CheckedInstance):
     """An instance whose steps have event mode, where it is Co-Simulation; events, early: how many it had, and how often it returned early."""
 
     events = early = 0
@@ -158,7 +158,7 @@ class Stepping(CheckedInstance):
                 self.event()
 
 
-class _Eventful(Stepping):
+class _Eventful(EventStepping):
     """An instance with event mode, whose every event is tried once more."""
 
     def run(self, steps: int) -> np.ndarray:
@@ -185,12 +185,11 @@ def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, ho
         if item.reference not in columns:
             continue
         one, two = plain[:, columns[item.reference]], other[:, columns[item.reference]]
-        off = np.abs(one - two) > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
+        apart = np.abs(one - two)
+        off = apart > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())
         if share > _OFTEN:
-            raise Failed(
-                f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g}) than {than}."
-            )
+            raise Failed(f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {apart.max():.3g}) than {than}.")
 
 
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))

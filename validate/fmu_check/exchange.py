@@ -30,8 +30,7 @@ _RTOL, _LOOKS = 1e-8, 3
 def arrays(subject: Subject, kind: str) -> Finding:
     """The variables of the ModelStructure equal the arrays of states and derivatives, in order."""
     steps = subject.steps(kind)
-    count = int(subject.description.numberOfContinuousStates)
-    if not count:
+    if not (count := int(subject.description.numberOfContinuousStates)):
         return not_offered("there are no continuous states.")
     worst: list[str] = []
     with CheckedInstance(subject, kind).begin() as instance:
@@ -64,8 +63,7 @@ def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.
 @check("nominals are the XML's", Scope.EXCHANGE, clauses=("3.2.2", "2.3.3"))
 def nominals(subject: Subject, kind: str) -> Finding:
     """The nominals of the states are positive and those of the description."""
-    count = int(subject.description.numberOfContinuousStates)
-    if not count:
+    if not (count := int(subject.description.numberOfContinuousStates)):
         return not_offered("there are no continuous states.")
     with CheckedInstance(subject, kind) as instance:
         values = instance.begin().nominals()
@@ -145,9 +143,7 @@ def agree(subject: Subject) -> Finding:
     """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
         return not_offered(f"the FMU offers {' and '.join(subject.types) or 'neither'} only.")
-    compared = [
-        item for item in subject.observed if item.is_float and item.variability == "continuous" and item.causality in ("output", "local")
-    ]
+    compared = [item for item in subject.observed if item.is_continuous and item.causality in ("output", "local")]
     if not compared:
         return not_offered("there are no continuous outputs or locals to compare.")
     compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])

@@ -251,12 +251,11 @@ def valid(path: Path) -> Finding:
 
 def _by_fmpy(path: Path) -> list[str]:
     """What FMPy's validation says; of names only those go through its parser, a millisecond each, that are no plain ones."""
-    problems: list[str] = []
+    problems, description = [], None
     try:
         description = read_model_description(str(path), validate=True, validate_model_structure=True)
     except ValidationError as error:
         problems = list(error.problems)
-        description = None
         with contextlib.suppress(Exception):  # it has said why
             description = read_description(path)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything

@@ -54,9 +54,9 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDiffe
     ------
     ValueError : if the columns are not the observed variables.
     """
-    rows = min(len(one), len(other))
     if len(one) != len(other):
-        return MotionDifference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
+        name = f"the length of the run ({len(one)} against {len(other)} steps)"
+        return MotionDifference(False, np.inf, np.inf, name, min(len(one), len(other)))
     if np.array_equal(one, other, equal_nan=True):
         return MotionDifference(True, 0.0, 0.0, "", 0)
     with np.errstate(invalid="ignore"):

@@ -11,7 +11,6 @@ import contextlib
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,14 +44,6 @@ _TEXT = 5e-6
 _ANOTHER = 0.1
 
 
-def _is_on_lines(item: FmuVariable) -> bool:
-    return item.is_float and item.variability == "continuous"
-
-
-def _on_lines(block: Block) -> np.ndarray:
-    return block.each(_is_on_lines) > 0.0
-
-
 @dataclass(frozen=True)
 class Signals:
     """Inputs over time: floating-point ones on straight lines between the times, others as they were last. values: (rows, entries) [its unit]."""
@@ -61,11 +52,6 @@ class Signals:
     variables: Block
     values: np.ndarray
 
-    @cached_property
-    def on_lines(self) -> np.ndarray:
-        """(entries,) [-], whether it moves between the times. Raises nothing."""
-        return _on_lines(self.variables)
-
     def at(self, time: float, *, early: bool = False) -> np.ndarray:
         """(entries,) [unit of each variable], at a time where a value jumps the later one, or the `early` one. Raises nothing."""
         last = max(int(self.times.searchsorted(time, side="left" if early else "right")) - 1, 0)
@@ -73,15 +59,15 @@ class Signals:
         length = self.times[after] - self.times[last]
         share = (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
         begin = self.values[last]
-        return np.where(self.on_lines, begin + share * (self.values[after] - begin), begin)
+        return np.where(self.variables.continuous, begin + share * (self.values[after] - begin), begin)
 
     def lines(self) -> Signals:
         """Those alone that move between the times. Raises nothing."""
-        return Signals(self.times, Block(filter(_is_on_lines, self.variables)), self.values[:, self.on_lines])
+        return Signals(self.times, Block(item for item in self.variables if item.is_continuous), self.values[:, self.variables.continuous])
 
     def jumps(self) -> np.ndarray:
         """(n,) times [s] at which a value jumps: there twice, or of a variable that does not move between. Raises nothing."""
-        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.on_lines], axis=0) != 0.0).any(axis=1)
+        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.variables.continuous], axis=0) != 0.0).any(axis=1)
         return np.unique(self.times[1:][jumps])
 
 
@@ -155,7 +141,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
             runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
         if _same([run.rows for run in runs]):
-            if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & _on_lines(watched)).any():
+            if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & watched.continuous).any():
                 raise FmuError(
                     "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
                     f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
@@ -396,7 +382,7 @@ def _affordable(subject: Subject, kind: str, times: np.ndarray) -> int:
 def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
     """(rows, entries) how far stored values are off [unit of each]. At an event either value counts, and those between; of what is not continuous, the neighbours'."""
     apart = np.abs(theirs - found.values)
-    discrete = ~_on_lines(watched)
+    discrete = ~watched.continuous
     for row in range(len(times)):
         first, last = max(row - 1, 0), min(row + 1, len(times) - 1)
         eventful = ((found.events >= times[first]) & (found.events <= times[last])).any()

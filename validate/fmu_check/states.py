@@ -191,7 +191,7 @@ def independent(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), _IN_TURN)
 
     def in_turn(name: str, *seeds: int) -> Iterator[np.ndarray]:
-        """(steps, observed) values after each step, of an instance for each seed: two know other parameters and inputs."""
+        """(steps, observed) [unit of each variable] after each step, of an instance for each seed: two know other parameters and inputs. Raises as `run`."""
         instances = {seed: CheckedInstance(subject, kind, f"{name} {seed}") for seed in seeds}
         for seed, instance in instances.items():
             instance.begin_varied() if seed else instance.begin()

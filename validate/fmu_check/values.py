@@ -80,11 +80,10 @@ def starts(subject: Subject, kind: str) -> Finding:
         instance.setup()
         instance.enter_initialisation()
         values = instance.get(variables)
-    starts, share = variables.starts, variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
+    names, starts = variables.names, variables.starts
+    share = variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
     bad = ~((values == starts) | (np.abs(values - starts) <= share * np.abs(starts)) | (np.isnan(values) & np.isnan(starts)))
-    wrong = [
-        f"{variables.names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)
-    ]
+    wrong = [f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)]
     return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
 
 
