@@ -353,6 +353,11 @@ class Instance:
         if not self.fmu.fatal:
             self.fmu.freeLibrary()
 
+    def refuse(self, function: str, status: int) -> NoReturn:
+        """Raise FMICallException for a call, named without its prefix, that was made by its address."""
+        self.fmu.refuse(self.fmu.prefix + function, status)
+        raise AssertionError(f"status {status} refuses nothing")
+
     # Values
 
     def read(self, references: References) -> np.ndarray:
