@@ -43,7 +43,10 @@ class Status(StrEnum):
 
 
 class Scope(Enum):
-    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only. The value: the types it is run for, as far as they are there."""
+    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only.
+
+    The value: the types it is run for, as far as they are there.
+    """
 
     FILE = ("",)
     EACH = ("ME", "CS")

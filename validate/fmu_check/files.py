@@ -154,7 +154,10 @@ _LONGEST = 300.0
 
 
 def _sources_of(subject: Subject, kind: str) -> tuple[list[str], list[str], list[str]]:
-    """What an interface is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE. Raises FmuError for XML that cannot be read."""
+    """What an interface is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE.
+
+    Raises FmuError for XML that cannot be read.
+    """
     try:
         described = read_build_description(str(subject.folder), validate=False)
     except Exception as error:  # FMPy raises anything
