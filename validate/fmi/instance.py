@@ -170,10 +170,8 @@ class _Fmi2(_Calls):
         return self._status(self.getRealStatus, fmi2.fmi2LastSuccessfulTime)
 
     def _status(self, ask: Callable[[int], Any], what: int) -> Any:
-        try:
+        with contextlib.suppress(FMICallException):
             return ask(what)
-        except FMICallException:
-            return None
 
     def directional(self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float], size: int) -> Sequence[float]:
         return self.getDirectionalDerivative(unknowns, knowns, seed)
@@ -354,6 +352,11 @@ class Instance:
         self.close()
         if not self.fmu.fatal:
             self.fmu.freeLibrary()
+
+    def refuse(self, function: str, status: int) -> NoReturn:
+        """Raise FMICallException for a call, named without its prefix, that was made by its address."""
+        self.fmu.refuse(self.fmu.prefix + function, status)
+        raise AssertionError(f"status {status} refuses nothing")
 
     # Values
 

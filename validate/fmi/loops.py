@@ -124,8 +124,7 @@ def describe(
 
 def refuse(instance: Instance, fmu: Any) -> NoReturn:
     """Raise FMICallException for the call that was refused."""
-    instance.fmu.refuse(instance.fmu.prefix + CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
-    raise AssertionError(f"status {fmu.fault_status} refuses nothing")
+    instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
 
 
 def unsettled(reason: Reason, time: float) -> NoReturn:

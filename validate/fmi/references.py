@@ -63,10 +63,6 @@ class StoredResult:
     inputs: Path | None
     experiment: dict[str, float] | None = None
 
-    def read_settings(self) -> dict[str, float] | None:
-        """Of the experiment, as `read_settings` gives them; None where nothing says. Raises FmuError."""
-        return read_settings(self.settings.name, read_text(self.settings)) if self.settings else self.experiment
-
 
 def read_table(where: str, text: str, leave_out: Container[str] = ()) -> Table:
     """A table of numbers whose first column is the time; the entries of an array are separated by blanks.
@@ -89,17 +85,15 @@ def read_table(where: str, text: str, leave_out: Container[str] = ()) -> Table:
         if len(row) != len(names):
             raise FmuError(f"{where}: line {number} has {len(row)} cells, the first line has {len(names)}.")
         for name, cell, column in zip(names, row, columns, strict=True):
-            column.append(_numbers(f"{where}: line {number}, column {name!r}", cell))
+            place = f"{where}: line {number}, column {name!r}"
+            column.append(_numbers(place, cell))
             if len(column[-1]) != len(column[0]):
-                raise FmuError(
-                    f"{where}: line {number}, column {name!r} has {len(column[-1])} numbers, the line before has {len(column[0])}."
-                )
+                raise FmuError(f"{place} has {len(column[-1])} numbers, the line before has {len(column[0])}.")
     times = np.array(columns[0])[:, 0]
     backward = np.flatnonzero(~(np.diff(times) >= 0.0))
     if backward.size or not np.isfinite(times).all():
-        raise FmuError(
-            f"{where}: the first column, {names[0]!r}, is no time that goes on: after {times[backward[0] if backward.size else 0]:g} comes {times[backward[0] + 1 if backward.size else -1]:g}."
-        )
+        one, other = times[[backward[0], backward[0] + 1] if backward.size else [0, -1]]
+        raise FmuError(f"{where}: the first column, {names[0]!r}, is no time that goes on: after {one:g} comes {other:g}.")
     return Table(times, dict(zip(names[1:], map(np.array, columns[1:]), strict=True)))
 
 

@@ -43,7 +43,10 @@ class Status(StrEnum):
 
 
 class Scope(Enum):
-    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only. The value: the types it is run for, as far as they are there."""
+    """What a check is about: the file; an FMI type, each one the FMU offers; or one of them only.
+
+    The value: the types it is run for, as far as they are there.
+    """
 
     FILE = ("",)
     EACH = ("ME", "CS")
@@ -61,9 +64,7 @@ class Finding(NamedTuple):
 
 
 # Each makes the Finding of a sentence; of advice: nothing that the standard or common sense forbids, but worth a change.
-passed, failed, not_offered, advice = (
-    partial(Finding, status) for status in (Status.PASSED, Status.FAILED, Status.NOT_OFFERED, Status.ADVICE)
-)
+passed, failed, not_offered, advice = (partial(Finding, status) for status in Status if status is not Status.WAIVED)
 
 
 def unless(wrong: list[str], sentence: str, end: str = ".") -> Finding:

@@ -22,7 +22,7 @@ from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, f
 from validate.fmi.archive import DESCRIPTION
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed, Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.communication import MIGHT_RETURN, SteppedInstance
+from validate.fmu_check.communication import MIGHT_RETURN, EventStepping
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
 from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
@@ -160,9 +160,6 @@ class _Log:
         self.counts = {item.name: 0 for item in clocks} | {"": 0}
         self.rows: list[np.ndarray] = []
 
-    def words(self) -> str:
-        return ", ".join(f"{name} {count} times" for name, count in self.counts.items() if name)
-
 
 def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     """Two runs with the same ticks give the same finite values."""
@@ -172,7 +169,8 @@ def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     if not all(np.isfinite(row).all() for row in first.rows):
         return failed("a value is no finite number.")
     most = max((row.size for row in first.rows), default=0)
-    return passed(f"activated: {first.words()}; {more(first)}; up to {most} values each time, equal bits in a second run.")
+    words = ", ".join(f"{name} {count} times" for name, count in first.counts.items() if name)
+    return passed(f"activated: {words}; {more(first)}; up to {most} values each time, equal bits in a second run.")
 
 
 def _clocked(subject: Subject, references: Sequence[int]) -> Block:
@@ -214,9 +212,7 @@ def _scheduled(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[
             try:
                 instance.fmu.fmi3ActivateModelPartition(instance.fmu.component, item.reference, time)
             except FMICallException as error:
-                raise Misbehaviour(
-                    f"the partition of {item.name} cannot be activated at t = {time:.6g} s ({str(error).rstrip('.')}){instance.quote()}"
-                ) from error
+                raise instance.refused(f"the partition of {item.name} cannot be activated at t = {time:.6g} s", error) from error
             log.counts[item.name] += 1
             if held[0]:
                 raise Misbehaviour(
@@ -256,15 +252,13 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         if kind == "CS":
             instance.step_to(schedule.end)
             return instance.log
-        mover = Exchange(instance, TOLERANCE)
-        mover.renew(subject.start_time)
-        with contextlib.suppress(Crowded):
+        with contextlib.closing(Exchange(instance, TOLERANCE)) as mover, contextlib.suppress(Crowded):
+            mover.renew(subject.start_time)
             mover.advance(schedule.end)
-        mover.close()
         return instance.log
 
 
-class _Ticking(SteppedInstance):
+class _Ticking(EventStepping):
     """An instance whose clocks tick when their time comes: a tick is a time event of it."""
 
     log: _Log
@@ -296,9 +290,7 @@ class _Ticking(SteppedInstance):
             self.log.rows.append(np.concatenate([self.observe(), self.get(clocked)]))
         except FMICallException as error:
             names = " and ".join(item.name for item in active) or "no clock"
-            raise Misbehaviour(
-                f"while {names} ticks at t = {self.time:.6g} s its variables cannot be read ({str(error).rstrip('.')}){self.quote()}"
-            ) from error
+            raise self.refused(f"while {names} ticks at t = {self.time:.6g} s its variables cannot be read", error) from error
         self.due = ()
 
     def content(self) -> None:
@@ -316,9 +308,8 @@ class _Ticking(SteppedInstance):
         try:
             self.fmu.setClock([item.reference for item in due], [True] * len(due))
         except FMICallException as error:
-            raise Misbehaviour(
-                f"{' and '.join(item.name for item in due)} cannot be activated at t = {self.time:.6g} s ({str(error).rstrip('.')}){self.quote()}"
-            ) from error
+            names = " and ".join(item.name for item in due)
+            raise self.refused(f"{names} cannot be activated at t = {self.time:.6g} s", error) from error
         clocked = _clocked(self.subject, [item.reference for item in due])
         given = Block(item for item in clocked if item.causality == "input" and item.start is not None)
         self.set(given, np.where(given.each(lambda item: item.is_float), given.near(_MOVED), given.starts))

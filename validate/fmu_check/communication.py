@@ -87,29 +87,26 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
 def stop_time(subject: Subject, kind: str) -> Finding:
     """A step up to the stop time is made, a step beyond it is refused."""
     steps = subject.before_end(kind, 4)
-    with CheckedInstance(subject, kind).begin(stop=subject.time(steps)) as instance:
+    stop = subject.time(steps)
+    with CheckedInstance(subject, kind).begin(stop=stop) as instance:
         for step in range(steps):
             try:
                 instance.make_step(step)
             except FMICallException:
-                return failed(
-                    f"the step to t = {subject.time(step + 1):.6g} s is refused, though the stop time is {subject.time(steps):.6g} s{instance.quote()}."
-                )
+                end = subject.time(step + 1)
+                return failed(f"the step to t = {end:.6g} s is refused, though the stop time is {stop:.6g} s{instance.quote()}.")
         before = instance.observe()
         try:
-            instance.do_step(subject.time(steps), subject.step)
+            instance.make_step(steps)
         except FMICallException as error:
             reached = instance.fmu.last_successful_time() if error.status == _DISCARD else None
-            if reached is not None and not abs(reached - subject.time(steps)) <= _SAME * subject.step:
-                return failed(
-                    f"the step beyond the stop time is discarded, and the last successful time is told as {reached:.6g} s; it is {subject.time(steps):.6g} s."
-                )
-            return passed(f"{steps} steps up to the stop time {subject.time(steps):.6g} s are made, the next one is refused.")
-        moved = not np.array_equal(before, instance.observe(), equal_nan=True)
-    return failed(
-        f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{'' if moved else ' (though no output changes)'}, "
-        f"though the stop time given was {subject.time(steps):.6g} s."
-    )
+            if reached is not None and not abs(reached - stop) <= _SAME * subject.step:
+                told = f"the last successful time is told as {reached:.6g} s; it is {stop:.6g} s"
+                return failed(f"the step beyond the stop time is discarded, and {told}.")
+            return passed(f"{steps} steps up to the stop time {stop:.6g} s are made, the next one is refused.")
+        still = " (though no output changes)" if np.array_equal(before, instance.observe(), equal_nan=True) else ""
+    answer = f"a step to t = {subject.time(steps + 1):.6g} s is answered with OK{still}"
+    return failed(f"{answer}, though the stop time given was {stop:.6g} s.")
 
 
 # Steps that go nowhere before they are called endless.
@@ -121,7 +118,7 @@ _UPDATE = "providesIntermediateUpdate"
 MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
-class SteppedInstance(CheckedInstance):
+class EventStepping(CheckedInstance):
     """An instance whose steps have event mode, where it is Co-Simulation; events, early: how many it had, and how often it returned early."""
 
     events = early = 0
@@ -161,7 +158,7 @@ class SteppedInstance(CheckedInstance):
                 self.event()
 
 
-class _Eventful(SteppedInstance):
+class _Eventful(EventStepping):
     """An instance with event mode, whose every event is tried once more."""
 
     def run(self, steps: int) -> np.ndarray:
@@ -188,12 +185,11 @@ def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, ho
         if item.reference not in columns:
             continue
         one, two = plain[:, columns[item.reference]], other[:, columns[item.reference]]
-        off = np.abs(one - two) > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
+        apart = np.abs(one - two)
+        off = apart > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())
         if share > _OFTEN:
-            raise Failed(
-                f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g}) than {than}."
-            )
+            raise Failed(f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {apart.max():.3g}) than {than}.")
 
 
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))

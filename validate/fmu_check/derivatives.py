@@ -381,23 +381,18 @@ def rates(subject: Subject, kind: str) -> Finding:
             if (step + 1) % max(steps // _PLACES, 1):
                 instance.do_step(time, subject.step)
                 continue
-            x = [instance.get(moving)]
-            for part in range(2):
-                instance.do_step(time + part * short, short)
-                x.append(instance.get(moving))
-                if not part:
-                    claimed = instance.get(derivatives)
-            before, after = (x[1] - x[0]) / short, (x[2] - x[1]) / short
-            rounding = _ULPS * _EPS * np.maximum(np.abs(x[1]), abs(time)) / short
+            first = instance.get(moving)
+            instance.do_step(time, short)
+            middle, claimed = instance.get(moving), instance.get(derivatives)
+            instance.do_step(time + short, short)
+            last = instance.get(moving)
+            before, after = (middle - first) / short, (last - middle) / short
+            rounding = _ULPS * _EPS * np.maximum(np.abs(middle), abs(time)) / short
             size = np.maximum(np.abs(claimed), np.maximum(np.abs(before), np.abs(after)))
             away = np.maximum(np.minimum(before, after) - claimed, claimed - np.maximum(before, after))
             # What does not move at all has a step of its own inside; where it bends within so short a step, something jumps.
-            told = (
-                (x[1] != x[0])
-                & (x[2] != x[1])
-                & (np.abs(after - before) <= 0.1 * _SHARE * size + rounding)
-                & (rounding <= 0.1 * _SHARE * size)
-            )
+            allowed = 0.1 * _SHARE * size
+            told = (middle != first) & (last != middle) & (np.abs(after - before) <= allowed + rounding) & (rounding <= allowed)
             places, resolved = places + 1, resolved or bool(told.any())
             wrong = told & (away > _SHARE * size)
             if wrong.any():

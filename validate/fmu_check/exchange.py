@@ -8,13 +8,14 @@ the same equations: the plainest integrator of order one.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import Crowded, Exchange, run
+from validate.fmu_check.motion import Crowded, Exchange, by_adams_or_bdf, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Values read in two ways are the same number.
@@ -29,8 +30,7 @@ _RTOL, _LOOKS = 1e-8, 3
 def arrays(subject: Subject, kind: str) -> Finding:
     """The variables of the ModelStructure equal the arrays of states and derivatives, in order."""
     steps = subject.steps(kind)
-    count = int(subject.description.numberOfContinuousStates)
-    if not count:
+    if not (count := int(subject.description.numberOfContinuousStates)):
         return not_offered("there are no continuous states.")
     worst: list[str] = []
     with CheckedInstance(subject, kind).begin() as instance:
@@ -54,17 +54,16 @@ def arrays(subject: Subject, kind: str) -> Finding:
 
 def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
-    for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
-        name = variables.names[place]
-        return [f"{what} {place} is {values[place]:.10g} in the array, but the variable {name} is {read[place]:.10g} at t = {time:.6g} s"]
-    return []
+    return [
+        f"{what} {place} is {values[place]:.10g} in the array, but the variable {variables.names[place]} is {read[place]:.10g} at t = {time:.6g} s"
+        for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True))
+    ]
 
 
 @check("nominals are the XML's", Scope.EXCHANGE, clauses=("3.2.2", "2.3.3"))
 def nominals(subject: Subject, kind: str) -> Finding:
     """The nominals of the states are positive and those of the description."""
-    count = int(subject.description.numberOfContinuousStates)
-    if not count:
+    if not (count := int(subject.description.numberOfContinuousStates)):
         return not_offered("there are no continuous states.")
     with CheckedInstance(subject, kind) as instance:
         values = instance.begin().nominals()
@@ -75,8 +74,7 @@ def nominals(subject: Subject, kind: str) -> Finding:
     for place, (value, nominal) in enumerate(zip(values, declared, strict=False)):
         if nominal is not None and not np.isclose(value, nominal, rtol=1e-6):
             return failed(f"state {place} has the nominal {value:g} in the binary and {nominal:g} in the description.")
-    given = sum(nominal is not None for nominal in declared)
-    return passed(f"{count} nominals; {given} are given in the description and agree.")
+    return passed(f"{count} nominals; {sum(nominal is not None for nominal in declared)} are given in the description and agree.")
 
 
 @check("event indicators announce events", Scope.EXCHANGE, clauses=("3.1", "3.1.1"))
@@ -102,12 +100,11 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     mover.advance(subject.time(step) + subject.step * look / _LOOKS)
                 except Crowded:
                     break
-                if count:
-                    now = np.abs(instance.indicators())
-                    size = np.maximum(size, now)
-                    # The look falls on an event, which its indicator announces by being zero.
-                    if ((now <= _ZERO * size) & (size > 0)).any():
-                        continue
+                now = np.abs(instance.indicators()) if count else size
+                size = np.maximum(size, now)
+                # The look falls on an event, which its indicator announces by being zero.
+                if ((now <= _ZERO * size) & (size > 0)).any():
+                    continue
                 mover.update_unannounced()
                 if mover.record.surprises:
                     return failed(
@@ -146,15 +143,13 @@ def agree(subject: Subject) -> Finding:
     """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
         return not_offered(f"the FMU offers {' and '.join(subject.types) or 'neither'} only.")
-    compared = [
-        item for item in subject.observed if item.is_float and item.variability == "continuous" and item.causality in ("output", "local")
-    ]
+    compared = [item for item in subject.observed if item.is_continuous and item.causality in ("output", "local")]
     if not compared:
         return not_offered("there are no continuous outputs or locals to compare.")
     compared = Block(compared[:: max(1, len(compared) // _MOST_COMPARED)])
     steps = min(subject.long_steps(kind) for kind in subject.types)
-    fine, events = _exchange(subject, compared, steps, _RTOLS[1])
-    coarse, _ = _exchange(subject, compared, len(fine) - 1, _RTOLS[0])
+    fine, events = by_adams_or_bdf(partial(_integrated, subject, compared, steps, _RTOLS[1]))
+    coarse, _ = by_adams_or_bdf(partial(_integrated, subject, compared, len(fine) - 1, _RTOLS[0]))
     length = min(len(fine), len(coarse))
     truth, error, parts, awake = fine[:length], np.abs(fine[:length] - coarse[:length]), {}, 1
     for number in _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]:
@@ -171,8 +166,7 @@ def agree(subject: Subject) -> Finding:
     told = passed if shares[max(shares)] <= _COMPARED else not_offered
     if not unexplained.any():
         return told(f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}.")
-    euler = _euler(subject, compared, length - 1, awake)
-    if euler is not None:
+    if (euler := _euler(subject, compared, length - 1, awake)) is not None:
         unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - truth)))
         if not unexplained.any():
             return told(
@@ -196,15 +190,8 @@ def _begun(subject: Subject, kind: str, name: str) -> CheckedInstance:
     return CheckedInstance(subject, kind, name).begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
 
 
-def _exchange(subject: Subject, compared: Block, steps: int, rtol: float) -> tuple[np.ndarray, int]:
-    """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
-    try:
-        return _integrate(subject, compared, steps, rtol, ADAMS)
-    except Misbehaviour:
-        return _integrate(subject, compared, steps, rtol, BDF)
-
-
-def _integrate(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+def _integrated(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
+    """Values by CVODE, and how many state events there were; shorter if events crowd."""
     with _begun(subject, "ME", "reference") as instance:
         mover = Exchange(instance, rtol, method)
         mover.renew(subject.start_time)

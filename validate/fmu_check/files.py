@@ -153,16 +153,11 @@ def library_path(subject: Subject, kind: str) -> Path:
 _LONGEST = 300.0
 
 
-class _Sources(NamedTuple):
-    """What a binary is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE."""
+def _sources_of(subject: Subject, kind: str) -> tuple[list[str], list[str], list[str]]:
+    """What an interface is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE.
 
-    files: list[str]
-    folders: list[str]
-    definitions: list[str]
-
-
-def _sources_of(subject: Subject, kind: str) -> _Sources:
-    """Of an interface, as FMPy reads them. Raises FmuError for XML that cannot be read."""
+    Raises FmuError for XML that cannot be read.
+    """
     try:
         described = read_build_description(str(subject.folder), validate=False)
     except Exception as error:  # FMPy raises anything
@@ -170,33 +165,33 @@ def _sources_of(subject: Subject, kind: str) -> _Sources:
     configurations, identifier = (*described, *subject.description.buildConfigurations), subject.interface(kind).modelIdentifier
     sets = next((item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), [])
     definitions = (item for one in sets for item in one.preprocessorDefinitions)
-    return _Sources(
+    return (
         [name or "" for one in sets for name in one.sourceFiles],
         [name or "" for one in sets for name in one.includeDirectories],
         [item.name if item.value is None else f"{item.name}={item.value}" for item in definitions if not item.optional],
     )
 
 
-def _compile(subject: Subject, sources: _Sources, library: Path) -> str:
+def _compile(subject: Subject, files: list[str], folders: list[str], definitions: list[str], library: Path) -> str:
     """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
     from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
 
     place, compiler = (subject.folder / "sources").resolve(), find_compiler()
-    paths = [(place / name).resolve() for name in (*sources.files, *sources.folders)]
-    for path, name in zip(paths, (*sources.files, *sources.folders), strict=True):
+    paths = [(place / name).resolve() for name in (*files, *folders)]
+    for path, name in zip(paths, (*files, *folders), strict=True):
         if not path.is_relative_to(place) or not path.exists():
             raise FmuError(f"sources/{name} is named, and is not there")
     headers = library.parent / "headers"
     for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
         (headers / name).parent.mkdir(parents=True, exist_ok=True)
         (headers / name).write_text(text, encoding="utf-8")
-    includes = {place, *paths[len(sources.files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
+    includes = {place, *paths[len(files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
     command = [
         *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
         f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
         *(f"-I{path}" for path in sorted(includes)),
-        *(f"-D{text}" for text in sources.definitions),
-        *map(str, paths[: len(sources.files)]),
+        *(f"-D{text}" for text in definitions),
+        *map(str, paths[: len(files)]),
         *("-o", str(library), "-lm"),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
@@ -213,16 +208,16 @@ def compiled(subject: Subject, kind: str) -> Finding:
     if path.is_file():
         return not_offered("there is a binary for this machine.")
     try:
-        sources = _sources_of(subject, kind)
-        if not sources.files:
+        files, folders, definitions = _sources_of(subject, kind)
+        if not files:
             return not_offered("there is no binary for this machine, and no source.")
         path.parent.mkdir(parents=True, exist_ok=True)
-        compiler = _compile(subject, sources, path)
+        compiler = _compile(subject, files, folders, definitions, path)
     except FmuError as error:
         return failed(f"{error}.")
     except MachineError as error:
         return not_offered(str(error))
-    return passed(f"{len(sources.files)} files, by {compiler}.")
+    return passed(f"{len(files)} files, by {compiler}.")
 
 
 @check("exported functions", Scope.EACH, clauses=("2.1.1", "2.2.2"))
@@ -240,17 +235,12 @@ def exports(subject: Subject, kind: str) -> Finding:
     machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     if library.machine != machine:
         return failed(f"{path.relative_to(subject.folder)} is for {library.machine}, but this platform is {machine}.")
-    missing = sorted(_required(subject, kind) - library.exported)
-    if missing:
+    required = {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    if missing := sorted(required - library.exported):
         return failed(f"{len(missing)} missing: {', '.join(missing[:6])}{' and more' if len(missing) > 6 else ''}.")
     foreign = [name for name in library.needed if not name.startswith(_EVERYWHERE) and not (path.parent / name).exists()]
     needs = f", needs {', '.join(foreign)} of the machine" if foreign else ""
-    return passed(f"all {len(_required(subject, kind))} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}.")
-
-
-def _required(subject: Subject, kind: str) -> set[str]:
-    """Names of the functions of a type of FMI."""
-    return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    return passed(f"all {len(required)} are there{f', glibc {library.glibc} or newer' if library.glibc else ''}{needs}.")
 
 
 @check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))
@@ -264,12 +254,11 @@ def valid(path: Path) -> Finding:
 
 def _by_fmpy(path: Path) -> list[str]:
     """What FMPy's validation says; of names only those go through its parser, a millisecond each, that are no plain ones."""
-    problems: list[str] = []
+    problems, description = [], None
     try:
         description = read_model_description(str(path), validate=True, validate_model_structure=True)
     except ValidationError as error:
         problems = list(error.problems)
-        description = None
         with contextlib.suppress(Exception):  # it has said why
             description = read_description(path)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything

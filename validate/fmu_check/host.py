@@ -197,7 +197,10 @@ def check_fmu(
     except ArchiveError as error:
         if error.check not in ARCHIVE_CHECKS:
             raise
-        _unsafe(path, take)
+        finding, reason = files.archive(path), "the archive is not unpacked: it is unsafe."
+        take(FmuCheckRow(name=NAMES[0], type="", claim=files.archive.claim, status=finding.status, sentence=finding.sentence, seconds=0.0))
+        for name in NAMES[1:]:
+            take(FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0))
         return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
     with temporary_folder("touchstone-check-") as folder:
         unpacked, lines = folder / "fmu", folder / "rows.jsonl"
@@ -240,12 +243,3 @@ def _following(lines: Path, take: Callable[[FmuCheckRow], None]) -> Iterator[Non
         finally:
             over.set()
     following.result()
-
-
-def _unsafe(path: Path, take: Callable[[FmuCheckRow], None]) -> None:
-    """The rows of a file that is not unpacked."""
-    finding, first = files.archive(path), files.archive
-    take(FmuCheckRow(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0))
-    reason = "the archive is not unpacked: it is unsafe."
-    for name in NAMES[1:]:
-        take(FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0))

@@ -11,7 +11,6 @@ import contextlib
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,13 +20,13 @@ from fmpy.fmi1 import FMICallException
 from models.errors import did_you_mean
 from validate.execution.isolated import Limits, run_isolated
 from validate.fmi.archive import FmuError
-from validate.fmi.cvode import ADAMS, BDF
+from validate.fmi.cvode import ADAMS
 from validate.fmi.description import read_description
-from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
-from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_table, read_text, stored_results
+from validate.fmi.instance import Fault, TerminationRequested
+from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_settings, read_table, read_text, stored_results
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
-from validate.fmu_check.motion import Crowded, Exchange, Record
+from validate.fmu_check.motion import Crowded, Exchange, Record, by_adams_or_bdf
 from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
@@ -45,14 +44,6 @@ _TEXT = 5e-6
 _ANOTHER = 0.1
 
 
-def _is_on_lines(item: FmuVariable) -> bool:
-    return item.is_float and item.variability == "continuous"
-
-
-def _on_lines(block: Block) -> np.ndarray:
-    return block.each(_is_on_lines) > 0.0
-
-
 @dataclass(frozen=True)
 class Signals:
     """Inputs over time: floating-point ones on straight lines between the times, others as they were last. values: (rows, entries) [its unit]."""
@@ -61,11 +52,6 @@ class Signals:
     variables: Block
     values: np.ndarray
 
-    @cached_property
-    def on_lines(self) -> np.ndarray:
-        """(entries,) [-], whether it moves between the times. Raises nothing."""
-        return _on_lines(self.variables)
-
     def at(self, time: float, *, early: bool = False) -> np.ndarray:
         """(entries,) [unit of each variable], at a time where a value jumps the later one, or the `early` one. Raises nothing."""
         last = max(int(self.times.searchsorted(time, side="left" if early else "right")) - 1, 0)
@@ -73,15 +59,15 @@ class Signals:
         length = self.times[after] - self.times[last]
         share = (time - self.times[last]) / length if length > 0.0 and time > self.times[last] else 0.0
         begin = self.values[last]
-        return np.where(self.on_lines, begin + share * (self.values[after] - begin), begin)
+        return np.where(self.variables.continuous, begin + share * (self.values[after] - begin), begin)
 
     def lines(self) -> Signals:
         """Those alone that move between the times. Raises nothing."""
-        return Signals(self.times, Block(filter(_is_on_lines, self.variables)), self.values[:, self.on_lines])
+        return Signals(self.times, Block(item for item in self.variables if item.is_continuous), self.values[:, self.variables.continuous])
 
     def jumps(self) -> np.ndarray:
         """(n,) times [s] at which a value jumps: there twice, or of a variable that does not move between. Raises nothing."""
-        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.on_lines], axis=0) != 0.0).any(axis=1)
+        jumps = (np.diff(self.times) == 0.0) | (np.diff(self.values[:, ~self.variables.continuous], axis=0) != 0.0).any(axis=1)
         return np.unique(self.times[1:][jumps])
 
 
@@ -118,8 +104,7 @@ def no_variable(subject: Subject, where: str, name: str) -> FmuError:
 
 def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVariable:
     """The variable of a column (rows, entries) [its unit]. Raises FmuError."""
-    item = subject.by_name.get(name)
-    if item is None:
+    if (item := subject.by_name.get(name)) is None:
         raise no_variable(subject, where, name)
     if column.shape[1] != item.size:
         raise FmuError(f"{where}: {name!r} has {column.shape[1]} numbers a time; the variable has {item.size}.")
@@ -146,12 +131,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
     """
     runs: list[_Run]
     if kind == "ME":
-        method = ADAMS
-        try:
-            runs = [_exchanged(subject, times, signals, watched, rtol, method) for rtol in _RTOLS]
-        except Misbehaviour:
-            method = BDF
-            runs = [_exchanged(subject, times, signals, watched, rtol, method) for rtol in _RTOLS]
+        method, runs = by_adams_or_bdf(lambda by: (by, [_exchanged(subject, times, signals, watched, rtol, by) for rtol in _RTOLS]))
         how = f"CVODE ({'Adams' if method is ADAMS else 'BDF'}) at the tolerances {', '.join(f'{rtol:g}' for rtol in _RTOLS)}"
     else:
         parts = _PARTS if subject.can(kind, "canHandleVariableCommunicationStepSize") else _PARTS[:1]
@@ -161,7 +141,7 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
             runs = [_stepped(subject, times, signals, watched, 1, tolerance) for tolerance in _TOLERANCES]
             how = f"the FMU's own tolerances {', '.join(f'{value:g}' for value in _TOLERANCES)}"
         if _same([run.rows for run in runs]):
-            if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & _on_lines(watched)).any():
+            if ((np.ptp(runs[-1].rows, axis=0) != 0.0) & watched.continuous).any():
                 raise FmuError(
                     "neither the communication step nor the tolerance changes a bit of its Co-Simulation, so nothing tells how exact that is; "
                     f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
@@ -355,7 +335,7 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
             raise no_variable(subject, where, name.strip())
     table = read_table(where, text, others)
     watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
-    settings = result.read_settings()
+    settings = read_settings(result.settings.name, read_text(result.settings)) if result.settings else result.experiment
     claims, driven = (read_table(path.name, read_text(path)) if path else None for path in (result.error, result.inputs))
     inputs = signals_of(subject, result.inputs.name if result.inputs else "", driven)
     if claims is not None and ([*claims.columns] != [*table.columns] or not np.array_equal(claims.times, table.times)):
@@ -402,7 +382,7 @@ def _affordable(subject: Subject, kind: str, times: np.ndarray) -> int:
 def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.ndarray) -> np.ndarray:
     """(rows, entries) how far stored values are off [unit of each]. At an event either value counts, and those between; of what is not continuous, the neighbours'."""
     apart = np.abs(theirs - found.values)
-    discrete = ~_on_lines(watched)
+    discrete = ~watched.continuous
     for row in range(len(times)):
         first, last = max(row - 1, 0), min(row + 1, len(times) - 1)
         eventful = ((found.events >= times[first]) & (found.events <= times[last])).any()

@@ -59,19 +59,17 @@ def restores(subject: Subject, kind: str) -> Finding:
             saved, next_event = instance.save(), instance.next_event
             reference = run(instance, place, place + length)
             run(instance, place + length, place + 2 * length, seed=1)  # elsewhere, with other inputs
+            state = f"the state saved at t = {subject.time(place):.6g} s"
             for turn in ("", "a second time "):
                 _restore(instance, saved, next_event, place)
                 apart = compare(subject, before[np.newaxis], instance.observe()[np.newaxis])
                 if not apart.equal:
-                    return failed(
-                        f"the state saved at t = {subject.time(place):.6g} s was set {turn}again, but {apart.where(subject, place)}."
-                    )
+                    return failed(f"{state} was set {turn}again, but {apart.where(subject, place)}.")
                 apart = compare(subject, reference, run(instance, place, place + length))
                 if apart.share > limit and limit == restart_limit(subject):
                     limit = max(limit, _restart_error(subject, kind, place, length))
                 if apart.share > limit:
-                    where = apart.where(subject, place)
-                    return failed(f"continued {turn}from the state saved at t = {subject.time(place):.6g} s, {where}.")
+                    return failed(f"continued {turn}from {state}, {apart.where(subject, place)}.")
                 worst = max(worst, apart.share)
             instance.forget(saved)
     how = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
@@ -193,7 +191,7 @@ def independent(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), _IN_TURN)
 
     def in_turn(name: str, *seeds: int) -> Iterator[np.ndarray]:
-        """(steps, observed) values after each step, of an instance for each seed: two know other parameters and inputs."""
+        """(steps, observed) [unit of each variable] after each step, of an instance for each seed: two know other parameters and inputs. Raises as `run`."""
         instances = {seed: CheckedInstance(subject, kind, f"{name} {seed}") for seed in seeds}
         for seed, instance in instances.items():
             instance.begin_varied() if seed else instance.begin()
@@ -295,8 +293,7 @@ def surrounded(subject: Subject, kind: str) -> Finding:
         _live(subject, kind, steps, wrong)
         after = surroundings()
         wrong += [f"after an instance was freed {text}" for text in changes(before, after) if text not in " ".join(wrong)]
-        opened = {name for name in after if name.startswith("file descriptor")} - set(before)
-        if opened:
+        if opened := {name for name in after if name.startswith("file descriptor")} - set(before):
             wrong.append(f"an instance leaves {_count(opened, 'file')} open")
         if more := _lasting(lambda: _threads() - threads):
             wrong.append(f"an instance leaves {_count(more, 'thread')} behind")

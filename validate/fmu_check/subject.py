@@ -19,7 +19,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import DESCRIPTION, interfaces
 from validate.fmi.description import interface_of, without_garbage
-from validate.fmi.instance import CLASSES, Instance, References
+from validate.fmi.instance import CLASSES, Instance, Misbehaviour, References
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -64,6 +64,11 @@ class FmuVariable:
         return self.type in _FLOATS
 
     @property
+    def is_continuous(self) -> bool:
+        """Whether it is a floating-point number that moves between events."""
+        return self.is_float and self.variability == "continuous"
+
+    @property
     def scale(self) -> float:
         """Typical magnitude: the nominal, else that of the start, else 1."""
         if self.nominal:
@@ -103,6 +108,11 @@ class Block(tuple[FmuVariable, ...]):
     def each(self, of: Callable[[FmuVariable], float]) -> np.ndarray:
         """(entries,) a number of each entry's variable [unit of that]. Raises nothing."""
         return np.repeat(np.array([of(item) for item in self], dtype=float), self.sizes)
+
+    @cached_property
+    def continuous(self) -> np.ndarray:
+        """(entries,) whether each entry's variable moves between events [-]. Raises nothing."""
+        return self.each(lambda item: item.is_continuous) > 0.0
 
     @cached_property
     def scales(self) -> np.ndarray:
@@ -189,8 +199,7 @@ class Subject:
     @cached_property
     def variables(self) -> tuple[FmuVariable, ...]:
         """All variables that have numbers, in the order of the description (aliases included)."""
-        made = (_variable(item) for item in self.description.modelVariables)
-        return tuple(item for item in made if item is not None)
+        return tuple(filter(None, map(_variable, self.description.modelVariables)))
 
     @cached_property
     def by_name(self) -> dict[str, FmuVariable]:
@@ -234,7 +243,7 @@ class Subject:
     @cached_property
     def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
-        return Block(item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous")
+        return Block(item for item in self.variables if item.causality == "input" and item.is_continuous)
 
     @cached_property
     def clocks(self) -> Block:
@@ -272,8 +281,7 @@ class Subject:
     @property
     def internal_step(self) -> float:
         """The step [s] that Co-Simulation makes inside, as FMI 3.0 declares it; 0 where it does not."""
-        fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
-        return float(fixed) if fixed else 0.0
+        return float(getattr(self.description.coSimulation, "fixedInternalStepSize", None) or 0.0)
 
     @cached_property
     def tolerance(self) -> float:
@@ -374,6 +382,10 @@ class CheckedInstance(Instance):
         if kind is None:
             self.close()
 
+    def refused(self, what: str, error: FMICallException) -> Misbehaviour:
+        """That something, in words, cannot be done: for a call that was refused, with what the FMU said."""
+        return Misbehaviour(f"{what} ({str(error).rstrip('.')}){self.quote()}")
+
     def setup(self, stop: float | None = None) -> None:
         """Before values are set."""
         self.fmu.setup(self.subject.start_time, stop, self.tolerance)
@@ -402,7 +414,7 @@ class CheckedInstance(Instance):
         return self.finish_initialisation()
 
     def begin_varied(self) -> Self:
-        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
+        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those. Raises as `begin`."""
         try:
             return self.begin(before=self.subject.varied)
         except FMICallException:
@@ -422,7 +434,10 @@ class CheckedInstance(Instance):
         self.do_step(self.subject.time(step), self.subject.step)
 
     def live(self, steps: int, *, completed: bool = False) -> None:
-        """So many communication steps; of Model Exchange as many evaluations, if it has states; completed: whether each is told to be an accepted step."""
+        """So many communication steps; of Model Exchange as many evaluations, if it has states. Raises as `do_step`.
+
+        completed: whether each is told to be an accepted step.
+        """
         for step in range(steps):
             if self.kind == "CS":
                 self.make_step(step)

@@ -74,18 +74,16 @@ def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterato
 @check("start values are the XML's", Scope.EACH, clauses=("2.2.7", "2.4.7.5"))
 def starts(subject: Subject, kind: str) -> Finding:
     """In Initialization Mode variables have the start values of the description."""
-    variables = subject.exact
-    if not variables:
+    if not (variables := subject.exact):
         return not_offered("no variable has a start value that counts.")
     with CheckedInstance(subject, kind) as instance:
         instance.setup()
         instance.enter_initialisation()
         values = instance.get(variables)
-    starts, share = variables.starts, variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
+    names, starts = variables.names, variables.starts
+    share = variables.each(lambda item: _SINGLE if item.type == "Float32" else _TEXT)
     bad = ~((values == starts) | (np.abs(values - starts) <= share * np.abs(starts)) | (np.isnan(values) & np.isnan(starts)))
-    wrong = [
-        f"{variables.names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)
-    ]
+    wrong = [f"{names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)]
     return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
 
 
