@@ -311,8 +311,8 @@ def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
     return {group: tuple(name for name, _, _ in rows) for group, rows in columns_of(scene).items()}
 
 
-def _grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """The same with friction forces apart: the groups that a plan says or does not say."""
+def grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Names of the columns of q, v, u, lam and friction, of which a plan says or does not say each."""
     names = column_names(scene)
     return {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
 
@@ -320,7 +320,7 @@ def _grouped_names(scene: Scene) -> dict[str, tuple[str, ...]]:
 def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     """Write a plan as CSV (17 significant digits: it reads back bit for bit), without the columns that its author did not say."""
     trajectory.check_fits(scene)
-    plan, names = trajectory, _grouped_names(scene)
+    plan, names = trajectory, grouped_names(scene)
     held = next(word for word, hold in HOLDS.items() if hold is plan.hold)
     lines = [f"# hold: {held}", *([] if plan.scheme is None else [f"# scheme: {plan.scheme.value}"])]
     end = plan.u_end if plan.hold is Hold.LINEAR else None
@@ -370,7 +370,7 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
 
 def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
-    where, header, names, groups = table.where, table.names, column_names(scene), _grouped_names(scene)
+    where, header, names, groups = table.where, table.names, column_names(scene), grouped_names(scene)
     known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:

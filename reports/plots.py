@@ -95,9 +95,8 @@ class Axis:
         room = margin * (high - low)
         largest = max(abs(low), abs(high))
         exponent = math.floor(math.log10(largest)) if largest < 1e-2 or largest >= 1e5 else 0
-        return Axis(
-            quantity, unit, low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room), False, exponent
-        )
+        low, high = low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room)
+        return Axis(quantity, unit, low, high, False, exponent)
 
     @property
     def title(self) -> str:
@@ -147,9 +146,8 @@ class Axis:
             stride = max(1, math.ceil((last - first + 1) / most))
             plain = first >= -3 and last <= 3
             exponents = range(first, last + 1, stride)
-            return [
-                (10.0**exponent, number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)) for exponent in exponents
-            ]
+            said = [number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent) for exponent in exponents]
+            return [(10.0**exponent, words) for exponent, words in zip(exponents, said, strict=True)]
         values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
         inside = [value for value in values if self.low <= value <= self.high]
         if len(inside) < 2:
@@ -288,6 +286,8 @@ _TOLERANCE = 0.4
 _DIGITS = 7
 # Width of a character of the 12 px font, plain and bold, for keeping labels apart; a little too wide rather than too narrow.
 _CHARACTER, _BOLD, _LINE = 6.6, 7.8, 14.0
+# Where a name may stand beside its point [pixel], and by which end it hangs there.
+_BESIDE = ((7, -6, "start"), (9, 4, "start"), (0, -10, "middle"), (0, 19, "middle"), (-9, 4, "end"), (7, 16, "start"))
 _SHIFTS = (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE)
 
 
@@ -351,17 +351,15 @@ class Plot:
 
     def band(self, low: float, high: float, style: str) -> None:
         """An interval of x, shaded over the whole height."""
-        left, right = self.px(low), self.px(high)
-        height = self.height - self._TOP - self._BOTTOM
-        self._under.append(
-            f'<rect class="{escape(style)}" x="{left:.1f}" y="{self._TOP}" width="{max(right - left, 0.5):.1f}" height="{height}"/>'
-        )
+        self._bar(low, high, style, self._TOP, self.height - self._TOP - self._BOTTOM, 0.5)
 
     def strip(self, low: float, high: float, style: str, level: int) -> None:
         """An interval of x as a thin bar above the plot, level 0 lowest."""
-        left, right = self.px(low), self.px(high)
-        top = self._TOP - 6 - 6 * level
-        self._under.append(f'<rect class="{escape(style)}" x="{left:.1f}" y="{top}" width="{max(right - left, 1.0):.1f}" height="4"/>')
+        self._bar(low, high, style, self._TOP - 6 - 6 * level, 4, 1.0)
+
+    def _bar(self, low: float, high: float, style: str, top: int, height: int, least: float) -> None:
+        left, wide = self.px(low), max(self.px(high) - self.px(low), least)
+        self._under.append(f'<rect class="{escape(style)}" x="{left:.1f}" y="{top}" width="{wide:.1f}" height="{height}"/>')
 
     def level(self, value: float, words: str) -> None:
         """A horizontal line with its label."""
@@ -424,14 +422,7 @@ class Plot:
                 near.append(name)
         for left, top, names in groups:
             words = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-            for dx, dy, anchor in (
-                (7, -6, "start"),
-                (9, 4, "start"),
-                (0, -10, "middle"),
-                (0, 19, "middle"),
-                (-9, 4, "end"),
-                (7, 16, "start"),
-            ):
+            for dx, dy, anchor in _BESIDE:
                 if self.label(left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)):
                     break
             else:

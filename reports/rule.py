@@ -50,9 +50,8 @@ def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
 
 
 def _is_finding(run: RunRecord) -> bool:
-    return (
-        run.must_hold and run.outcome == "solved" and bool(run.stages) and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
-    )
+    asked = run.must_hold and run.outcome == "solved" and run.last is not None
+    return asked and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
 
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:

@@ -57,11 +57,7 @@ def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
     if not stage.has_plan:
         return Motion()
     files, problems = stage_files(stage.index, len(run.stages)), []
-    wanted = {
-        "trajectory": True,
-        "replay": stage.replay is not None,
-        "tracked": stage.replay is not None and stage.replay.tracked is not None,
-    }
+    wanted = {"trajectory": True, "replay": stage.replay is not None, "tracked": stage.is_followed}
     found: dict[str, Mapping[str, Array]] = {what: {} for what in wanted}
     for what in (what for what, there in wanted.items() if there):
         try:
@@ -69,12 +65,8 @@ def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
         except _DAMAGED as error:
             problems.append(f"{files[what]} cannot be read ({_reason(error)}).")
     plan = found["trajectory"]
-    return Motion(
-        _plan(run.scene, plan),
-        _replay(run.scene, plan, found["replay"]),
-        _replay(run.scene, plan, found["tracked"]),
-        tuple(problems),
-    )
+    replay, tracked = (_replay(run.scene, plan, found[what]) for what in ("replay", "tracked"))
+    return Motion(_plan(run.scene, plan), replay, tracked, tuple(problems))
 
 
 def read_plan(folder: Path, run: RunRecord, stage: StageRecord) -> Trace | None:

@@ -34,25 +34,25 @@ class Sign:
     meaning: str
 
 
-VERDICTS = {
-    "holds": Sign("holds", "✓", "holds", "every question asked is answered yes for the inputs alone"),
-    "holds with feedback": Sign(
-        "holds with feedback", "↻", "feedback", "not for the inputs alone, but with limited LQR feedback around the plan"
-    ),
-    "violates": Sign("violates", "✗", "violates", "at least one question asked is surely answered no"),
-    "undecided": Sign("undecided", "?", "undecided", "no question surely fails, but one could not be decided"),
-    "no plan": Sign("no plan", "○", "noplan", "the method found none; its outcome says why"),
-    "not applicable": Sign(
-        "not applicable", "⊘", "noplan", "the method does not apply to the scene, or nothing is claimed and nothing asked"
-    ),
-    "consistent": Sign("consistent", "≈", "consistent", "nothing is wrong, and the scene asks for nothing: counted with no holds"),
-}
-ANSWERS = {
-    "yes": Sign("yes", "✓", "holds", "every metric of the question is within its limit"),
-    "no": Sign("no", "✗", "violates", "a metric of the question is surely beyond its limit"),
-    "undecided": Sign("undecided", "?", "undecided", "the replay's own error leaves it open"),
-    "not asked": Sign("not asked", DASH, "noplan", "the plan claims nothing of it, or the scene waives it"),
-}
+def _by_word(*signs: Sign) -> dict[str, Sign]:
+    return {sign.word: sign for sign in signs}
+
+
+VERDICTS = _by_word(
+    Sign("holds", "✓", "holds", "every question asked is answered yes for the inputs alone"),
+    Sign("holds with feedback", "↻", "feedback", "not for the inputs alone, but with limited LQR feedback around the plan"),
+    Sign("violates", "✗", "violates", "at least one question asked is surely answered no"),
+    Sign("undecided", "?", "undecided", "no question surely fails, but one could not be decided"),
+    Sign("no plan", "○", "noplan", "the method found none; its outcome says why"),
+    Sign("not applicable", "⊘", "noplan", "the method does not apply to the scene, or nothing is claimed and nothing asked"),
+    Sign("consistent", "≈", "consistent", "nothing is wrong, and the scene asks for nothing: counted with no holds"),
+)
+ANSWERS = _by_word(
+    Sign("yes", "✓", "holds", "every metric of the question is within its limit"),
+    Sign("no", "✗", "violates", "a metric of the question is surely beyond its limit"),
+    Sign("undecided", "?", "undecided", "the replay's own error leaves it open"),
+    Sign("not asked", DASH, "noplan", "the plan claims nothing of it, or the scene waives it"),
+)
 
 
 def verdict(name: str) -> Sign:

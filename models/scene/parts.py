@@ -89,7 +89,7 @@ def known_motion_limits(energy: str) -> tuple[Limit, ...]:
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.
 
-    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.equations); empty: nothing.
+    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.measures); empty: nothing.
     """
 
     quantity: str

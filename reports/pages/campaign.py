@@ -1,4 +1,4 @@
-"""Where a campaign's seconds go and its numbers come from: the slowest runs by phases; commits, machine, versions, command, keys, whether all are from one place."""
+"""Where a campaign's seconds go: the slowest runs by phases; and where its numbers come from: commits, machine, versions, command, keys."""
 
 from __future__ import annotations
 
@@ -37,23 +37,18 @@ _WIDTH = 200.0
 _TOLD = 0.1
 
 
-class Part(NamedTuple):
-    """A piece of a bar: from x, `width` of the whole bar's units, filled by `style`."""
-
-    x: float
-    width: float
-    style: str
-    words: str
-
-
 class Slow(NamedTuple):
-    """One run: groups: wall seconds of each group; phases: (words, seconds) by length; bar: as wide as its share of the slowest run."""
+    """One run.
+
+    groups: wall seconds of each group; phases: (words, seconds) by length; bar: (x, width, style, words) of its pieces, in all as wide as its share of the
+    slowest run.
+    """
 
     run: RunRecord
     link: str
     groups: tuple[float, ...]
     phases: tuple[tuple[str, float], ...]
-    bar: tuple[Part, ...]
+    bar: tuple[tuple[float, float, str, str], ...]
 
 
 def time_spent(report: Report) -> Section | None:
@@ -71,13 +66,8 @@ def time_spent(report: Report) -> Section | None:
         "without": len(report.stored.runs) - len(profiled),
         "width": _WIDTH,
     }
-    return Section(
-        "time-spent",
-        "Where time goes",
-        "campaign.html#time_spent",
-        values,
-        said=values["sentence"] or "The slowest runs, each by what its seconds were spent on.",
-    )
+    said = values["sentence"] or "The slowest runs, each by what its seconds were spent on."
+    return Section("time-spent", "Where time goes", "campaign.html#time_spent", values, said=said)
 
 
 def _style(group: str) -> str:
@@ -98,7 +88,7 @@ def _slow(run: RunRecord, link: str, longest: float) -> Slow:
     bar, x = [], 0.0
     for group, spent in groups.items():
         width = max(0.0, _WIDTH * spent / longest)
-        bar.append(Part(round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
+        bar.append((round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
         x += width
     return Slow(run, link, tuple(groups.values()), tuple(sorted(phases, key=lambda item: -item[1])), tuple(bar))
 
@@ -112,9 +102,8 @@ def _sentence(runs: list[RunRecord]) -> str:
     whole = sum(spent.values())
     if whole <= 0.0:
         return ""
-    told = [
-        f"{name} ({100 * took / whole:.0f} %)" for name, took in sorted(spent.items(), key=lambda item: -item[1]) if took >= _TOLD * whole
-    ]
+    longest = sorted(spent.items(), key=lambda item: -item[1])
+    told = [f"{name} ({100 * took / whole:.0f} %)" for name, took in longest if took >= _TOLD * whole]
     return f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}." if told else ""
 
 
@@ -130,9 +119,8 @@ def provenance(report: Report) -> Section | None:
     runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
     others = sum(bool(differs) for _, _, differs in runs)
     said = f"Commit, machine, versions and key of each run; {others or 'none'} of {count(len(runs), 'run')} come from elsewhere than the campaign."
-    return Section(
-        "provenance", "Provenance", "campaign.html#provenance", {"first": first, "runs": runs, "campaign": stored.campaign}, said=said
-    )
+    values = {"first": first, "runs": runs, "campaign": stored.campaign}
+    return Section("provenance", "Provenance", "campaign.html#provenance", values, said=said)
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:

@@ -113,19 +113,10 @@ def stress_cases(report: Report) -> Section | None:
     rows = [_row(record) for record in records]
     failed = [row for row in rows if row.sign is not PASS]
     passed = f"{len(rows) - len(failed)} of {count(len(rows), 'stress case')} {'passes' if len(rows) == 1 else 'pass'}"
-    return Section(
-        "stress-cases",
-        "Stress cases",
-        "checks.html#stress_cases",
-        {
-            "rows": rows,
-            "passed": passed,
-            "failed": failed,
-            "marks": {True: PASS, False: FAIL},
-            "seconds": sum(row.record.cpu_seconds for row in rows),
-        },
-        said=f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots.",
-    )
+    spent = sum(row.record.cpu_seconds for row in rows)
+    values = {"rows": rows, "passed": passed, "failed": failed, "marks": {True: PASS, False: FAIL}, "seconds": spent}
+    said = f"{passed}: stiff, grazing, simultaneous and other contact on which solvers go wrong, each with its metrics and plots."
+    return Section("stress-cases", "Stress cases", "checks.html#stress_cases", values, said=said)
 
 
 def _row(record: CheckRecord) -> CaseRow:
@@ -146,13 +137,9 @@ def _row(record: CheckRecord) -> CaseRow:
 
 def plot_of(chart: ChartRecord) -> Plot:
     """A chart as it is drawn."""
-    plot = Plot(
-        chart.title,
-        _axis(chart.x, [x for series in chart.series for x in series.x]),
-        _axis(chart.y, [y for series in chart.series for y in series.y] + ([] if chart.level is None else [chart.level])),
-        width=480,
-        height=300,
-    )
+    across = _axis(chart.x, [x for series in chart.series for x in series.x])
+    up = _axis(chart.y, [y for series in chart.series for y in series.y] + ([] if chart.level is None else [chart.level]))
+    plot = Plot(chart.title, across, up, width=480, height=300)
     for place, series in enumerate(chart.series):
         style, marker = _STYLES[place % len(_STYLES)]
         marked = not series.line or len(series.x) <= _MARKED

@@ -23,13 +23,9 @@ def build(report: Report) -> Section | None:
     rows = [row for row in report.rows if row.run.scene.name == SCENE]
     if not rows:
         return None
-    return Section(
-        "errata",
-        "Errata of the paper, and what it leaves open",
-        "paper.html#errata",
-        {"closed_form": _closed_form(report), "physics": _physics(rows), "clock": _clock(rows)},
-        said="Eight errata of the paper, each with what our records show of it, and its Fig. 2: the worst-case violation against ε.",
-    )
+    values = {"closed_form": _closed_form(report), "physics": _physics(rows), "clock": _clock(rows)}
+    said = "Eight errata of the paper, each with what our records show of it, and its Fig. 2: the worst-case violation against ε."
+    return Section("errata", "Errata of the paper, and what it leaves open", "paper.html#errata", values, said=said)
 
 
 def _closed_form(report: Report) -> str:
@@ -67,14 +63,9 @@ def violation(report: Report) -> Section | None:
     points = [point for point in campaign.violation if point.eps > 0] if campaign else []
     if not points:
         return None
-    values = [value for point in points for value in (point.measured, point.closed_form)]
-    plot = Plot(
-        "Worst-case violation D against ε",
-        Axis.fitted("ε", "", [point.eps for point in points], log=True),
-        Axis.fitted("worst violation D", "N²", values, log=True),
-        width=720,
-        height=360,
-    )
+    x = Axis.fitted("ε", "", [point.eps for point in points], log=True)
+    y = Axis.fitted("worst violation D", "N²", [value for point in points for value in (point.measured, point.closed_form)], log=True)
+    plot = Plot("Worst-case violation D against ε", x, y, width=720, height=360)
     worst, laws = [], []
     for law in dict.fromkeys(point.law for point in points):
         name, formula, style, marker = _LAWS.get(law, (law, "closed form", "c2", "diamond"))

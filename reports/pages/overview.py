@@ -18,7 +18,7 @@ from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
 from reports.plots import Axis, Plot
 from reports.records.load import Unreadable
-from reports.records.record import HOLD, CampaignRecord, RunRecord, SceneRecord
+from reports.records.record import HOLD, CampaignRecord, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failed_keys, failures
 from reports.wording import VERDICTS, capital, cost, count, error, measured, number, seconds, unit
@@ -33,36 +33,22 @@ class Place(NamedTuple):
     words: str
 
 
-class SceneLink(NamedTuple):
-    """A scene; holds: so many of its `asked` runs, which could; best: the pipeline of its cheapest plan that holds, and that cost."""
-
-    scene: SceneRecord
-    link: str
-    holds: int
-    asked: int
-    best: str
-
-
 def build(report: Report) -> Section:
     """The first section of report.html; of a folder without runs it says that."""
     runs = report.stored.runs
-    return Section(
-        "overview",
-        "Overview",
-        "report.html#overview",
-        {
-            "notices": notices(report),
-            "findings": three_findings(runs),
-            "plot": _speed(report),
-            "keys": keys("front"),
-            "scenes": [(scene, report.scene_link(scene)) for scene in report.scenes],
-            "pipelines": list(dict.fromkeys(run.pipeline for run in runs)),
-            "places": _places(report),
-            "strip": _strip(report),
-            "about": _about(report.stored.campaign, runs),
-            "verdicts": VERDICTS,
-        },
-    )
+    values = {
+        "notices": notices(report),
+        "findings": three_findings(runs),
+        "plot": _speed(report),
+        "keys": keys("front"),
+        "scenes": [(scene, report.scene_link(scene)) for scene in report.scenes],
+        "pipelines": list(dict.fromkeys(run.pipeline for run in runs)),
+        "places": _places(report),
+        "strip": _strip(report),
+        "about": _about(report.stored.campaign, runs),
+        "verdicts": VERDICTS,
+    }
+    return Section("overview", "Overview", "report.html#overview", values)
 
 
 def _places(report: Report) -> dict[tuple[str, str], Place]:
@@ -84,12 +70,9 @@ def _words(run: RunRecord, ratio: float | None) -> str:
         reason = not_applicable(run)
         return f"{said}. {reason}" if reason else said
     metric = deciding(run.stages[-1]) if run.stages else None
-    measured = (
-        f" ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
-        if metric is not None and metric.value is not None
-        else ""
-    )
-    return f"{said}. {cause.sentence}{measured}"
+    if metric is None or metric.value is None:
+        return f"{said}. {cause.sentence}"
+    return f"{said}. {cause.sentence} ({number(metric.value, 3)} {unit(metric.unit)}, limit {number(metric.limit, 3)})"
 
 
 def _about(campaign: CampaignRecord | None, runs: Sequence[RunRecord]) -> dict[str, str] | None:
@@ -122,13 +105,9 @@ def _speed(report: Report) -> Plot | None:
             points.append((max(cpu(row), TICK), missed, row))
     if not points:
         return None
-    plot = Plot(
-        "Speed against error",
-        Axis.fitted("CPU time, with the stages before", "s", [x for x, *_ in points], log=True, margin=0.05),
-        Axis.fitted("replay error", "m or rad", [y for _, y, *_ in points], log=True, margin=0.05),
-        width=560,
-        height=400,
-    )
+    across = Axis.fitted("CPU time, with the stages before", "s", [x for x, *_ in points], log=True, margin=0.05)
+    up = Axis.fitted("replay error", "m or rad", [y for _, y, *_ in points], log=True, margin=0.05)
+    plot = Plot("Speed against error", across, up, width=560, height=400)
     for x, y, row in points:
         tip = f"{row.label} on {row.run.scene.name}: {row.stage.verdict}; {seconds(x)} CPU s, error {error(y)}"
         plot.point(x, y, style_of(row), "circle", tip, row.link, radius=3.5, keeps_free=False)
@@ -162,20 +141,12 @@ def _strip(report: Report) -> tuple[Strip, str, RunRecord] | None:
 def index(report: Report, others: Sequence[tuple[str, Section]]) -> Section | None:
     """The last section of report.html. others: (file name, first section) of each page that is neither a scene's nor a run's."""
     pages = [(report.page_link(name, section.anchor if report.single else ""), section.title, section.said) for name, section in others]
-    if not report.scenes and not pages:
-        return None
-    return Section(
-        "index", "More pages", "report.html#index", {"scenes": [_scene(report, scene) for scene in report.scenes], "pages": pages}
-    )
-
-
-def _scene(report: Report, scene: SceneRecord) -> SceneLink:
-    mine = [run for run in report.stored.runs if run.scene.name == scene.name]
-    asked = [run for run in mine if run.verdict not in NOT_ASKED]
-    holding = [run for run in asked if run.verdict in HOLD]
-    best = next(iter(report.stored.cheapest(scene.name)), None)
-    said = f"{best[0].pipeline}, cost {cost(best[1])}" if best else ""
-    return SceneLink(scene, report.scene_link(scene), len(holding), len(asked), said)
+    scenes = []
+    for scene in report.scenes:
+        asked = [run for run in report.stored.runs if run.scene.name == scene.name and run.verdict not in NOT_ASKED]
+        best = next((f"{run.pipeline}, cost {cost(price)}" for run, price in report.stored.cheapest(scene.name)), "")
+        scenes.append((scene, report.scene_link(scene), sum(run.verdict in HOLD for run in asked), len(asked), best))
+    return Section("index", "More pages", "report.html#index", {"scenes": scenes, "pages": pages}) if scenes or pages else None
 
 
 # So many sentences or files are told one below the other; more are folded.
@@ -203,28 +174,22 @@ class CauseView(NamedTuple):
 def what_failed(report: Report) -> Section:
     """The section; it says so where nothing failed."""
     stored = report.stored
-    broken = failures(stored.runs, stored.checks)
     must = failed_keys([*stored.runs, *stored.checks])
     groups = [_cause_view(report, cause, runs, must) for cause, runs in by_cause(stored.runs)]
-    total = sum(group.amount for group in groups)
-    return Section(
-        "failures",
-        "What failed, by cause",
-        "report.html#failures",
-        {
-            "groups": groups,
-            "total": total,
-            "asked": bool(stored.runs or stored.checks),
-            "whole": not (stored.missing or stored.unreadable),
-            "broken": broken,
-            "few": _FEW,
-            "rule": RULE,
-            "results": RESULTS,
-            "unreadable": _by_sentence(stored.unreadable),
-            "missing": stored.missing,
-            "campaign": stored.campaign,
-        },
-    )
+    values = {
+        "groups": groups,
+        "total": sum(group.amount for group in groups),
+        "asked": bool(stored.runs or stored.checks),
+        "whole": not (stored.missing or stored.unreadable),
+        "broken": failures(stored.runs, stored.checks),
+        "few": _FEW,
+        "rule": RULE,
+        "results": RESULTS,
+        "unreadable": _by_sentence(stored.unreadable),
+        "missing": stored.missing,
+        "campaign": stored.campaign,
+    }
+    return Section("failures", "What failed, by cause", "report.html#failures", values)
 
 
 def _cause_view(report: Report, cause: Cause, runs: list[RunRecord], must: frozenset[str]) -> CauseView:

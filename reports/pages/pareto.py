@@ -8,7 +8,6 @@ A plan that ends farther away has bought its lower cost with the miss; no price 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from reports.pages.section import Report, Section
 from reports.plots import Axis, Key, Plot, is_wide
@@ -39,17 +38,9 @@ _MANY = 1000.0
 _FREE = (
     "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
 )
-
 _NOTHING = "No stage gave a plan that could be replayed, so there is nothing to compare."
 
 Point = tuple[float, float, Row]
-
-
-class ParetoView(NamedTuple):
-    """A plot and the sentence that concludes from its numbers."""
-
-    plot: Plot
-    sentence: str
 
 
 def build(report: Report, scene: SceneRecord) -> Section | None:
@@ -91,9 +82,8 @@ def _terminal(row: Row) -> list[MetricRecord]:
     """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
     limited = [metric for metric in row.stage.metrics if "terminal" in metric.name and metric.limit is not None]
     name = f"{TRACKED}replay_terminal" if row.stage.is_tracked else "replay_terminal"
-    return [metric for metric in limited if metric.name.startswith(name)] or [
-        metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
-    ]
+    replayed = [metric for metric in limited if metric.name.startswith(name)]
+    return replayed or [metric for metric in limited if not metric.name.startswith(("replay", TRACKED))]
 
 
 def _why_absent(row: Row) -> str:
@@ -106,7 +96,8 @@ def _why_absent(row: Row) -> str:
     return ""
 
 
-def _error_view(rows: list[Row]) -> ParetoView | None:
+def _error_view(rows: list[Row]) -> tuple[Plot, str] | None:
+    """A plot and the sentence that concludes from its numbers."""
     points = [(max(cpu(row), TICK), value, row) for row in rows if (value := told_error(row)) is not None]
     if not points:
         return None
@@ -119,7 +110,7 @@ def _error_view(rows: list[Row]) -> ParetoView | None:
         lambda before, after: f"{_nearer(before / after)} nearer to its replay",
         _SAME_ERROR,
     )
-    return ParetoView(plot, said or _nothing_holds(len(points)))
+    return plot, said or _nothing_holds(len(points))
 
 
 def told_error(row: Row) -> float | None:
@@ -130,7 +121,8 @@ def told_error(row: Row) -> float | None:
     return max(metric.value, (replay.error_estimate if replay else None) or 0.0, SMALLEST)
 
 
-def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
+def _cost_view(scene: SceneRecord, rows: list[Row]) -> tuple[Plot, str] | None:
+    """The same of costs."""
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
     points = [(max(cpu(row), TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
     off = len(plans) - len(points)
@@ -142,14 +134,13 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
     plot = _against_time("CPU time against cost at equal terminal error", _costs(prices), points, lasting, cost)
     if known:
         plot.level(known[1], f"{known[0]}: {cost(known[1])}")
-    said = _concluded(
-        lasting,
-        lambda y: f"cost {cost(y)}",
-        lambda before, after: f"{100 * (1 - after / before):.2g} % cheaper" if before > 0 else "cheaper",
-        _SAME_COST,
-    )
+
+    def cheaper(before: float, after: float) -> str:
+        return f"{100 * (1 - after / before):.2g} % cheaper" if before > 0 else "cheaper"
+
+    said = _concluded(lasting, lambda y: f"cost {cost(y)}", cheaper, _SAME_COST)
     left = f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}." if off else ""
-    return ParetoView(plot, (said or _nothing_holds(len(points))) + left)
+    return plot, (said or _nothing_holds(len(points))) + left
 
 
 def _nothing_holds(plans: int) -> str:
@@ -170,17 +161,13 @@ def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable
     if not rest:
         return f"{said} No other plan that holds is better{by}, whatever time it takes."
     after, better, second = rest[0]
-    said += (
-        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s ({second.named}): "
-        f"{value(better)}, {gain(least, better)}."
-    )
+    told = f"{seconds(after)} s ({second.named}): {value(better)}, {gain(least, better)}"
+    said += f" The next one that is better{by} takes {_longer(after / first)}, {told}."
     if len(rest) == 1:
         return f"{said} More time buys nothing further."
     last, best, third = rest[-1]
-    return (
-        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s ({third.named}): {value(best)}, "
-        f"{gain(least, best)}."
-    )
+    told = f"{seconds(last)} s ({third.named}): {value(best)}, {gain(least, best)}"
+    return f"{said} The best takes {_longer(last / first)} as the first, {told}."
 
 
 def _nearer(ratio: float) -> str:
@@ -196,11 +183,8 @@ def ends(report: Report, scene: SceneRecord) -> Section | None:
     rows = report.rows_of_scene(scene)
     plots, best = [], []
     for name, title, quantity in _ENDS:
-        points = [
-            (max(value, SMALLEST), row.stage.cost, row)
-            for row in rows
-            if (value := row.metric(name)) is not None and row.stage.cost is not None
-        ]
+        known = [(row.metric(name), row.stage.cost, row) for row in rows]
+        points = [(max(value, SMALLEST), price, row) for value, price, row in known if value is not None and price is not None]
         if points:
             front = unbeaten(points)
             plots.append(_against_cost(scene, name, title, quantity, points, front))
@@ -266,9 +250,8 @@ def _against_time(title: str, y_axis: Axis, points: list[Point], front: list[Poi
     x_axis = Axis.fitted("CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06)
     plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both faster and better", tip)
     steps = [f"{row.label} ({seconds(x)} s, {said(y)})" for x, y, row in front]
-    plot.words = f"{count(len(points), 'stage')}" + (
-        f"; on the front, the fastest first: {listing(steps)}." if steps else "; none on a front."
-    )
+    where = f"on the front, the fastest first: {listing(steps)}" if steps else "none on a front"
+    plot.words = f"{count(len(points), 'stage')}; {where}."
     return plot
 
 

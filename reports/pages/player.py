@@ -38,11 +38,9 @@ class Film(NamedTuple):
 def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
     """The film of the last stage with poses, or None. motions: of each stage."""
     shapes = [shape for shape in run.scene.shapes if shape.size]
-    stages = zip(reversed(run.stages), reversed(motions), strict=True)
-    stage, plan, replay = next(
-        ((stage, motion.plan, motion.judged(stage)) for stage, motion in stages if _poses(motion.plan) or _poses(motion.judged(stage))),
-        (None, None, None),
-    )
+    pairs = zip(reversed(run.stages), reversed(motions), strict=True)
+    stages = ((stage, motion.plan, motion.judged(stage)) for stage, motion in pairs)
+    stage, plan, replay = next((item for item in stages if any(trace and trace.poses for trace in item[1:])), (None, None, None))
     if stage is None or not shapes:
         return None
     tracks = [trace for trace in (plan, replay) if trace is not None]
@@ -51,8 +49,8 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         return None
     times = begin + (end - begin) * np.arange(_FRAMES) / (_FRAMES - 1)
     names, contacts = [shape.name for shape in shapes], [contact.name for contact in run.scene.contacts]
-    planned, replayed = _track(plan, names, times), _track(replay, names, times)
-    pushes, pushed = _forces(plan, contacts, times), _forces(replay, contacts, times)
+    planned, replayed = (trace and _track(trace, names, times) for trace in (plan, replay))
+    pushes, pushed = (trace and _forces(trace, contacts, times) for trace in (plan, replay))
     grain = _extent([*(planned or []), *(replayed or [])]) / _GRAINS
     strongest = max((float(values.max()) for values in [*(pushes or []), *(pushed or [])] if values is not None), default=0.0)
     push = max(strongest, 1e-9) / _LEVELS
@@ -61,8 +59,8 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
         "grain": [grain, grain, _ANGLE],
         "push": push,
         "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size), "goal": _goal(shape)} for shape in shapes],
-        "plan": _stepped_tracks(planned, grain),
-        "replay": _stepped_tracks(replayed, grain),
+        "plan": _stepped(planned, (grain, grain, _ANGLE)),
+        "replay": _stepped(replayed, (grain, grain, _ANGLE)),
         "contacts": contacts,
         "touches": [_touch(shapes, (replay, plan), contact) for contact in run.scene.contacts],
         "plan_force": _stepped_forces(pushes, push),
@@ -84,19 +82,10 @@ def _goal(shape: ShapeRecord) -> tuple[float, float, float | None] | None:
     return shape.goal if shape.goal is not None and (shape.goal[2] is not None or shape.kind == "disc") else None
 
 
-def _poses(trace: Trace | None) -> bool:
-    return trace is not None and bool(trace.poses)
-
-
-def _track(trace: Trace | None, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
+def _track(trace: Trace, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None]:
     """Of each shape x, y and angle at the times (3, frames); None where none is stored."""
-    if trace is None:
-        return None
-    track: list[NDArray[np.float64] | None] = []
-    for name in names:
-        poses = trace.poses.get(name)
-        track.append(None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T]))
-    return track
+    stored = [trace.poses.get(name) for name in names]
+    return [None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T]) for poses in stored]
 
 
 def _touch(shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: ContactRecord) -> dict[str, object] | None:
@@ -149,17 +138,14 @@ def _stepped_forces(forces: list[NDArray[np.float64] | None] | None, grain: floa
     return None if forces is None else [None if values is None else steps(values, grain) for values in forces]
 
 
-def _stepped_tracks(track: list[NDArray[np.float64] | None] | None, grain: float) -> list[list[list[int]] | None] | None:
+def _stepped(track: list[NDArray[np.float64] | None] | None, sizes: Sequence[float]) -> list[list[list[int]] | None] | None:
     if track is None:
         return None
-    sizes = (grain, grain, _ANGLE)
     return [None if axes is None else [steps(values, size) for values, size in zip(axes, sizes, strict=True)] for axes in track]
 
 
-def _forces(trace: Trace | None, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
+def _forces(trace: Trace, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None]:
     """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
-    if trace is None:
-        return None
     columns = [force(trace, name) for name in contacts]
     half = (times[1] - times[0]) / 2
     return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
@@ -211,9 +197,8 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
     wide = _MOMENTS * (_WIDTH + _GAP) - _GAP
     body = "".join(frames)
     svg = f'<svg class="plot strip" viewBox="0 0 {wide:.0f} {_HEIGHT + _FOOT:.0f}" aria-hidden="true" focusable="false">{body}</svg>'
-    return Strip(
-        Markup(svg), f"{_MOMENTS} moments of the plan, from {number(float(moments[0]), 3)} s to {number(float(moments[-1]), 3)} s."
-    )
+    first, last = (number(float(moment), 3) for moment in moments[[0, -1]])
+    return Strip(Markup(svg), f"{_MOMENTS} moments of the plan, from {first} s to {last} s.")
 
 
 def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:

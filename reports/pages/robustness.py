@@ -23,6 +23,7 @@ from reports.traces import Motion, read_trace
 from reports.wording import cost, count, listing, number
 
 _STYLES = ("c0", "c1")
+_SHARES = Axis.fitted("share", "", [0.0, 1.0], zero=True)
 # Costs that differ by less, relatively, are the same.
 _SAME_COST = 1e-3
 # Fewer pairs that differ by more than chance say nothing.
@@ -47,12 +48,10 @@ def _worlds(record: RobustnessRecord, run: RunRecord, folder: Path) -> list[tupl
     for world, ratio in record.shown:
         moving = film(run, [Motion(plan=plan, replay=read_trace(folder / "worlds" / f"{world}.nc", run.scene))])
         ends = (
-            "it does not come to its end"
-            if ratio is None
-            else f"it {'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
+            "does not come to its end" if ratio is None else f"{'arrives' if ratio <= 1 else 'misses'}, at {number(ratio, 2)} of its limit"
         )
         if moving is not None:
-            found.append((f"World {world}: {ends}", moving))
+            found.append((f"World {world}: it {ends}", moving))
     return found
 
 
@@ -61,23 +60,16 @@ def _curves(record: RobustnessRecord) -> Plot | None:
     curves = [(style, way.name, way.curve) for style, way in zip(_STYLES, record.ways, strict=False) if way.curve and way.curve.scales]
     if not curves:
         return None
-    plot = Plot(
-        "Share of worlds in which it arrives",
-        Axis.fitted("all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True),
-        Axis.fitted("share", "", [0.0, 1.0], zero=True),
-        width=560,
-    )
+    x = Axis.fitted("all sizes times", "", [scale for *_, curve in curves for scale in curve.scales], log=True)
+    plot = Plot("Share of worlds in which it arrives", x, _SHARES, width=560)
     for style, name, curve in curves:
         plot.line(name, style, curve.scales, [item.share for item in curve.shares])
         for scale, item in zip(curve.scales, curve.shares, strict=True):
             plot.line(f"{name}, interval", f"{style} soft", [scale, scale], list(item.interval))
             plot.point(scale, item.share, style, "circle", f"{name}, {number(scale)} times: {item.words}", radius=3.0)
-    halves = [
-        f"{name}, half of the worlds are left at {number(curve.half, 3)} times these sizes"
-        for _, name, curve in curves
-        if curve.half is not None
-    ]
-    plot.words = f"Shares with their 95 % intervals{': ' if halves else ''}{'; '.join(halves)}."
+    halves = [(name, curve.half) for _, name, curve in curves if curve.half is not None]
+    told = [f"{name}, half of the worlds are left at {number(half, 3)} times these sizes" for name, half in halves]
+    plot.words = f"Shares with their 95 % intervals{': ' if told else ''}{'; '.join(told)}."
     return plot
 
 
@@ -95,9 +87,8 @@ class Survivor(NamedTuple):
         found = self.survey
         if found.sizes is None or found.amount is None:
             return ""
-        return (
-            f"{found.weakest} by {found.amount:+.3g}{'' if found.unit == '1' else f' {found.unit}'}, {number(found.sizes, 2)} of its size"
-        )
+        of = "" if found.unit == "1" else f" {found.unit}"
+        return f"{found.weakest} by {found.amount:+.3g}{of}, {number(found.sizes, 2)} of its size"
 
 
 def build(report: Report) -> Section | None:
@@ -141,12 +132,8 @@ def _answer(more: int, fewer: int, words: tuple[str, str]) -> str:
 
 
 def _cheaper(groups: Iterable[list[Survivor]]) -> str:
-    pairs = [
-        (dear.alone, cheap.alone)
-        for plans in groups
-        for cheap, dear in combinations(plans, 2)
-        if dear.price - cheap.price > _SAME_COST * abs(dear.price)
-    ]
+    both = [pair for plans in groups for pair in combinations(plans, 2)]
+    pairs = [(dear.alone, cheap.alone) for cheap, dear in both if dear.price - cheap.price > _SAME_COST * abs(dear.price)]
     if not pairs:
         return ""
     more, fewer, open_ = _compared(pairs)
@@ -193,14 +180,8 @@ def _weakest(groups: Iterable[list[Survivor]]) -> str:
 def _plot(plans: list[Survivor]) -> Plot:
     """Cost against the share of worlds, inputs alone, with its interval."""
     prices = [plan.price for plan in plans]
-    plot = Plot(
-        "Cost against the share of worlds in which a plan arrives",
-        Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06),
-        Axis.fitted("share", "", [0.0, 1.0], zero=True),
-        width=720,
-        height=300,
-        keys=keys("")[:-1],
-    )
+    x = Axis.fitted("cost", "", prices, log=is_wide(prices), margin=0.06)
+    plot = Plot("Cost against the share of worlds in which a plan arrives", x, _SHARES, width=720, height=300, keys=keys("")[:-1])
     for plan in plans:
         label, style = plan.row.label, style_of(plan.row)
         plot.line(f"{label}, interval", f"{style.split()[0]} soft", [plan.price] * 2, list(plan.alone.interval))

@@ -74,20 +74,13 @@ class Decision(NamedTuple):
     ends: str
 
 
-class MetricRow(NamedTuple):
-    """A judged metric over the stages of a run; found: of each stage that of the replay which is judged, None where it was not measured."""
-
-    metric: MetricRecord
-    found: list[MetricRecord | None]
-
-
 class RunView(NamedTuple):
-    """A run and its stages; the film shows the last stage that has something to show."""
+    """A run and its stages; the film shows the last stage that has something to show; beside: what `_beside` says."""
 
     run: RunRecord
     decision: Decision
     stages: list[StageView]
-    beside: list[MetricRow]
+    beside: list[tuple[MetricRecord, list[MetricRecord | None]]]
     film: Film | None
     log: str
     again: str
@@ -95,17 +88,15 @@ class RunView(NamedTuple):
 
 def build(report: Report, run: RunRecord) -> Section:
     """The section of a page that has this run alone."""
-    entries = tuple((f"run-stage-{place}", _stage_words(stage)) for place, stage in enumerate(run.stages, 1))
+    named = [stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "") for stage in run.stages]
+    entries = tuple((f"run-stage-{place}", name) for place, name in enumerate(named, 1))
     return Section("one", "Verdict, motion and stages", "run.html", {"view": view_of(report, run), "anchor": "run"}, entries)
 
 
 def view_of(report: Report, run: RunRecord) -> RunView:
     """What is told of a run, from its record and the motions beside it alone."""
     motions = [report.motion(run, stage) for stage in run.stages]
-    last = len(run.stages) - 1
-    stages = [
-        _stage(run.scene, stage, motion, last=place == last) for place, (stage, motion) in enumerate(zip(run.stages, motions, strict=True))
-    ]
+    stages = [_stage(run.scene, stage, motion, last=stage is run.last) for stage, motion in zip(run.stages, motions, strict=True)]
     return RunView(run, decision_of(run), stages, _beside(run.stages), film(run, motions), tail(run.log_tail), again(run))
 
 
@@ -116,13 +107,9 @@ def decision_of(run: RunRecord) -> Decision:
     number = metric.question if metric is not None else None
     question = next((item for item in last.questions if item.number == number), None) if last is not None and metric is not None else None
     why = not_applicable(run) or (last.why if last is not None else "") or (run.message if run.verdict not in HOLD else "")
-    return Decision(
-        question,
-        metric,
-        " ".join(dict.fromkeys(part for part in ("" if cause is None else f"{cause.sentence}.", capital(why)) if part)),
-        "" if cause is None else cause.advice,
-        end_of(last, run.scene) if last is not None else "",
-    )
+    sentences = dict.fromkeys(filter(None, ("" if cause is None else f"{cause.sentence}.", capital(why))))
+    ends = end_of(last, run.scene) if last is not None else ""
+    return Decision(question, metric, " ".join(sentences), "" if cause is None else cause.advice, ends)
 
 
 def not_applicable(run: RunRecord) -> str:
@@ -135,28 +122,19 @@ def not_applicable(run: RunRecord) -> str:
 
 
 def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
-    return StageView(
-        stage,
-        stage_plots(scene, stage, motion, whole=last),
-        spread(stage),
-        questions_of(stage) if last else [],
-        _ends(scene, stage),
-        stage.kind == "given" or (stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0),
-    )
+    plots, questions = stage_plots(scene, stage, motion, whole=last), questions_of(stage) if last else []
+    idle = stage.kind == "given" or (stage.is_empty and stage.seconds.stage == 0 and stage.iterations == 0)
+    return StageView(stage, plots, spread(stage), questions, _ends(scene, stage), idle)
 
 
-def _beside(stages: Sequence[StageRecord]) -> list[MetricRow]:
-    """The judged metrics of all stages, by questions; empty where there is one stage alone."""
+def _beside(stages: Sequence[StageRecord]) -> list[tuple[MetricRecord, list[MetricRecord | None]]]:
+    """Judged metrics by questions, with that of each stage, of the replay which is judged, None where it was not measured; empty of one stage alone."""
     rows: dict[str, list[MetricRecord | None]] = {}
     for metric in (metric for stage in stages for metric in stage.metrics if len(stages) > 1):
         if metric.limit is not None and not metric.name.startswith((TRACKED, FEEDBACK)) and metric.name not in rows:
             rows[metric.name] = [stage.judged(metric.name) for stage in stages]
-    found = [MetricRow(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
-    return sorted(found, key=lambda row: row.metric.question or 7)
-
-
-def _stage_words(stage: StageRecord) -> str:
-    return stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "")
+    found = [(next(filter(None, reversed(same))), same) for same in rows.values() if any(same)]
+    return sorted(found, key=lambda row: row[0].question or 7)
 
 
 def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
@@ -193,14 +171,8 @@ def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
     for price, start in solved:
         stacks.setdefault(int((price - low) / width), []).append((price, start))
     tallest = max(len(stack) for stack in stacks.values())
-    plot = Plot(
-        "Cost of every start",
-        Axis.fitted("cost", "", [low, high]),
-        Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1),
-        words,
-        width=560,
-        height=140 + 9 * tallest,
-    )
+    x, y = Axis.fitted("cost", "", [low, high]), Axis.fitted("starts at this cost", "", [tallest], zero=True, margin=0.1)
+    plot = Plot("Cost of every start", x, y, words, width=560, height=140 + 9 * tallest)
     for stack in stacks.values():
         for place, (price, start) in enumerate(stack, 1):
             tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows_text(start.windows)}"
@@ -232,14 +204,8 @@ def all_runs(report: Report) -> Section | None:
     said = f"{count(len(runs), 'run')} in one table, {holding} of which {'holds' if holding == 1 else 'hold'}: verdict, cost, errors, seconds and why."
     # In a single file the contents lead to the first run of each scene: hundreds of lines would be none.
     first = {run.scene.name: report.anchor(run) for run in reversed(runs)} if report.single else {}
-    return Section(
-        "runs",
-        "All runs",
-        "run.html",
-        {"listed": listed},
-        tuple((first[scene.name], scene.name) for scene in report.scenes if first),
-        said,
-    )
+    entries = tuple((first[scene.name], scene.name) for scene in report.scenes if first)
+    return Section("runs", "All runs", "run.html", {"listed": listed}, entries, said)
 
 
 def _listed(report: Report, run: RunRecord) -> Listed:

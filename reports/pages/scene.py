@@ -26,10 +26,8 @@ def time_step(report: Report, scene: str) -> str:
     closed = listing(list(known.contacts)) or "no contact"
     grows = f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
     limit = "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
-    return (
-        f"The time step of {number(known.step)} s is stable in contact: the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} "
-        f"closed{grows}; it is stable {limit}."
-    )
+    largest = f"the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} closed{grows}"
+    return f"The time step of {number(known.step)} s is stable in contact: {largest}; it is stable {limit}."
 
 
 class Shown(NamedTuple):
@@ -56,9 +54,8 @@ def motion(report: Report, scene: SceneRecord) -> Section | None:
 
 def _shown(report: Report, scene: SceneRecord) -> Shown | None:
     """The cheapest plan that holds; else the one whose replay stays nearest to it; None where no motion is stored."""
-    found = [
-        (run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in report.stored.cheapest(scene.name)
-    ]
+    holding = report.stored.cheapest(scene.name)
+    found = [(run, f"The cheapest plan that holds: {run.pipeline}, cost {cost(price)}") for run, price in holding]
     others = [row for row in report.rows_of_scene(scene) if row.stage is row.run.stages[-1] and row.metric("replay_error") is not None]
     for row in sorted(others, key=lambda row: row.metric("replay_error") or 0.0):
         said = "No plan holds; nearest to its replay stays" if scene.inputs else "Its free motion and the replay of it:"
@@ -113,18 +110,12 @@ def safe_mathml(text: str) -> Markup | None:
         root = ElementTree.fromstring(clean(text))
     except (ElementTree.ParseError, ValueError, RecursionError):
         return None
-    if _name(root) != "math":
-        return None
-    inside = _markup(root, 0)
+    inside = _markup(root, 0) if root.tag in ("math", f"{_NAMESPACE}math") else None
     return None if inside is None else Markup(inside)
 
 
-def _name(element: ElementTree.Element) -> str:
-    return element.tag.removeprefix(_NAMESPACE) if isinstance(element.tag, str) else ""
-
-
 def _markup(element: ElementTree.Element, depth: int) -> str | None:
-    name = _name(element)
+    name = element.tag.removeprefix(_NAMESPACE) if isinstance(element.tag, str) else ""
     if name not in _ELEMENTS or depth > _DEEPEST:
         return None
     attributes = "".join(f' {key}="{escape(value)}"' for key, value in element.attrib.items() if key in _ATTRIBUTES)

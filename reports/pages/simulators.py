@@ -26,9 +26,8 @@ def build(report: Report) -> Section | None:
     told = report.stored.simulators
     if told is None:
         return None
-    asked = [
-        (run, report.link(run), {row.engine: row for row in told.plans[run.key]}) for run in report.stored.runs if run.key in told.plans
-    ]
+    runs = [run for run in report.stored.runs if run.key in told.plans]
+    asked = [(run, report.link(run), {row.engine: row for row in told.plans[run.key]}) for run in runs]
     if not asked:
         return None
     engines = {name: words for name, words in told.engines.items() if any(name in rows for _, _, rows in asked)}
@@ -52,12 +51,8 @@ def sentence(engine: str, rows: Sequence[tuple[RunRecord, EngineRecord]]) -> str
 
 def truth(record: TruthRecord) -> Section:
     """The section of the page."""
-    values = {
-        "record": record,
-        "problems": record.problems,
-        "largest": [largest_disagreement(rows) for rows in record.problems],
-        "plots": [plot_of(chart) for chart in record.charts],
-    }
+    largest, plots = [largest_disagreement(rows) for rows in record.problems], [plot_of(chart) for chart in record.charts]
+    values = {"record": record, "problems": record.problems, "largest": largest, "plots": plots}
     return Section("truth", "What is true, and what engines make of it", "truth.html", values)
 
 
@@ -71,20 +66,10 @@ def largest_disagreement(rows: tuple[TruthRow, ...]) -> TruthRow | None:
 def as_markdown(record: TruthRecord, command: str) -> str:
     """The same as a page of the docs, without times: it is equal whenever it is made."""
     head = ["problem", *record.engines]
-    lines = [
-        "# The contact truth suite",
-        "",
-        f"Made by `{command}`; [engines.md](engines.md) says what each engine is told.",
-        "",
-        record.summary,
-        "",
-    ]
-    lines += [f"- **{name}**: {words}." for name, words in record.engines.items()]
-    lines += [
-        "",
-        "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step.",
-        "",
-    ]
+    made = f"Made by `{command}`; [engines.md](engines.md) says what each engine is told."
+    shares = "Errors at the finest of four steps, as shares of the problem's scale; in brackets the order at which they fall with the step."
+    lines = ["# The contact truth suite", "", made, "", record.summary, ""]
+    lines += [*(f"- **{name}**: {words}." for name, words in record.engines.items()), "", shares, ""]
     lines += [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for rows in record.problems:
         lines.append(f"| {rows[0].phenomenon}: {rows[0].problem} | {' | '.join(map(cell, rows))} |")

@@ -63,9 +63,8 @@ def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion, *, whole
         for contact in scene.contacts:
             plots.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
         for friction in scene.frictions if whole else ():
-            plots.append(
-                _contact(scene, f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
-            )
+            title = f"Friction force, {friction.description or friction.name}"
+            plots.append(_contact(scene, title, "force", "N", friction.name, x, plan, replay))
         plots.append(_error(scene, x, motion.replay) if motion.tracked is None else _two_errors(scene, x, motion.replay, motion.tracked))
         for contact in scene.contacts if whole else ():
             plots.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
@@ -91,17 +90,12 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
         mine = [line for other, _, line in data if other is item]
         if mine:
             plot.label(x.low, mine[0][3][0], item.name, f"strong {mine[0][1].split()[0]}")
-    ends = [
-        (name, ", ".join(f"{item.name} {number(_rounded(line[3][-1]), 5)}" for item, other, line in data if other == name))
-        for name in ("plan", "replay")
-    ]
-    plot.words = " ".join(f"The {name} ends at {words} {unit}." for name, words in ends if words)
+    ends = {"plan": [], "replay": []}
+    for item, name, line in data:
+        last = float(line[3][-1])
+        ends[name].append(f"{item.name} {number(0.0 if abs(last) < ROUNDING else last, 5)}")  # what is rounding is nought
+    plot.words = " ".join(f"The {name} ends at {', '.join(words)} {unit}." for name, words in ends.items() if words)
     return plot
-
-
-def _rounded(value: float) -> float:
-    """Nought for what is rounding."""
-    return 0.0 if abs(value) < ROUNDING else float(value)
 
 
 def _contact(
@@ -125,10 +119,8 @@ def _contact(
     size = (lambda values: np.abs(values).max()) if rubs else np.max  # friction acts in two directions
     told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, *_, values in lines]
     if replay is not None:
-        windows = [f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]]
-        told.append(
-            f"{'Friction acts' if rubs else 'In contact'} in the replay: {', '.join(windows) or 'never'}{' and more' if len(phases) > 4 else ''}."
-        )
+        windows = ", ".join(f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]) or "never"
+        told.append(f"{'Friction acts' if rubs else 'In contact'} in the replay: {windows}{' and more' if len(phases) > 4 else ''}.")
     plot.words = " ".join(told)
     return plot
 
@@ -138,9 +130,8 @@ def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
     if replay is None or values is None:
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    plot = over_time(
-        "Position error: replay against plan", "largest difference", unit, [("difference", "c5", replay.t, values)], x=x, zero=True
-    )
+    line = ("difference", "c5", replay.t, values)
+    plot = over_time("Position error: replay against plan", "largest difference", unit, [line], x=x, zero=True)
     assert plot is not None
     worst = int(np.argmax(values))
     plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(replay.t[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
@@ -166,9 +157,10 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
     for name, style, times, values in shown:
         place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
         plot.label(times[place], values[place], name, f"strong {style}")
-    plot.words = " ".join(
-        f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}." for name, _, _, values in lines
-    )
+    told = [
+        f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}." for name, *_, values in lines
+    ]
+    plot.words = " ".join(told)
     return plot
 
 
@@ -191,9 +183,8 @@ def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | No
         plot.line(item.name, style, plan.t, values)
         peak = int(np.abs(values).argmax())
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
-    plot.words = " ".join(
-        f"{item.name} lies between {number(values.min(), 3)} and {number(values.max(), 3)} {item.unit}." for item, values in data
-    )
+    ranges = [(item, number(values.min(), 3), number(values.max(), 3)) for item, values in data]
+    plot.words = " ".join(f"{item.name} lies between {low} and {high} {item.unit}." for item, low, high in ranges)
     return plot
 
 
@@ -203,13 +194,8 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     stride = max(1.0, iterations / (len(values) - 1))
     positive = [value for value in values if value > 0]
     log = len(positive) > 1 and min(values) >= 0 and max(positive) / min(positive) > 100
-    plot = Plot(
-        name,
-        Axis.fitted("iteration", "", [0, stride * (len(values) - 1)], margin=0.0),
-        Axis.fitted(name, "", values, log=log),
-        width=340,
-        height=180,
-    )
+    x = Axis.fitted("iteration", "", [0, stride * (len(values) - 1)], margin=0.0)
+    plot = Plot(name, x, Axis.fitted(name, "", values, log=log), width=340, height=180)
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
     # With the digits by which they differ, if any.

@@ -83,9 +83,8 @@ def build(report: Report) -> Section | None:
     if not found:
         return None
     said = f"{count(len(found), 'sweep')}: {listing([sweep.title for sweep in found])}; every metric against the swept number."
-    return Section(
-        "sweeps", "Sweeps", "campaign.html#sweeps", {"sweeps": found}, tuple((sweep.anchor, sweep.title) for sweep in found), said
-    )
+    entries = tuple((sweep.anchor, sweep.title) for sweep in found)
+    return Section("sweeps", "Sweeps", "campaign.html#sweeps", {"sweeps": found}, entries, said)
 
 
 def _groups(runs: Iterable[RunRecord]) -> list[list[RunRecord]]:
@@ -119,9 +118,8 @@ def _numbers(run: RunRecord) -> dict[Quantity, float]:
     found = {Quantity(item.name, item.unit): item.value for item in scene.parameters if item.value is not None}
     states = [*scene.coordinates, *scene.velocities]
     for what, values in (("start", scene.start), ("goal", scene.goal)):
-        found |= {
-            Quantity(f"{what} {item.name}", item.unit): value for item, value in zip(states, values, strict=False) if value is not None
-        }
+        known = [(item, value) for item, value in zip(states, values, strict=False) if value is not None]
+        found |= {Quantity(f"{what} {item.name}", item.unit): value for item, value in known}
     found |= {Quantity("step h", "s"): scene.step, Quantity("steps"): float(scene.steps)}
     for stage in run.stages:
         numbers = {name: float(value) for name, value in stage.options.items() if isinstance(value, (int, float)) and _is_number(value)}
@@ -141,36 +139,19 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
         return None
     axis = max(drawn, key=lambda quantity: len({numbers[quantity] for numbers in values}), default=Quantity(SEED))
     # What goes with the axis, value for value, is told by it: steps and their length, of one horizon.
-    beside = [
-        quantity
-        for quantity in drawn
-        if quantity != axis and len({(numbers[axis], numbers[quantity]) for numbers in values}) > len({numbers[axis] for numbers in values})
-    ]
+    along = {numbers[axis] for numbers in values}
+    others = [quantity for quantity in drawn if quantity != axis]
+    beside = [quantity for quantity in others if len({(numbers[axis], numbers[quantity]) for numbers in values}) > len(along)]
     # An option of many values is swept by pipelines that are named after it; of two, they are two pipelines.
-    option = (
-        len(drawn) == 1
-        and axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
-        and len({item[axis] for item in values}) > _PAIR
-    )
+    of_method = axis.name.partition(" ")[0] in {stage.method for stage in runs[0].stages}
+    option = len(drawn) == 1 and of_method and len(along) > _PAIR
     several = len({_pipeline(run) for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
-        curve = ", ".join(
-            [
-                *([_pipeline(run)] if several else []),
-                *(f"{quantity.name} = {number(numbers[quantity])} {quantity.unit}".strip() for quantity in beside),
-            ]
-        )
-        seed = next((value for quantity, value in numbers.items() if quantity.name == SEED), None)
-        swept.append(
-            SweptRun(
-                run,
-                report.link(run),
-                curve or (run.stages[-1].method if option else _pipeline(run)),
-                numbers[axis],
-                seed if axis.name != SEED else None,
-            )
-        )
+        told = [f"{quantity.name} = {number(numbers[quantity])} {quantity.unit}".strip() for quantity in beside]
+        curve = ", ".join([_pipeline(run), *told] if several else told) or (run.stages[-1].method if option else _pipeline(run))
+        seed = next((value for quantity, value in numbers.items() if quantity.name == SEED != axis.name), None)
+        swept.append(SweptRun(run, report.link(run), curve, numbers[axis], seed))
     swept.sort(key=lambda item: (item.curve, item.x))
     if not any(len({(item.x, item.seed) for item in swept if item.curve == curve}) > 1 for curve in {item.curve for item in swept}):
         return None  # other pipelines, not one with other numbers
@@ -210,11 +191,8 @@ def _asked(swept: Sequence[SweptRun]) -> list[tuple[str, str, Callable[[RunRecor
     runs = [item.run for item in swept]
     whole = all(run.integral_cost is None for run in runs)
     price = ("cost", "", attrgetter("cost")) if whole else ("integral cost (cost times h)", "", attrgetter("integral_cost"))
-    return [
-        price,
-        *((spaced(name), _unit(runs, name), _of(name)) for name in _FIRST),
-        ("CPU time of solving", "s", attrgetter("solving_cpu")),
-    ]
+    errors = [(spaced(name), _unit(runs, name), _of(name)) for name in _FIRST]
+    return [price, *errors, ("CPU time of solving", "s", attrgetter("solving_cpu"))]
 
 
 def _of(name: str) -> Callable[[RunRecord], float | None]:
@@ -266,11 +244,8 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
     if len({mark.y for mark in marks}) < 2 or len({mark.x for mark in marks}) < 2:
         return None
     xs, ys = [mark.x for mark in marks], [mark.y for mark in marks]
-    plot = Plot(
-        f"{capital(name)} against {axis.name}",
-        Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06),
-        Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08),
-    )
+    across = Axis.fitted(axis.name, axis.unit, xs, log=is_wide(xs) and axis.name != SEED, margin=0.06)
+    plot = Plot(f"{capital(name)} against {axis.name}", across, Axis.fitted(name, unit, ys, log=is_wide(ys), margin=0.08))
     said = []
     for curve, (style, _) in styles.items():
         mine: dict[float, list[float]] = {}
@@ -393,16 +368,13 @@ def _tightened(report: Report, scene: SceneRecord, figure: str, pipeline: str, r
 def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> list[Plot | None]:
     units = list(dict.fromkeys(item.unit for item in scene.coordinates))
     positions = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
-    forces = [
-        _single(f"Contact force, {item.name}", "force", "N", [(*line, force(line[2], item.name)) for line in lines])
-        for item in scene.contacts
+    asked = [
+        *((force, item.name, f"Contact force, {item.name}", "force", "N") for item in scene.contacts),
+        *((gap, item.name, f"Gap, {item.name}", "gap", "m") for item in scene.contacts),
+        *((column, item.name, f"Input {item.name}", item.name, item.unit) for item in scene.inputs),
     ]
-    gaps = [_single(f"Gap, {item.name}", "gap", "m", [(*line, gap(line[2], item.name)) for line in lines]) for item in scene.contacts]
-    inputs = [
-        _single(f"Input {item.name}", item.name, item.unit, [(*line, column(line[2], item.name)) for line in lines])
-        for item in scene.inputs
-    ]
-    return [*positions, *forces, *gaps, *inputs]
+    drawn = [(title, quantity, unit, [(*line, read(line[2], name)) for line in lines]) for read, name, title, quantity, unit in asked]
+    return positions + [_single(*words) for words in drawn]
 
 
 def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, Trace]]) -> Plot | None:
@@ -419,10 +391,9 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
         mine = [line for other, _, line in data if other is item]
         if mine:
             plot.label(mine[-1][2][0], mine[-1][3][0], item.name, "strong")
+    last = [(item, words, values) for item, words, (*_, values) in data if words == data[-1][1]]
     plot.words = " ".join(
-        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}."
-        for item, words, (*_, values) in data
-        if words == data[-1][1]
+        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}." for item, words, values in last
     )
     return plot
 

@@ -67,13 +67,9 @@ def _end(row: Row, prefix: str) -> TerminalError:
     whole = row.stage.metric(f"{prefix}terminal_error")
     name = f"{prefix}terminal_position_error"
     alone = row.stage.metric(name) if prefix == "replay_" and row.stage.verdict == "holds with feedback" else None
-    return TerminalError(
-        row.metric(name),
-        row.metric(f"{prefix}terminal_velocity_error"),
-        row.metric(f"{prefix}terminal_error"),
-        alone.value if alone is not None else None,
-        (whole.reason if whole is not None else "") or row.stage.why or "no plan",
-    )
+    velocity, norm = row.metric(f"{prefix}terminal_velocity_error"), row.metric(f"{prefix}terminal_error")
+    reason = (whole.reason if whole is not None else "") or row.stage.why or "no plan"
+    return TerminalError(row.metric(name), velocity, norm, alone.value if alone is not None else None, reason)
 
 
 def _units(rows: list[Row]) -> tuple[str, str]:
@@ -101,9 +97,8 @@ def _reproduced(both: list[Row]) -> list[str]:
     if not same or not other:
         return [text + "."]
     far = max(other, key=lambda row: abs(row.cost_difference or 0.0))
-    return [
-        f"{text}: {'; '.join(row.label for row in same)}. The largest relative difference is {percent(far.cost_difference)}, of {far.label}."
-    ]
+    most = f"The largest relative difference is {percent(far.cost_difference)}, of {far.label}."
+    return [f"{text}: {'; '.join(row.label for row in same)}. {most}"]
 
 
 def _failed(both: list[Row]) -> list[str]:
@@ -161,14 +156,8 @@ def _against(warm: float, cold: float) -> str:
 
 def _own_model(rows: list[Row]) -> list[str]:
     """Plans that reach the goal only in their own model."""
-    cheating = [
-        row
-        for row in rows
-        if (planned := row.metric("terminal_error")) is not None
-        and (truly := row.metric("discrete_terminal_error")) is not None
-        and planned <= 1e-3
-        and truly >= 0.05
-    ]
+    ends = [(row, row.metric("terminal_error"), row.metric("discrete_terminal_error")) for row in rows]
+    cheating = [row for row, planned, truly in ends if planned is not None and truly is not None and planned <= 1e-3 and truly >= 0.05]
     if not cheating:
         return []
     parts = [f"{row.label} misses by {_first_of(distance_of(row.stage, 'discrete_'))}" for row in cheating]
@@ -193,10 +182,8 @@ def _bought(rows: list[Row]) -> list[str]:
     said = []
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
         _, known = known_cost(scene) or ("", 0.0)
-        direct = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None]
-        below = [
-            (row, off) for row in direct if (row.stage.cost or 0.0) < known * (1 - 1e-6) and (off := distance_of(row.stage, "discrete_"))
-        ]
+        cheap = [row for row in rows if row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known * (1 - 1e-6)]
+        below = [(row, off) for row in cheap if (off := distance_of(row.stage, "discrete_"))]
         if not known or not below:
             continue
         parts = [f"{row.label} ({cost(row.stage.cost)} at {_first_of(off)})" for row, off in below]
@@ -209,8 +196,6 @@ def _bought(rows: list[Row]) -> list[str]:
 
 def _clock(both: list[Row]) -> list[str]:
     timed = [row for row in both if "time" in row.stage.paper]
-    if not timed:
-        return []
     ours, theirs = sum(row.stage.seconds.stage for row in timed), sum(row.stage.paper["time"] for row in timed)
     if ours <= 0:
         return []

@@ -41,12 +41,10 @@ def build(report: Report, scene: SceneRecord) -> Section | None:
     """The section of one scene, or None where no run on it has a front."""
     runs = [run for run in report.stored.runs if run.scene.name == scene.name]
     views = [view for run in runs if (view := _view(report, run)) is not None]
-    anchor = f"tolerance-{report.scenes.index(scene) + 1}"
-    return (
-        Section(anchor, "Least cost within a terminal tolerance", "scene.html#tolerance", {"scene": scene, "views": views})
-        if views
-        else None
-    )
+    if not views:
+        return None
+    anchor, values = f"tolerance-{report.scenes.index(scene) + 1}", {"scene": scene, "views": views}
+    return Section(anchor, "Least cost within a terminal tolerance", "scene.html#tolerance", values)
 
 
 def windows_text(windows: tuple[tuple[str, int, int], ...]) -> str:
@@ -109,25 +107,15 @@ def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], link: str)
     edge = _edge(points)
     costs = [price for _, price in priced] + [item.price for item in beside]
     errors = [edge, *(max(point.tolerance, edge) for point, _ in priced), *(max(item.missed, edge) for item in beside)]
-    plot = Plot(
-        "Least cost of the exact problem against terminal error",
-        Axis.fitted("terminal error on the grid, exact contact (norm of positions and velocities)", "", errors, log=True, margin=0.04),
-        Axis.fitted("cost", "", costs, log=is_wide(costs), margin=0.08),
-        width=720,
-        height=420,
-        keys=[
-            Key("front", "least cost found within a tolerance (exact contact)"),
-            Key("front", "its points", "diamond"),
-            Key("indirect", "relaxed stage", "circle"),
-            Key("direct", "direct stage", "square"),
-        ],
-    )
+    along = "terminal error on the grid, exact contact (norm of positions and velocities)"
+    x, y = Axis.fitted(along, "", errors, log=True, margin=0.04), Axis.fitted("cost", "", costs, log=is_wide(costs), margin=0.08)
+    keys = [Key("front", "least cost found within a tolerance (exact contact)"), Key("front", "its points", "diamond")]
+    keys += [Key("indirect", "relaxed stage", "circle"), Key("direct", "direct stage", "square")]
+    plot = Plot("Least cost of the exact problem against terminal error", x, y, width=720, height=420, keys=keys)
     plot.line("front", "front", [max(point.tolerance, edge) for point, _ in priced], [price for _, price in priced])
     for point, price in priced:
-        where = windows_text(point.windows)
-        tip = f"Within {error(point.tolerance)}: cost {cost(price)}, terminal error {error(point.terminal_error)}" + (
-            f", {where}" if where else ""
-        )
+        where = f", {windows_text(point.windows)}" if point.windows else ""
+        tip = f"Within {error(point.tolerance)}: cost {cost(price)}, terminal error {error(point.terminal_error)}{where}"
         plot.point(max(point.tolerance, edge), price, "front", "diamond", tip, link)
     for item in beside:
         kind = item.row.stage.kind

@@ -197,19 +197,11 @@ def _together(parts: list[RunRecord]) -> RunRecord:
         told = {"starts": starts, "seconds": SecondsRecord(**spent), "iterations": iterations, "message": message}
         stages = (*stages[:-1], stages[-1].model_copy(update=told))
     profile: dict[str, float] = {}
-    for part in parts:
-        for phase, seconds in part.profile.items():
-            profile[phase] = profile.get(phase, 0.0) + seconds
-    return best.model_copy(
-        update={
-            "stages": stages,
-            "outcome": best.outcome if crashed is None else "crashed",
-            "message": message,
-            "wall_seconds": sum(part.wall_seconds for part in parts),
-            "cpu_seconds": sum(part.cpu_seconds for part in parts),
-            "profile": profile,
-        }
-    )
+    for phase, seconds in (item for part in parts for item in part.profile.items()):
+        profile[phase] = profile.get(phase, 0.0) + seconds
+    spent = {name: sum(getattr(part, name) for part in parts) for name in ("wall_seconds", "cpu_seconds")}
+    outcome = best.outcome if crashed is None else "crashed"
+    return best.model_copy(update={"stages": stages, "outcome": outcome, "message": message, **spent, "profile": profile})
 
 
 def _spread(starts: tuple[StartRecord, ...]) -> str:
@@ -217,9 +209,6 @@ def _spread(starts: tuple[StartRecord, ...]) -> str:
     if not found:
         return f"None of {len(starts)} starts was solved." if starts else ""
     solved = sum(len(same) for _, same in found)
-    ways = (
-        f"{len(found)} distinct optima, from {found[0][0]:.6g} to {found[-1][0]:.6g}"
-        if len(found) > 1
-        else "all of them at the same optimum"
-    )
+    several = f"{len(found)} distinct optima, from {found[0][0]:.6g} to {found[-1][0]:.6g}"
+    ways = several if len(found) > 1 else "all of them at the same optimum"
     return f"{solved} of {len(starts)} starts were solved, {ways}; {len(found[0][1])} reached the cheapest."

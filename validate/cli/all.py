@@ -158,14 +158,14 @@ def _grouped(outcome: CampaignResult) -> list[str]:
     groups: dict[Cause | str, list[str]] = {}
     for sentence in outcome.failures:
         groups.setdefault(causes.get(sentence, sentence), []).append(sentence)
-    return [
-        sentences[0] if len(sentences) == 1 or isinstance(cause, str) else _shared(cause, sentences) for cause, sentences in groups.items()
-    ]
-
-
-def _shared(cause: Cause, sentences: Sequence[str]) -> str:
-    names = [sentence.partition(": ")[0] for sentence in sentences]
-    return f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})"
+    told = []
+    for cause, sentences in groups.items():
+        names = [sentence.partition(": ")[0] for sentence in sentences]
+        if isinstance(cause, str) or len(names) == 1:
+            told.append(sentences[0])
+        else:
+            told.append(f"{len(names)} runs - {cause.sentence}. {cause.advice} ({', '.join(names)})")
+    return told
 
 
 def _named(names: Sequence[str]) -> str:

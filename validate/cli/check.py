@@ -88,9 +88,8 @@ def command(
 
     for file in files:
         before = os.times()
-        report = check_fmu(
-            file, names=names or None, seconds=time_limit, waived=waived, told=None if as_json else told, importers=importers
-        )
+        tell = None if as_json else told
+        report = check_fmu(file, names=names or None, seconds=time_limit, waived=waived, told=tell, importers=importers)
         after = os.times()
         cpu = sum(after[:4]) - sum(before[:4])
         checked.append((report, after.elapsed - before.elapsed, cpu))
@@ -129,9 +128,8 @@ def _waivers(texts: tuple[str, ...]) -> dict[str, str]:
     for text in texts:
         name, _, reason = text.partition("=")
         if not name.strip() or not reason.strip():
-            raise click.UsageError(
-                f"--waive {text!r}: expected NAME=REASON, for example --waive 'stop time is respected=our solver needs it'."
-            )
+            wrong = f"--waive {text!r}: expected NAME=REASON, for example --waive 'stop time is respected=our solver needs it'."
+            raise click.UsageError(wrong)
         waived[name.strip()] = reason.strip()
     return waived
 
@@ -170,19 +168,8 @@ _TOLD = (Status.FAILED, Status.WAIVED, Status.ADVICE)
 
 def data(report: CheckReport) -> dict[str, Any]:
     """The report as JSON holds it."""
-    rows = [
-        {
-            "check": row.name,
-            "type": row.type,
-            "claim": row.claim,
-            "status": row.status.value,
-            "severity": row.severity,
-            "clause": row.clause,
-            "sentence": row.sentence,
-            "seconds": row.seconds,
-        }
-        for row in report.rows
-    ]
+    told = ("type", "claim", "status", "severity", "clause", "sentence", "seconds")
+    rows = [{"check": row.name} | {name: getattr(row, name) for name in told} | {"status": row.status.value} for row in report.rows]
     head = {"file": report.path, "fmi": report.version, "types": list(report.types), "ok": report.ok, "exit_code": report.exit_code}
     return {**head, "rows": rows}
 
@@ -192,16 +179,9 @@ def junit(reports: Sequence[tuple[CheckReport, float]]) -> bytes:
     suites = ElementTree.Element("testsuites", name="touchstone check")
     for report, spent in reports:
         skipped = [row for row in report.rows if row.status in (Status.NOT_OFFERED, Status.WAIVED)]
-        suite = ElementTree.SubElement(
-            suites,
-            "testsuite",
-            name=one_line(report.path),
-            time=f"{spent:.3f}",
-            tests=str(len(report.rows)),
-            failures=str(len(report.failures())),
-            skipped=str(len(skipped)),
-            errors="0",
-        )
+        amounts = {"tests": len(report.rows), "failures": len(report.failures()), "skipped": len(skipped), "errors": 0}
+        said = {"name": one_line(report.path), "time": f"{spent:.3f}", **{name: str(amount) for name, amount in amounts.items()}}
+        suite = ElementTree.SubElement(suites, "testsuite", said)
         for row in report.rows:
             case = ElementTree.SubElement(suite, "testcase", name=row.title, classname=one_line(report.path), time=f"{row.seconds:.3f}")
             if row.status is Status.FAILED:
@@ -237,12 +217,8 @@ def sarif(reports: Sequence[CheckReport]) -> str:
 def _result(report: CheckReport, row: FmuCheckRow) -> dict[str, Any]:
     clause = f" [{row.clause}]" if row.clause else ""
     where = {"physicalLocation": {"artifactLocation": {"uri": quote(Path(report.path).as_posix())}}}
-    result = {
-        "ruleId": _identity(row),
-        "level": _LEVELS[row.severity],
-        "message": {"text": f"{row.title}: {one_line(row.sentence)}{clause}"},
-        "locations": [where],
-    }
+    message = {"text": f"{row.title}: {one_line(row.sentence)}{clause}"}
+    result = {"ruleId": _identity(row), "level": _LEVELS[row.severity], "message": message, "locations": [where]}
     if row.status is Status.WAIVED:
         result["suppressions"] = [{"kind": "external", "justification": one_line(row.sentence)}]
     return result

@@ -17,10 +17,9 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -72,7 +71,7 @@ def command(folder: Path, as_json: bool) -> int:
                 say(f"to mend it: {finding.remedy}", begin=indent, indent=indent)
     code = 3 if any(finding.state is State.BROKEN for finding in findings) else 0
     if as_json:
-        rows = [asdict(finding) | {"state": finding.state.value} for finding in findings]
+        rows = [finding._asdict() | {"state": finding.state.value} for finding in findings]
         click.echo(json.dumps({"findings": rows, "exit_code": code}, indent=1))
     elif code:
         say("`all` will not work here until what is marked 'does not work' is mended")
@@ -81,8 +80,7 @@ def command(folder: Path, as_json: bool) -> int:
     return code
 
 
-@dataclass(frozen=True, kw_only=True)
-class MachineFinding:
+class MachineFinding(NamedTuple):
     """sentence: what was found; remedy: what to do about it ("" if nothing); seconds of the clock."""
 
     name: str
@@ -92,8 +90,7 @@ class MachineFinding:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trial:
+class Trial(NamedTuple):
     """A small piece of the real thing, run in a child.
 
     needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot pass if
@@ -108,30 +105,18 @@ class Trial:
     rests_on: tuple[str, ...] = ()
 
 
+_COMPILED = ("C compiler", "cache")
+_MAKE_ROOM = f"choose another folder with --out, or make room in this one: a campaign of all scenes wants about {_ROOM // 1024**2} MiB"
+_FOR_FMUS = "pip install --force-reinstall fmpy scikit-sundae; a temporary folder that allows execution (TMPDIR)"
 TRIALS = (
-    Trial(name="Python", function="interpreter", remedy=""),
-    Trial(
-        name="store",
-        function="store",
-        remedy=f"choose another folder with --out, or make room in this one: a campaign of all scenes wants about {_ROOM // 1024**2} MiB",
-    ),
-    Trial(name="C compiler", function="compiler", remedy="pip install ziglang, or set CC to a compiler you have"),
-    Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
-    Trial(name="Ipopt", function="ipopt", remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
-    Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'", rests_on=("C compiler", "cache")),
-    Trial(
-        name="FMU",
-        function="fmu",
-        remedy="pip install --force-reinstall fmpy scikit-sundae; a temporary folder that allows execution (TMPDIR)",
-        rests_on=("C compiler", "cache"),
-    ),
-    Trial(
-        name="proofs (extra [global])",
-        function="integer_programs",
-        remedy="pip install pyscipopt",
-        needed=False,
-        absent="method global will say that it cannot run",
-    ),
+    Trial("Python", "interpreter", ""),
+    Trial("store", "store", _MAKE_ROOM),
+    Trial("C compiler", "compiler", "pip install ziglang, or set CC to a compiler you have"),
+    Trial("cache", "cache", "set TOUCHSTONE_CACHE to a folder you can write"),
+    Trial("Ipopt", "ipopt", "pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
+    Trial("PyTorch", "gradient", "pip install --force-reinstall 'torch>=2.4'", rests_on=_COMPILED),
+    Trial("FMU", "fmu", _FOR_FMUS, rests_on=_COMPILED),
+    Trial("proofs (extra [global])", "integer_programs", "pip install pyscipopt", False, "method global will say that it cannot run"),
 )
 
 

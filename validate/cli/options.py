@@ -18,10 +18,10 @@ from models.catalog import scene_names
 from validate.cli.table import wide_option
 from validate.store.disk import make_folder, write_durably
 
-_Command = TypeVar("_Command", bound=Callable[..., Any])
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-_A_FILE = click.Path(path_type=Path)
+A_FILE = click.Path(path_type=Path)
 
 
 def scenes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -41,7 +41,7 @@ class FiniteRange(click.FloatRange):
         return number
 
 
-def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[_Command], _Command]:
+def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Command], Command]:
     """An option for a file that a command writes. name: of the command's parameter; what: is written."""
     kind = click.Path(path_type=Path, dir_okay=False)
     return click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")
@@ -55,9 +55,9 @@ def write(file: Path | None, make: Callable[[], str | bytes]) -> None:
         write_durably(file, content)
 
 
-def folder_of(option: str, words: str) -> Callable[[_Command], _Command]:
+def folder_of(option: str, words: str) -> Callable[[Command], Command]:
     """An option for the folder of a campaign, runs/all without it."""
-    return click.option(option, "folder", type=_A_FILE, default="runs/all", show_default=True, metavar="DIR", help=words)
+    return click.option(option, "folder", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help=words)
 
 
 def _our_plugin() -> str:
@@ -66,20 +66,6 @@ def _our_plugin() -> str:
 
     return DEFAULT_PLUGIN
 
-
-_FMU = (
-    click.option("--fmu", type=_A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
-    click.option("--map", "map_path", type=_A_FILE, metavar="MAP.toml",
-        help="Which column of the plan is which variable of the FMU. Without it: those of equal names."),
-    click.option("--hold", type=click.Choice(["zero", "linear"]),
-        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear."),
-    click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS",
-        help="The FMU is ended after them."),
-    click.option("--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB",
-        help="Address space of the FMU's process."),
-    click.option("--own-step", is_flag=True,
-        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change."),
-)  # fmt: skip
 
 # What a campaign file decides.
 _CHOOSING = (
@@ -147,54 +133,34 @@ _ENDING = (
     click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
     click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
 )
-_OUT = click.option("--out", type=_A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
-_OUT_OF_FILE = click.option("--out", type=_A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
+_OUT = click.option("--out", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
+_OUT_OF_FILE = click.option("--out", type=A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
 
 
-def fmu_options(command: _Command) -> _Command:
-    """What names somebody's FMU, and how it is run."""
-    return _decorated(command, _FMU)
-
-
-def wiring(
-    scene: str | None, fmu: Path | None, *, map_path: Path | None, hold: str | None, time_limit: float, memory_limit: float, own_step: bool
-) -> dict[str, Any]:
-    """What `judge_fmu` and `wire_fmu` ask beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
-    if (scene is None) == (fmu is None):
-        raise click.UsageError("give either --scene or --fmu.")
-    if map_path is not None and fmu is None:
-        raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
-    if own_step and fmu is None:
-        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
-    from validate.execution.isolated import Limits  # 30 ms, which `show` and others do without
-
-    limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
-    return {"map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step}
-
-
-def result_options(command: _Command) -> _Command:
+def result_options(command: Command) -> Command:
     """How results are printed."""
     words = "A table with a row for each stage of each run (`plan`: for each run)."
     table = click.option("--table", "as_table", is_flag=True, help=words)
-    return _decorated(command, (table, wide_option, click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout.")))
+    return decorated(command, (table, wide_option, click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout.")))
 
 
-def campaign_options(command: _Command) -> _Command:
+def campaign_options(command: Command) -> Command:
     """What `plan` takes: everything by which runs are chosen."""
-    return _decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
+    return decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
 
 
-def running_options(command: _Command) -> _Command:
+def running_options(command: Command) -> Command:
     """What `all` takes: the same, and when to stop."""
-    return _decorated(command, (*_CHOOSING, *_SELECTING, *_ENDING, _OUT))
+    return decorated(command, (*_CHOOSING, *_SELECTING, *_ENDING, _OUT))
 
 
-def file_options(command: _Command) -> _Command:
+def file_options(command: Command) -> Command:
     """What `run` takes: what a campaign file does not decide."""
-    return _decorated(command, (*_SELECTING, *_ENDING, _OUT_OF_FILE))
+    return decorated(command, (*_SELECTING, *_ENDING, _OUT_OF_FILE))
 
 
-def _decorated(command: _Command, options: Iterable[Callable[[Any], Any]]) -> _Command:
+def decorated(command: Command, options: Iterable[Callable[[Any], Any]]) -> Command:
+    """A command with these options, in this order."""
     for option in reversed(tuple(options)):
         command = option(command)
     return command

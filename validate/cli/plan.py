@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -50,10 +49,9 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
         entries = only_last_failed(entries, store)
-    told = [
-        _Line(entry.task.title, entry.scene.name if isinstance(entry, PlannedRun) else entry.task.kind, entry.task.key, why)
-        for entry, why in zip(entries, reasons(entries, store), strict=True)
-    ]
+    groups = [entry.scene.name if isinstance(entry, PlannedRun) else entry.task.kind for entry in entries]
+    explained = zip(entries, groups, reasons(entries, store), strict=True)
+    told = [_Line(entry.task.title, group, entry.task.key, why) for entry, group, why in explained]
     seconds = past_seconds(entries, store)
     limits = {name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None] for name, scene in scenes.items()}
     waived = {name: sentences for name, sentences in limits.items() if sentences}
@@ -61,7 +59,7 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     due = [line for line in told if line.why]
     if as_json:
         data = {
-            "runs": [{**asdict(line), "stored": not line.why, "past_cpu_seconds": seconds.get(line.key)} for line in told],
+            "runs": [{**line._asdict(), "stored": not line.why, "past_cpu_seconds": seconds.get(line.key)} for line in told],
             "stored": len(told) - len(due),
             "to_run": len(due),
             "left_out": list(left_out),
@@ -75,26 +73,18 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     if left_out:
         say(f"left out by --quick: {', '.join(left_out)}")
     if as_table:
-        _print_scenes(waived, unstable)
+        for name, sentence in ((name, sentence) for name, sentences in waived.items() for sentence in sentences):
+            say(f"waived by {name}: {sentence}", indent="  ")
+        for name, reason in unstable.items():
+            say(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}", indent="  ")
     for why, count in Counter(line.why for line in due).items():
         say(f"{count} to run: {why}", indent="  ")
-    say(
-        f"{len(told) - len(due)} stored, {len(due)} to run"
-        + (f"; {_duration(due, seconds, settings.jobs or usable_cores())}" if due else "")
-    )
+    takes = f"; {_duration(due, seconds, settings.jobs or usable_cores())}" if due else ""
+    say(f"{len(told) - len(due)} stored, {len(due)} to run{takes}")
     return 0
 
 
-def _print_scenes(waived: Mapping[str, Sequence[str]], unstable: Mapping[str, str]) -> None:
-    for name, sentences in waived.items():
-        for sentence in sentences:
-            say(f"waived by {name}: {sentence}", indent="  ")
-    for name, reason in unstable.items():
-        say(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}", indent="  ")
-
-
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """A run or check. group: its scene, or the kind of the check; why: it is run, empty if it is stored."""
 
     name: str

@@ -67,9 +67,8 @@ def command(
     Beside the FMU are written FILE_ref.csv, FILE_ref_error.csv and FILE_ref.opt; `check` tries such results again, whoever stored them.
     """
     if cross_check and (output is not None or stop_time is not None or step is not None):
-        raise click.UsageError(
-            "--cross-check takes the experiment from FILE_ref.opt, and writes FILE_cc.csv; leave out -o, --stop-time and --step."
-        )
+        wrong = "--cross-check takes the experiment from FILE_ref.opt, and writes FILE_cc.csv; leave out -o, --stop-time and --step."
+        raise click.UsageError(wrong)
     package = read_package(file)
     there = files.beside(file)
     if kind is not None and _TYPES[kind] not in package.archive.kinds:
@@ -80,30 +79,25 @@ def command(
     settings = _settings(package, there if there.settings and (cross_check or stop_time is None) else None, stop_time, step, POINTS)
     input_file = input_file or there.inputs
     inputs = files.read_table(str(input_file), files.read_text(input_file)) if input_file else None
-    targets = _targets(file, output, cross_check)
+    endings = (files.CHECKED,) if cross_check else (files.RESULT, files.ERROR, files.SETTINGS)
+    targets = {ending: file.with_name(file.stem + ending) for ending in (*endings, files.INPUT)}  # beside the FMU
     taken = [path for path in targets.values() if path.exists()] if output is None else []
     if taken and not overwrite:
         raise TouchstoneError(f"{taken[0]} is there already; move it, or give --overwrite.")
     count = max(1, round((settings["StopTime"] - settings["StartTime"]) / settings["StepSize"]))
     times = settings["StartTime"] + settings["StepSize"] * np.arange(count + 1)
-    arrays = {"times": times}
-    request = {
-        "path": str(file.resolve()),
-        "name": str(file),
-        "type": kind,
-        "input_file": str(input_file),
-        "inputs": list(inputs.columns) if inputs else [],
-    }
+    arrays, names = {"times": times}, list(inputs.columns) if inputs else []
+    request = {"path": str(file.resolve()), "name": str(file), "type": kind, "input_file": str(input_file), "inputs": names}
     if inputs is not None:
         arrays |= {"input_times": inputs.times, **{f"input {place}": column for place, column in enumerate(inputs.columns.values())}}
     with unpacked(package) as ready:
         found, numbers = reference_solution({**request, "folder": str(ready.folder)}, arrays, time_limit)
     values, bars = (files.Table(times, files.columns_of(found["names"], found["sizes"], numbers[name])) for name in ("values", "bars"))
-    texts = {files.CHECKED: files.table_text(values)} if cross_check else {
-        files.RESULT: files.table_text(values), files.ERROR: files.table_text(bars), files.SETTINGS: files.settings_text(settings),
-    }  # fmt: skip
-    if inputs is not None and not cross_check:
-        texts[files.INPUT] = files.table_text(inputs)
+    texts = {files.CHECKED if cross_check else files.RESULT: files.table_text(values)}
+    if not cross_check:
+        texts |= {files.ERROR: files.table_text(bars), files.SETTINGS: files.settings_text(settings)}
+        if inputs is not None:
+            texts[files.INPUT] = files.table_text(inputs)
     if output is None:
         for ending, text in texts.items():
             if ending != files.INPUT or not (there.inputs and input_file == there.inputs):
@@ -113,17 +107,10 @@ def command(
         make_folder(output.parent)
         write_durably(output, files.with_references(file, file.stem, texts))
     size = np.maximum(np.abs(numbers["values"]).max(axis=0), 1e-300)
-    say(
-        f"{output or targets[next(iter(texts))]}: {len(found['names'])} variables at {len(times)} times by {found['how']}; "
-        f"{found['events']} events; largest error bar {np.max(numbers['bars'] / size):.1g} of a variable's size."
-    )
+    what = f"{len(found['names'])} variables at {len(times)} times by {found['how']}; {found['events']} events"
+    largest = f"largest error bar {np.max(numbers['bars'] / size):.1g} of a variable's size"
+    say(f"{output or targets[next(iter(texts))]}: {what}; {largest}.")
     return 0
-
-
-def _targets(file: Path, output: Path | None, cross_check: bool) -> dict[str, Path]:
-    """Ending -> the file beside the FMU that is written."""
-    endings = (files.CHECKED,) if cross_check else (files.RESULT, files.ERROR, files.SETTINGS)
-    return {ending: file.with_name(file.stem + ending) for ending in (*endings, files.INPUT)} if not cross_check or output is None else {}
 
 
 def _settings(package: Package, there: files.StoredResult | None, stop: float | None, step: float | None, points: int) -> dict[str, float]:
@@ -140,9 +127,8 @@ def _settings(package: Package, there: files.StoredResult | None, stop: float | 
         begin = number("startTime", 0.0)
         end = number("stopTime", np.nan) if stop is None else stop
         if not end > begin:
-            raise TouchstoneError(
-                f"FMU {package.path}: it does not say when its experiment ends, or before it begins at {begin:g} s; give --stop-time."
-            )
+            why = f"it does not say when its experiment ends, or before it begins at {begin:g} s; give --stop-time."
+            raise TouchstoneError(f"FMU {package.path}: {why}")
         found = {"StartTime": begin, "StopTime": end, "StepSize": 0.0, "RelTol": number("tolerance", 1e-4)}
     length = found["StopTime"] - found["StartTime"]
     found["StepSize"] = step or found["StepSize"] or length / points

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
-from validate.cli.options import fmu_options, scenes, wiring, write, written_to
+from validate.cli.options import A_FILE, Command, FiniteRange, decorated, scenes, write, written_to
 from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
+from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
 from validate.judge.simulator import named_engines
 from validate.store.disk import make_folder, write_durably
@@ -29,6 +30,40 @@ if TYPE_CHECKING:
 
 # A plan so many times as long as the task is probably in another unit of time, and is replayed for minutes.
 _LONG = 10.0
+
+
+_FMU = (
+    click.option("--fmu", type=A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
+    click.option("--map", "map_path", type=A_FILE, metavar="MAP.toml",
+        help="Which column of the plan is which variable of the FMU. Without it: those of equal names."),
+    click.option("--hold", type=click.Choice(["zero", "linear"]),
+        help="Inputs between two rows: constant (the default), or a line to the next row. The CSV may say so itself: # hold: linear."),
+    click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS",
+        help="The FMU is ended after them."),
+    click.option("--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, metavar="GIB",
+        help="Address space of the FMU's process."),
+    click.option("--own-step", is_flag=True,
+        help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change."),
+)  # fmt: skip
+
+
+def fmu_options(command: Command) -> Command:
+    """What names somebody's FMU, and how it is run."""
+    return decorated(command, _FMU)
+
+
+def read_fmu_options(
+    scene: str | None, fmu: Path | None, *, map_path: Path | None, hold: str | None, time_limit: float, memory_limit: float, own_step: bool
+) -> dict[str, Any]:
+    """What `judge_fmu` and `wire_fmu` ask beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
+    if (scene is None) == (fmu is None):
+        raise click.UsageError("give either --scene or --fmu.")
+    if map_path is not None and fmu is None:
+        raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
+    if own_step and fmu is None:
+        raise click.UsageError("--own-step belongs to --fmu; a scene's plan is judged by the true motion.")
+    limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
+    return {"map_path": map_path, "hold": hold, "limits": limits, "own_step": own_step}
 
 
 @click.command(
@@ -99,7 +134,7 @@ def command(
     does not say is not asked. A scene takes the plans of a campaign too: DIR/runs/KEY/trajectory.nc. docs/replay.md describes plan and
     map, docs/verdict.md what is asked.
     """
-    wired = wiring(scene, fmu, **given)
+    wired = read_fmu_options(scene, fmu, **given)
     if varied and fmu is None:
         raise click.UsageError("--vary belongs to --fmu; how much of a scene's parameters a plan can take, robust says.")
     factors = _factors(varied)
@@ -151,9 +186,8 @@ def _factors(texts: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             found[name.strip()] = math.nan
         if not name.strip() or not math.isfinite(found[name.strip()]):
-            raise click.UsageError(
-                f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
-            )
+            wrong = f"--vary {text!r}: expected NAME=FACTOR with a finite number, for example --vary contact_stiffness_scale=4."
+            raise click.UsageError(wrong)
     return found
 
 
@@ -188,10 +222,8 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     assert trajectory is not None, "a file is a plan"
     takes, horizon = trajectory.duration, loaded.task.horizon
     if takes > _LONG * horizon:
-        say(
-            f"{plan}: it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer",
-            err=True,
-        )
+        doubt = f"it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer"
+        say(f"{plan}: {doubt}", err=True)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = warnings_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
@@ -286,20 +318,17 @@ def _print_engines(rows: list[EngineVerdict]) -> None:
     """What engines make of the plan, a row each, and in how many of them it is the same."""
     if not rows:
         return
-    cells = [
-        [row.engine, row.verdict, "" if row.agrees is None else "yes" if row.agrees else "no", row.kind.value, row.sentence] for row in rows
-    ]
+    same = {None: "", True: "yes", False: "no"}
+    cells = [[row.engine, row.verdict, same[row.agrees], row.kind.value, row.sentence] for row in rows]
     print_table(["engine", "verdict", "as ours", "why not", "measured"], cells, ())
     asked = [row for row in rows if row.agrees is not None]
     say(f"The same in {sum(bool(row.agrees) for row in asked)} of {len(asked)} engines that step this scene, at every step.")
 
 
 def _own_error(what: str, replay: Replay) -> str:
-    estimate = replay.error.estimate
-    ratio = replay.error.step_ratio
+    estimate, ratio, source = replay.error.estimate, replay.error.step_ratio, replay.error.step_source
     shrinks = "" if ratio is None else f"; half the step divides the everyday replay's error by {ratio:.3g}"
     own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
-    source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
     events = "1 event" if len(replay.events) == 1 else f"{len(replay.events)} events"
     return f"{what}'s own error {own} ({replay.method}; {events}{shrinks}{told}). {replay.message}".rstrip()

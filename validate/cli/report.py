@@ -75,16 +75,14 @@ def _lacking(stored: Stored, folder: Path) -> str:
     there, campaign = sum(map(len, stored.parts)) + len(stored.checks), stored.campaign
     lines = []
     if campaign is None:
-        lines.append(
-            f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew."
-        )
+        broken = f"campaign.json cannot be read: the report shows the {there} records that can; the command that made them writes it anew."
+        lines.append(broken)
     elif there < len(campaign.keys):
         missing = f"{len(campaign.keys) - there} of {len(campaign.keys)} runs have no readable record"
         lines.append(f"{missing}; the command of the campaign, with --out {folder}, runs them: {campaign.command}")
     store = Store(folder)
     for run in (run for parts in stored.parts for run in parts):
         if name := store.damaged_file(run.key):
-            lines.append(
-                f"{run.title}: {store.runs / run.key / name} is gone or cut off; remove that folder, and the command of the campaign runs it again."
-            )
+            file = store.runs / run.key / name
+            lines.append(f"{run.title}: {file} is gone or cut off; remove that folder, and the command of the campaign runs it again.")
     return "".join(f"{line}\n" for line in lines)

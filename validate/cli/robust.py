@@ -13,7 +13,8 @@ from models.catalog import load_scene
 from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
-from validate.cli.options import fmu_options, folder_of, scenes, wiring, write, written_to
+from validate.cli.options import folder_of, scenes, write, written_to
+from validate.cli.replay import fmu_options, read_fmu_options
 from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
 from validate.judge.judgement import as_trajectory, wire_fmu
@@ -74,7 +75,7 @@ def command(
     the plan fails. Inputs alone and with feedback apart.
     """
     if fmu is not None:
-        subject, trajectory, name = wire_fmu(fmu, plan, **wiring(scene, fmu, **given)), None, Path(plan).name
+        subject, trajectory, name = wire_fmu(fmu, plan, **read_fmu_options(scene, fmu, **given)), None, Path(plan).name
     elif given["map_path"] is not None or given["own_step"] or given["hold"] is not None:
         raise click.UsageError("--map, --own-step and --hold belong to --fmu.")
     else:
@@ -120,11 +121,8 @@ def _worlds(found: Robustness) -> str:
 def _print(record: RobustnessRecord) -> None:
     rows = []
     for item in sorted(record.failures, key=lambda item: (item.sizes is None, item.sizes)):
-        at = (
-            f"not up to {short(item.tried, '.3g')} sizes"
-            if item.amount is None
-            else short(item.amount, ".3g") + ("" if item.cause.unit == "1" else f" {item.cause.unit}")
-        )
+        unit = "" if item.cause.unit == "1" else f" {item.cause.unit}"
+        at = f"not up to {short(item.tried, '.3g')} sizes" if item.amount is None else f"{short(item.amount, '.3g')}{unit}"
         rows.append([item.cause.name, "+" if item.direction > 0 else "-", short(item.sizes, ".3g"), at, item.by, item.compared])
     if rows:
         print_table(["perturbation", "", "sizes", "first fails at", "by", "first order"], rows, ("sizes",), drop=["by", "first order"])
@@ -135,12 +133,13 @@ def _print(record: RobustnessRecord) -> None:
         if way.curve is not None:
             half = f"half of the worlds are left at {short(way.curve.half, '.3g')} times these sizes"
             every = {"above": "more than half are left at all sizes tried", "below": "fewer than half are left at all sizes tried"}
-            say(
-                f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({', '.join(f'{short(scale)}: {share.share:.2f}' for scale, share in zip(way.curve.scales, way.curve.shares, strict=True))})."
-            )
+            shares = zip(way.curve.scales, way.curve.shares, strict=True)
+            told = ", ".join(f"{short(scale)}: {share.share:.2f}" for scale, share in shares)
+            say(f"{way.name}: {half if way.curve.half is not None else every[way.curve.beyond]} ({told}).")
         if checked is not None:
+            differ, largest = len(checked.differ), f"{checked.largest_difference:.1e}"
             say(
-                f"{way.name}: {checked.count} worlds tried {checked.by} too, {len(checked.differ)} end otherwise; largest difference {checked.largest_difference:.1e} of a limit."
+                f"{way.name}: {checked.count} worlds tried {checked.by} too, {differ} end otherwise; largest difference {largest} of a limit."
             )
     if record.weakest is not None:
         say(f"it takes least of: {record.weakest.words}.")

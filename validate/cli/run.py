@@ -60,9 +60,8 @@ def command(
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
 
     campaign = read_campaign(file, plugin)
-    settings = CampaignSettings(
-        out=out or Path("runs") / file.stem, plugin=plugin, command=command_line(arguments), **options, **campaign.settings()
-    )
+    out = out or Path("runs") / file.stem
+    settings = CampaignSettings(out=out, plugin=plugin, command=command_line(arguments), **options, **campaign.settings())
     if only_plan:
         return tell_plan(settings, as_json=as_json, as_table=as_table)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

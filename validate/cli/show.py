@@ -60,9 +60,8 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
     if "\0" not in run and len(run) < 4000 and path.is_dir():
         record = Store(path.parent.parent).read(path.name)
         if record is None:
-            raise CampaignError(
-                f"{run}: this folder holds no record that this version reads (it is damaged, or of another schema); give a folder below DIR/runs."
-            )
+            why = "this folder holds no record that this version reads (it is damaged, or of another schema); give a folder below DIR/runs."
+            raise CampaignError(f"{run}: {why}")
         return path.parent.parent, record
     store = Store(folder)
     names = stored_names(store, campaign_of(folder).keys)
@@ -74,9 +73,8 @@ def find_run(run: str, folder: Path) -> tuple[Path, RunRecord | CheckRecord]:
         fitting = [key for key in names if fits(key)]
         found = [record for key in fitting if (record := store.read(key)) is not None]
         if fitting and not found:
-            raise CampaignError(
-                f"{names[fitting[0]]}: {store.runs / fitting[0] / RECORD} cannot be read; the command of the campaign runs it again."
-            )
+            broken = store.runs / fitting[0] / RECORD
+            raise CampaignError(f"{names[fitting[0]]}: {broken} cannot be read; the command of the campaign runs it again.")
         if len(found) == 1:
             return folder, found[0]
         if found:
@@ -114,13 +112,11 @@ def _tell_run(record: RunRecord) -> None:
 
 
 def _print_stages(record: RunRecord) -> None:
-    rows = [
-        [
-            str(stage.index + 1), stage.method, short(stage.eps, "g"), stage.outcome, short(stage.cost, ".4f"), str(stage.iterations),
-            stage.verdict, short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f"),
-        ]
-        for stage in record.stages
-    ]  # fmt: skip
+    rows = []
+    for stage in record.stages:
+        found = [stage.outcome, short(stage.cost, ".4f"), str(stage.iterations), stage.verdict]
+        took = [short(stage.seconds.stage_cpu, ".2f"), short(stage.seconds.stage, ".2f")]
+        rows.append([str(stage.index + 1), stage.method, short(stage.eps, "g"), *found, *took])
     titles = ["stage", "method", "eps", "outcome", "cost", "iterations", "verdict", "CPU s", "wall s"]
     right, drop = ("stage", "eps", "cost", "iterations", "CPU s", "wall s"), ("wall s", "iterations", "CPU s", "stage")
     print_table(titles, rows, right, drop=drop)

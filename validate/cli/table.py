@@ -96,10 +96,9 @@ def table(
     rows = [[one_line(cell) for cell in row] for row in rows]
     places, width, left_out = list(range(len(titles))), terminal_width(), []
     natural = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
-    least = [
-        natural[place] if title in right else _narrowest(title, [row[place] for row in rows], _LEFT_OUT if title in drop else _SENTENCE)
-        for place, title in enumerate(titles)
-    ]
+    narrow = [_LEFT_OUT if title in drop else _SENTENCE for title in titles]
+    least = [_narrowest(title, [row[place] for row in rows], narrow[place]) for place, title in enumerate(titles)]
+    least = [natural[place] if title in right else least[place] for place, title in enumerate(titles)]
 
     def excess(widths: Sequence[int]) -> int:
         """By how many characters the columns are wider than the terminal."""
@@ -182,12 +181,9 @@ def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None
         cells = [*(short(value, ".5g") for value in found), own, judged.unit, limit, _against(judged)]
         why = [judged.meaning, judged.reason] if known else [judged.reason, ""]
         lines.append([str(number) if asked else "", name, *cells, *why])
-    print_table(
-        ["question", "metric", *values, "+-", "unit", "limit", "", "meaning", "reason of the limit"],
-        lines,
-        ("question", *values, "+-", "limit"),
-        drop=("reason of the limit", "meaning", "+-", "question", "limit", "unit", *values[:-1]),
-    )
+    titles = ["question", "metric", *values, "+-", "unit", "limit", "", "meaning", "reason of the limit"]
+    drop = ("reason of the limit", "meaning", "+-", "question", "limit", "unit", *values[:-1])
+    print_table(titles, lines, ("question", *values, "+-", "limit"), drop=drop)
 
 
 def _against(metric: Metric | MetricRecord) -> str:

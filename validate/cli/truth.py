@@ -89,9 +89,8 @@ def recorded(engines: tuple[str, ...], found: Sequence[EngineRow]) -> TruthRecor
     own = [row.error for row in rows if row.engine == REFERENCE and row.error is not None]
     if own:
         summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
-    return TruthRecord(
-        engines=told, rows=tuple(rows), summary=summary, charts=tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None),
-    )  # fmt: skip
+    charts = tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None)
+    return TruthRecord(engines=told, rows=tuple(rows), summary=summary, charts=charts)
 
 
 def _version(package: str) -> str:

@@ -37,6 +37,7 @@ class ArchiveLimits:
     xml: int = 64 * 1024**2
 
 
+_ROOT = "fmiModelDescription"
 _KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 
 
@@ -45,20 +46,18 @@ class HasDoctype(Exception):  # noqa: N818 - it ends the reading
 
 
 class XmlReader:
-    """The root of an XML text, and refusal of a DOCTYPE."""
+    """The root of an XML text and, of a model description, its interfaces; refusal of a DOCTYPE."""
 
-    def __init__(self, keep: bool) -> None:
+    def __init__(self) -> None:
         self.root: dict[str, str] = {}
         self.root_name = ""
         self.kinds: dict[str, dict[str, str]] = {}
-        self._keep = keep
 
     def read(self, text: bytes) -> None:
         """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
         parser = self._parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
-        if self._keep:
-            parser.StartElementHandler = self._element
+        parser.StartElementHandler = self._element
         parser.Parse(text, True)
 
     def _doctype(self, *_: object) -> None:
@@ -69,13 +68,13 @@ class XmlReader:
             self.root_name, self.root = name, attributes
         elif name in _KINDS:
             self.kinds.setdefault(name, attributes)
-        elif name == "ModelVariables":  # interfaces come before it, and hundreds of thousands of elements after
+        if name == "ModelVariables" or self.root_name != _ROOT:  # interfaces come before it, and hundreds of thousands of elements after
             self._parser.StartElementHandler = None
 
 
 def interfaces(text: bytes) -> dict[str, dict[str, str]]:
     """What each interface of a model description says of itself, by the attributes' names in its version of FMI: FMPy does not read all of them."""
-    reader = XmlReader(True)
+    reader = XmlReader()
     reader.read(text)
     return reader.kinds
 
@@ -85,6 +84,7 @@ DESCRIPTION = "modelDescription.xml"
 _XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
 # What Python raises while it reads a damaged entry.
 _DAMAGED = (NotImplementedError, EOFError, RuntimeError, ValueError, zlib.error, LZMAError)
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
@@ -96,22 +96,9 @@ class Problem:
     sentence: str
 
 
-CHECKS = (
-    "zip",
-    "size",
-    "ratio",
-    "entries",
-    "names",
-    "links",
-    "duplicates",
-    "encryption",
-    "xml",
-    "description",
-    "version",
-    "kind",
-    "scheduled",
-    "binary",
-)
+# Those that are not about what is inside; then all.
+ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
+CHECKS = ("zip", *ARCHIVE_CHECKS, "description", "version", "kind", "scheduled", "binary")
 
 
 class FmuError(TouchstoneError):
@@ -184,15 +171,12 @@ class _ArchiveCheck:
     def archive(self) -> FmuArchive:
         """What was found, where there are no problems."""
         present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
+        with open(self._path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
         return FmuArchive(
-            path=self._path,
-            digest=_digest(self._path),
-            version=self._root.get("fmiVersion", ""),
-            kinds=present,
-            platforms=self._platforms(),
-            entries=len(self._items),
-            unpacked=sum(item.file_size for item in self._items),
-        )
+            path=self._path, digest=digest, version=self._root.get("fmiVersion", ""), kinds=present, platforms=self._platforms(),
+            entries=len(self._items), unpacked=sum(item.file_size for item in self._items),
+        )  # fmt: skip
 
     def problems(self) -> Iterator[Problem]:
         """Those that make further reading unsafe end it."""
@@ -286,7 +270,7 @@ class _ArchiveCheck:
             )
             return
         is_description = item.filename == DESCRIPTION
-        reader = XmlReader(is_description)
+        reader = XmlReader()
         try:
             reader.read(archive.read(item))
         except HasDoctype:
@@ -298,12 +282,12 @@ class _ArchiveCheck:
                 yield self._problem("description", f"{DESCRIPTION} is not well-formed XML ({error}).")
         if is_description:
             self._root, self._kinds = reader.root, reader.kinds
-            if reader.root_name not in ("", "fmiModelDescription"):
-                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <fmiModelDescription>.")
+            if reader.root_name not in ("", _ROOT):
+                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <{_ROOT}>.")
 
     def _of_description(self) -> Iterator[Problem]:
         version = self._root.get("fmiVersion", "")
-        if not _is_two(version) and not _is_three(version):
+        if version != "2.0" and not _is_three(version):
             yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
             return
         only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
@@ -324,34 +308,17 @@ class _ArchiveCheck:
 
 
 def binary_name(version: str, identifier: str) -> str:
-    """Where the archive has the binary for this machine."""
-    return f"binaries/{_platform_folder(version)}/{identifier}{_ENDINGS.get(_system(), '.so')}"
-
-
-def _platform_folder(version: str) -> str:
-    """FMI's name of this machine in `binaries/`, which FMI 3 changed."""
-    bits = "64" if sys.maxsize > 2**32 else "32"
+    """Where the archive has the binary for this machine; FMI 3 changed the names of machines."""
+    system, machine = platform.system().lower(), platform.machine().lower()
     if _is_three(version):
-        machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
-        return f"{machine}-{_system()}"
-    return {"linux": "linux", "darwin": "darwin", "windows": "win"}.get(_system(), _system()) + bits
-
-
-def _system() -> str:
-    return platform.system().lower()
-
-
-def _is_two(version: str) -> bool:
-    return version == "2.0"
+        folder = f"{_MACHINES.get(machine, machine)}-{system}"
+    else:
+        folder = f"{'win' if system == 'windows' else system}{'64' if sys.maxsize > 2**32 else '32'}"
+    return f"binaries/{folder}/{identifier}{_ENDINGS.get(system, '.so')}"
 
 
 def _is_three(version: str) -> bool:
     return re.fullmatch(r"3\.0(\.\d+)?(-[0-9A-Za-z.]+)?", version) is not None
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _size(count: int) -> str:

@@ -10,6 +10,7 @@ scikit-sundae itself is not imported: that imports SciPy, and took 0.45 s of eve
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib.util
 from collections.abc import Callable
@@ -40,19 +41,13 @@ _NORMAL, _ONE_STEP = 1, 2
 ROOT_RETURN = 2
 # What a negative flag of `advance` means.
 _WHY = {
-    -1: "Could not reach endpoint after 'max_num_steps'.",
-    -2: "Could not satisfy demanded accuracy for an internal step.",
-    -3: "Error tests failed too many times, or reached min step size.",
-    -4: "Convergence tests failed too many times, or reached min step size.",
-    -5: "Linear solver initialization routine failed.",
-    -6: "Linear solver setup function unrecoverably failed.",
-    -7: "Linear solver solve function unrecoverably failed.",
-    -8: "The right-hand-side function had a non-recoverable error.",
-    -9: "The right-hand-side function failed on the first call.",
-    -12: "Event-detection routine unrecoverably failed.",
-    -22: "One of the function inputs is invalid.",
-    -27: "The output and initial times are too close to each other.",
-}
+    -1: "Could not reach endpoint after 'max_num_steps'.", -2: "Could not satisfy demanded accuracy for an internal step.",
+    -3: "Error tests failed too many times, or reached min step size.", -4: "Convergence tests failed too many times, or reached min step size.",
+    -5: "Linear solver initialization routine failed.", -6: "Linear solver setup function unrecoverably failed.",
+    -7: "Linear solver solve function unrecoverably failed.", -8: "The right-hand-side function had a non-recoverable error.",
+    -9: "The right-hand-side function failed on the first call.", -12: "Event-detection routine unrecoverably failed.",
+    -22: "One of the function inputs is invalid.", -27: "The output and initial times are too close to each other.",
+}  # fmt: skip
 # CVRhsFn and CVRootFn: time, address of y's vector (or of its array's for roots), of what is to be filled, data.
 FILLS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
@@ -65,17 +60,11 @@ def why(flag: int) -> str:
 @lru_cache(maxsize=1)
 def functions() -> Any:
     """The library, whose functions are its attributes. Raises MachineError."""
-    found = importlib.util.find_spec("sksundae")
-    for folder in (found.submodule_search_locations or []) if found is not None else []:
-        for path in sorted(Path(folder).glob("_cy_cvode*")):
-            if path.suffix in (".so", ".dylib"):
-                return _loaded(path)
-    raise MachineError(
-        "the integrator of Model Exchange, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae."
-    )
-
-
-def _loaded(path: Path) -> Any:
+    what, found = "the integrator of Model Exchange, CVODE,", importlib.util.find_spec("sksundae")
+    folders = map(Path, (found.submodule_search_locations or ()) if found is not None else ())
+    path = next((path for folder in folders for path in sorted(folder.glob("_cy_cvode*")) if path.suffix in (".so", ".dylib")), None)
+    if path is None:
+        raise MachineError(f"{what} is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
     version = [ctypes.c_int() for _ in range(3)]
     label = ctypes.create_string_buffer(32)
     try:
@@ -85,13 +74,9 @@ def _loaded(path: Path) -> Any:
             function, (result, arguments) = getattr(module, name), signature.split(":")
             function.restype, function.argtypes = _TYPES[result], [_TYPES[letter] for letter in arguments]
     except (OSError, AttributeError) as error:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew."
-        ) from error
-    if version[0].value != _VERSION:
-        raise MachineError(
-            f"the integrator of Model Exchange, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
-        )
+        raise MachineError(f"{what} cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
+    if (major := version[0].value) != _VERSION:
+        raise MachineError(f"{what} is of SUNDIALS {major} in {path}, not {_VERSION}; install another scikit-sundae.")
     return module
 
 
@@ -133,7 +118,7 @@ class Cvode:
         self.time, self.roots = 0.0, np.zeros(count, dtype=np.int32)
         self.memory = self.vector = 0  # addresses, 0 without a solver
         self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in (rates, indicators, data))
-        self._made: list[tuple[Callable[[Any], Any], Any]] = []  # what is to be freed, and by what
+        self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:
         """A new solver from y at `time` [s]. Raises RuntimeError where CVODE refuses what it is given."""
@@ -142,13 +127,12 @@ class Cvode:
         call, size, context = functions(), len(self.y), ctypes.c_void_p()
 
         def made(pointer: int | None, free: Callable[[Any], Any]) -> int:
-            if not pointer:
-                raise RuntimeError(f"CVODE refused to be set up at t = {time:.6g} s")
-            self._made.append((free, pointer))
-            return pointer
+            self._accepted(0 if pointer else -1)
+            self._made.callback(free, pointer)
+            return pointer or 0
 
         self._accepted(call.SUNContext_Create(0, ctypes.byref(context)))
-        self._made.append((lambda _: call.SUNContext_Free(ctypes.byref(context)), None))
+        self._made.callback(call.SUNContext_Free, ctypes.byref(context))
         call.SUNContext_ClearErrHandlers(context)
         self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
@@ -156,9 +140,8 @@ class Cvode:
             ctypes.memmove(array_of(vector), values.ctypes.data, 8 * size)
         matrix = made(call.SUNDenseMatrix(size, size, context), call.SUNMatDestroy)
         linear = made(call.SUNLinSol_Dense(self.vector, matrix, context), call.SUNLinSolFree)
-        memory = self.memory = made(
-            call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place)))
-        )
+        memory = made(call.CVodeCreate(self.method[0], context), lambda place: call.CVodeFree(ctypes.byref(ctypes.c_void_p(place))))
+        self.memory = memory
         self._accepted(
             call.CVodeSetUserData(memory, self._data),
             call.CVodeInit(memory, self._rates, time, self.vector),
@@ -169,9 +152,8 @@ class Cvode:
         )
         if len(self.roots):
             self.roots[:] = 0  # in whichever direction
-            self._accepted(
-                call.CVodeRootInit(memory, len(self.roots), self._indicators), call.CVodeSetRootDirection(memory, self.roots.ctypes.data)
-            )
+            self._accepted(call.CVodeRootInit(memory, len(self.roots), self._indicators))
+            self._accepted(call.CVodeSetRootDirection(memory, self.roots.ctypes.data))
         self._accepted(
             call.CVodeSetInitStep(memory, 0.0),
             call.CVodeSetMinStep(memory, self.min_step),
@@ -200,7 +182,5 @@ class Cvode:
 
     def close(self) -> None:
         """Free what CVODE holds."""
-        while self._made:
-            free, place = self._made.pop()
-            free(place)
+        self._made.close()
         self.memory = self.vector = 0

@@ -24,29 +24,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
+from fmpy import fmi2, fmi3
 from fmpy.fmi1 import _FMU, FMICallException
-from fmpy.fmi2 import (
-    FMU2Model,
-    FMU2Slave,
-    defaultCallbacks,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-    fmi2Discard,
-    fmi2Fatal,
-    fmi2LastSuccessfulTime,
-    fmi2OK,
-    fmi2Terminated,
-    fmi2Warning,
-)
-from fmpy.fmi3 import (
-    _FMU3,
-    FMU3Model,
-    FMU3Slave,
-    fmi3ClockUpdateCallback,
-    fmi3LockPreemptionCallback,
-    fmi3LogMessageCallback,
-    fmi3UnlockPreemptionCallback,
-)  # fmt: skip
 
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package, interface_of
@@ -129,13 +108,13 @@ class _Calls(_FMU):
     def _call(self, fname: str, *args: Any) -> Any:
         function = self._functions[fname]
         answer = function(*args)
-        if function.restype is ctypes.c_int and answer != fmi2OK and answer != fmi2Warning:
+        if function.restype is ctypes.c_int and answer != fmi2.fmi2OK and answer != fmi2.fmi2Warning:
             self.refuse(fname, answer)
         return answer
 
     def refuse(self, function: str, status: int) -> NoReturn:
         """Raise FMICallException for a call of `function` that was answered with this status."""
-        self.fatal = self.fatal or status == fmi2Fatal
+        self.fatal = self.fatal or status == fmi2.fmi2Fatal
         raise FMICallException(function=function, status=status)
 
     def address(self, function: str) -> int:
@@ -162,9 +141,9 @@ class _Fmi2(_Calls):
 
     def make(self, log: Callable[..., None], options: Mapping[str, Any]) -> None:
         if self.callbacks is None:
-            own = fmi2CallbackFunctions()
-            own.logger = fmi2CallbackLoggerTYPE(log)
-            own.allocateMemory, own.freeMemory = defaultCallbacks.allocateMemory, defaultCallbacks.freeMemory
+            own = fmi2.fmi2CallbackFunctions()
+            own.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+            own.allocateMemory, own.freeMemory = fmi2.defaultCallbacks.allocateMemory, fmi2.defaultCallbacks.freeMemory
             self.callbacks = own
         self.instantiate(callbacks=self.callbacks, **options)
 
@@ -181,14 +160,14 @@ class _Fmi2(_Calls):
         try:
             self.doStep(time, length)
         except FMICallException as error:
-            if error.status == fmi2Discard and self._status(self.getBooleanStatus, fmi2Terminated):
+            if error.status == fmi2.fmi2Discard and self._status(self.getBooleanStatus, fmi2.fmi2Terminated):
                 return StepAnswer(False, True, False, time + length)
             raise
         return StepAnswer(False, False, False, time + length)
 
     def last_successful_time(self) -> float | None:
         """May be asked after a step that was discarded; None if the FMU does not tell it."""
-        return self._status(self.getRealStatus, fmi2LastSuccessfulTime)
+        return self._status(self.getRealStatus, fmi2.fmi2LastSuccessfulTime)
 
     def _status(self, ask: Callable[[int], Any], what: int) -> Any:
         try:
@@ -228,35 +207,37 @@ class _Fmi3(_Calls):
         return self.getAdjointDerivative(unknowns, knowns, seed, nSensitivity=size)
 
 
-class FMU2Exchange(_Fmi2, FMU2Model):
+class FMU2Exchange(_Fmi2, fmi2.FMU2Model):
     """FMI 2.0, Model Exchange."""
 
-    rates, update, leave = FMU2Model.getDerivatives, FMU2Model.newDiscreteStates, FMU2Model.enterContinuousTimeMode
+    rates, update, leave = fmi2.FMU2Model.getDerivatives, fmi2.FMU2Model.newDiscreteStates, fmi2.FMU2Model.enterContinuousTimeMode
 
 
-class FMU2Stepping(_Fmi2, FMU2Slave):
+class FMU2Stepping(_Fmi2, fmi2.FMU2Slave):
     """FMI 2.0, Co-Simulation."""
 
 
-class FMU3Exchange(_Fmi3, FMU3Model):
+class FMU3Exchange(_Fmi3, fmi3.FMU3Model):
     """FMI 3.0, Model Exchange."""
 
-    rates, update, leave = FMU3Model.getContinuousStateDerivatives, FMU3Model.updateDiscreteStates, FMU3Model.enterContinuousTimeMode
+    rates = fmi3.FMU3Model.getContinuousStateDerivatives
+    update, leave = fmi3.FMU3Model.updateDiscreteStates, fmi3.FMU3Model.enterContinuousTimeMode
 
 
-class FMU3Stepping(_Fmi3, FMU3Slave):
+class FMU3Stepping(_Fmi3, fmi3.FMU3Slave):
     """FMI 3.0, Co-Simulation."""
 
-    update, leave = FMU3Slave.updateDiscreteStates, FMU3Slave.enterStepMode
+    update, leave = fmi3.FMU3Slave.updateDiscreteStates, fmi3.FMU3Slave.enterStepMode
 
 
-class FMU3Scheduling(_Fmi3, _FMU3):
+class FMU3Scheduling(_Fmi3, fmi3._FMU3):
     """FMI 3.0, Scheduled Execution: FMPy has its functions, and no class."""
 
     def instantiate(self, logMessage: Callable[..., None], clockUpdate: Callable[..., None], locks: Sequence[Callable[[], None]]) -> None:
         """clockUpdate: the FMU wants its clocks looked at; locks: called before and after what must not be interrupted."""
         self._callbacks = (  # held as long as C may call them
-            fmi3LogMessageCallback(logMessage), fmi3ClockUpdateCallback(clockUpdate), fmi3LockPreemptionCallback(locks[0]), fmi3UnlockPreemptionCallback(locks[1]),
+            fmi3.fmi3LogMessageCallback(logMessage), fmi3.fmi3ClockUpdateCallback(clockUpdate),
+            fmi3.fmi3LockPreemptionCallback(locks[0]), fmi3.fmi3UnlockPreemptionCallback(locks[1]),
         )  # fmt: skip
         resources = os.path.join(self.unzipDirectory, "resources", "")
         self.component = self.fmi3InstantiateScheduledExecution(
@@ -373,11 +354,6 @@ class Instance:
         self.close()
         if not self.fmu.fatal:
             self.fmu.freeLibrary()
-
-    def refuse(self, function: str, status: int) -> NoReturn:
-        """Raise FMICallException for a call, named without its prefix, that was made by its address."""
-        self.fmu.refuse(self.fmu.prefix + function, status)
-        raise AssertionError(f"status {status} refuses nothing")
 
     # Values
 

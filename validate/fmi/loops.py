@@ -27,45 +27,25 @@ _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
 
 # The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of inputs.
 CALLS = (
-    ("GetReal", "GetFloat64"),
-    ("SetReal", "SetFloat64"),
-    ("SetTime", "SetTime"),
-    ("SetContinuousStates", "SetContinuousStates"),
-    ("GetContinuousStates", "GetContinuousStates"),
-    ("GetDerivatives", "GetContinuousStateDerivatives"),
-    ("GetEventIndicators", "GetEventIndicators"),
-    ("CompletedIntegratorStep", "CompletedIntegratorStep"),
-    ("EnterEventMode", "EnterEventMode"),
-    ("NewDiscreteStates", "UpdateDiscreteStates"),
-    ("EnterContinuousTimeMode", "EnterContinuousTimeMode"),
-    ("DoStep", "DoStep"),
-    ("SetRealInputDerivatives", ""),
-    ("GetFMUstate", "GetFMUState"),
-    ("SetFMUstate", "SetFMUState"),
-)
+    ("GetReal", "GetFloat64"), ("SetReal", "SetFloat64"), ("SetTime", "SetTime"), ("SetContinuousStates", "SetContinuousStates"),
+    ("GetContinuousStates", "GetContinuousStates"), ("GetDerivatives", "GetContinuousStateDerivatives"), ("GetEventIndicators", "GetEventIndicators"),
+    ("CompletedIntegratorStep", "CompletedIntegratorStep"), ("EnterEventMode", "EnterEventMode"), ("NewDiscreteStates", "UpdateDiscreteStates"),
+    ("EnterContinuousTimeMode", "EnterContinuousTimeMode"), ("DoStep", "DoStep"), ("SetRealInputDerivatives", ""),
+    ("GetFMUstate", "GetFMUState"), ("SetFMUstate", "SetFMUState"),
+)  # fmt: skip
 
 # The functions of SUNDIALS that the loops call, in the order of loops.c; a solver is made in Python (cvode.py).
 SOLVER = ("N_VGetArrayPointer", "CVodeReInit", "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo")
 _COUNTS = {"CALLS": len(CALLS), "SOLVER_CALLS": len(SOLVER)}
 
 
-class Reason(IntEnum):
-    """Why a loop came back, in the order of loops.c."""
-
-    DONE = 0
-    EVENT = 1
-    CALL_REFUSED = 2
-    RATE_NOT_FINITE = 3
-    OUT_OF_BOUNDS = 4
-    SUM_NOT_FINITE = 5
-    OUTPUT_NOT_FINITE = 6
-    SOLVER_FAILED = 7
-    STOP_TIME_REFUSED = 8
-    SETUP_REFUSED = 9
-    WANTS_END = 10
-    NEVER_SETTLES = 11
-    NOT_RESTORED = 12
-    EARLY_RETURN = 13
+# Why a loop came back, in the order of loops.c.
+Reason = IntEnum(
+    "Reason",
+    "DONE EVENT CALL_REFUSED RATE_NOT_FINITE OUT_OF_BOUNDS SUM_NOT_FINITE OUTPUT_NOT_FINITE SOLVER_FAILED STOP_TIME_REFUSED SETUP_REFUSED WANTS_END "
+    "NEVER_SETTLES NOT_RESTORED EARLY_RETURN",
+    start=0,
+)
 
 
 @lru_cache(maxsize=1)
@@ -144,7 +124,8 @@ def describe(
 
 def refuse(instance: Instance, fmu: Any) -> NoReturn:
     """Raise FMICallException for the call that was refused."""
-    instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
+    instance.fmu.refuse(instance.fmu.prefix + CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
+    raise AssertionError(f"status {fmu.fault_status} refuses nothing")
 
 
 def unsettled(reason: Reason, time: float) -> NoReturn:

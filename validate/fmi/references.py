@@ -15,7 +15,7 @@ import io
 import math
 import zipfile
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
@@ -160,10 +160,8 @@ def beside(path: Path) -> StoredResult:
 
 def _result(result: Path, where: str) -> StoredResult:
     stem = result.stem.removesuffix("_ref").removesuffix("_out")
-    error, settings, inputs = (
-        path if path.is_file() else None
-        for path in (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
-    )
+    paths = (result.with_name(name) for name in (f"{result.stem}_error.csv", f"{stem}{SETTINGS}", f"{stem}{INPUT}"))
+    error, settings, inputs = (path if path.is_file() else None for path in paths)
     return StoredResult(where, result, error, settings, inputs)
 
 
@@ -209,8 +207,7 @@ def _experiments(folder: Path, source: str) -> Iterator[StoredResult]:
         text = {name: item.get(name[0].lower() + name[1:], "0") for name in _SETTINGS[:3]} | {"RelTol": item.get("tolerance", "1e-4")}
         settings = read_settings(where, "".join(f"{name}, {value}\n" for name, value in text.items()))
         inputs = None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
-        error = result.with_name(f"{result.stem}_error.csv")
-        yield StoredResult(_where(folder, result), result, error if error.is_file() else None, None, inputs, settings)
+        yield replace(_result(result, _where(folder, result)), settings=None, inputs=inputs, experiment=settings)
 
 
 def _named(folder: Path, by: Path, what: str, source: str) -> Path:
@@ -229,7 +226,7 @@ def _parsed(path: Path, root_name: str = "fmiReferences", text: bytes | None = N
     """The root of an XML file, or of its text. Raises FmuError."""
     text = path.read_bytes() if text is None else text
     try:
-        XmlReader(False).read(text)  # no DOCTYPE
+        XmlReader().read(text)  # no DOCTYPE
         root = ElementTree.fromstring(text)
     except Exception as error:  # of expat, of an encoding, HasDoctype
         raise FmuError(f"{FOLDER}/{path.name} is no XML that can be read ({error or 'it has a DOCTYPE'})") from error

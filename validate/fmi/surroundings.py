@@ -31,7 +31,7 @@ _FILE, _MOST_FILES = "the file here ", 1000
 
 
 @lru_cache(maxsize=1)
-def _library() -> Any:
+def symbols() -> Any:
     """The process' own symbols; None where they cannot be had."""
     try:
         return ctypes.CDLL(None)
@@ -41,21 +41,17 @@ def _library() -> Any:
 
 def surroundings() -> dict[str, Any]:
     """What this process has, by what it is called in a sentence; Linux tells all of it."""
-    found: dict[str, Any] = {
-        "the working folder": _folder(),
-        "what becomes of denormal numbers": "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero",
-    }
-    found |= {f"the environment variable {name}": value for name, value in _environment().items()}
-    found |= {f"{_FILE}{name}": changed for name, changed in _files()}
-    for number, place in enumerate(_descriptors()):
-        if place is not None:
-            found[f"file descriptor {number}"] = place
+    found: dict[str, Any] = {"the working folder": "gone"}
+    with contextlib.suppress(OSError):
+        found["the working folder"] = os.getcwd()
+    found["what becomes of denormal numbers"] = "they stay" if float(_DENORMAL / 2.0) > 0.0 else "zero"
+    found |= {f"the environment variable {name}": value for name, value in _environment().items()} | _files() | _descriptors()
     mask = os.umask(0)
     os.umask(mask)
     found["the mask of new files"] = f"{mask:03o}"
     if hasattr(signal, "getitimer"):
         found["the alarm clock"] = "set" if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0 else "not set"
-    call = _library()
+    call = symbols()
     if call is None or sys.platform != "linux":
         return found
     with contextlib.suppress(AttributeError):
@@ -70,6 +66,15 @@ def surroundings() -> dict[str, Any]:
     return found
 
 
+# By how a thing's name begins what is said of it where it is gone, new, or another one; of others what it is and was.
+_SAID = {
+    "file descriptor": ("closed", "", "another file"),
+    "the handler": ("another one", "another one", "another one"),
+    _FILE: ("gone", "new or changed", "new or changed"),
+    "the environment": ("gone", "new", "another one"),
+}
+
+
 def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True) -> list[str]:
     """What is not as it was, in words. more: also what was not there before, but for file descriptors, which may stay open while an FMU lives."""
     said = []
@@ -78,16 +83,8 @@ def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True)
         one, two = before.get(name), after.get(name)
         if one == two or (moved and name.startswith(_FILE)) or (one is None and (not more or name.startswith("file descriptor"))):
             continue
-        if name.startswith("file descriptor"):
-            said.append(f"{name} is {'closed' if two is None else 'another file'}")
-        elif name.startswith("the handler"):
-            said.append(f"{name} is another one")
-        elif name.startswith(_FILE):
-            said.append(f"{name} is {'gone' if two is None else 'new or changed'}")
-        elif name.startswith("the environment"):
-            said.append(f"{name} is {'gone' if two is None else 'new' if one is None else 'another one'}")
-        else:
-            said.append(f"{name} is {two}, it was {one}")
+        words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
+        said.append(f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}")
     return said
 
 
@@ -97,26 +94,19 @@ def listed(items: list[str], most: int = 3) -> str:
     return "; ".join(items[:most]) + (f"; and {more} more" if more > 0 else "")
 
 
-def _folder() -> str:
-    try:
-        return os.getcwd()
-    except OSError:
-        return "gone"
-
-
-def _files() -> list[tuple[str, int]]:
+def _files() -> dict[str, int]:
     """Files of the working folder, and when each was changed [ns]."""
-    found = []
+    found = {}
     with contextlib.suppress(OSError), os.scandir(".") as entries:
         for entry in itertools.islice(entries, _MOST_FILES):
             if entry.is_file(follow_symlinks=False):
-                found.append((repr(entry.name), entry.stat(follow_symlinks=False).st_mtime_ns))
+                found[f"{_FILE}{entry.name!r}"] = entry.stat(follow_symlinks=False).st_mtime_ns
     return found
 
 
 def _environment() -> dict[str, bytes]:
     """That of C: os.environ is a copy."""
-    call = _library()
+    call = symbols()
     try:
         rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
     except (AttributeError, TypeError, ValueError):
@@ -130,15 +120,15 @@ def _environment() -> dict[str, bytes]:
     return found
 
 
-def _descriptors() -> list[tuple[int, int] | None]:
-    """Device and file of each open file, by number."""
+def _descriptors() -> dict[str, tuple[int, int]]:
+    """Device and file of each open file."""
     try:
-        numbers = [int(name) for name in os.listdir("/proc/self/fd")]
+        numbers = sorted(map(int, os.listdir("/proc/self/fd")))
     except OSError:
-        numbers = list(range(64))
-    found: list[tuple[int, int] | None] = [None] * (max(numbers, default=-1) + 1)
+        numbers = range(64)
+    found = {}
     for number in numbers:
         with contextlib.suppress(OSError):
             status = os.fstat(number)
-            found[number] = (status.st_dev, status.st_ino)
+            found[f"file descriptor {number}"] = (status.st_dev, status.st_ino)
     return found

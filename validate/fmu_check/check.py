@@ -77,18 +77,23 @@ class Failed(Exception):  # noqa: N818 - a finding about the FMU, not an error o
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: its name in the table, what it claims of a sound FMU, and the function that finds out.
+    """One check: its name in the table, and the function that finds out, whose docstring, one sentence, is what it claims of a sound FMU.
 
     run(subject) for Scope.FILE, run(subject, type) with type "ME", "CS" or "SE" otherwise; clauses: the sections of FMI 2.0.4 and 3.0.2 that demand it, empty
     where none does; needs: the ability that the type must claim, by its names in FMI 2.0 and 3.0, empty in a version that has none.
     """
 
     name: str
-    claim: str
     scope: Scope
     run: Callable[..., Finding]
     clauses: tuple[str, str] = ("", "")
     needs: tuple[str, str] | None = None
+
+    @property
+    def claim(self) -> str:
+        """What it claims of a sound FMU."""
+        claim = " ".join((self.run.__doc__ or "").split()).removesuffix(".")
+        return claim[:1].lower() + claim[1:]
 
     def clause(self, major: int) -> str:
         """The section that demands it, for example `FMI 2.0.4, 2.1.8`; empty where no section does. major: the version of FMI, 0 if it is not known."""
@@ -118,13 +123,8 @@ class Check:
 def check(
     name: str, scope: Scope, *, clauses: tuple[str, str] = ("", ""), needs: tuple[str, str] | None = None
 ) -> Callable[[Callable[..., Finding]], Check]:
-    """Make a function a Check: see there. Its docstring, one sentence, is what it claims of a sound FMU."""
-
-    def made(function: Callable[..., Finding]) -> Check:
-        claim = " ".join((function.__doc__ or "").split()).removesuffix(".")
-        return Check(name=name, claim=claim[:1].lower() + claim[1:], scope=scope, run=function, clauses=clauses, needs=needs)
-
-    return made
+    """Make a function a Check: see there."""
+    return lambda function: Check(name=name, scope=scope, run=function, clauses=clauses, needs=needs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,22 +193,18 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
 
     Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
     """
-    descriptor, name = tempfile.mkstemp(prefix="answer-")
-    os.close(descriptor)
-    path = Path(name)
-    child = os.fork()
-    if child == 0:
-        _answer(function, path, own_group)
-    problem = _wait(child, seconds, own_group)
-    if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
-        path.unlink(missing_ok=True)
-        raise Misbehaviour(problem)
-    try:
-        answer = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
-    finally:
-        path.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(prefix="answer-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder, "answer.json")
+        child = os.fork()
+        if child == 0:
+            _answer(function, path, own_group)
+        problem = _wait(child, seconds, own_group)
+        if problem and own_group:  # what stood between was ended while the code went on: its answer does not count
+            raise Misbehaviour(problem)
+        try:
+            answer = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
     for fault in _FAULTS:
         if fault.__name__ in answer:
             raise fault(answer[fault.__name__])

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import heapq
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -22,7 +22,7 @@ from fmpy.fmi3 import fmi3Float64, fmi3IntervalChanged, fmi3IntervalQualifier, f
 from validate.fmi.archive import DESCRIPTION
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Failed, Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.communication import MIGHT_RETURN, StepLog, step_to, with_events
+from validate.fmu_check.communication import MIGHT_RETURN, SteppedInstance
 from validate.fmu_check.motion import TOLERANCE, Crowded, Exchange
 from validate.fmu_check.subject import Block, CheckedInstance, Subject
 
@@ -75,8 +75,7 @@ class _Schedule:
 
     def __init__(self, instance: CheckedInstance, clocks: Sequence[_Clock]) -> None:
         subject, self._instance, self.clocks = instance.subject, instance, clocks
-        self._start, self._heap = subject.start_time, []
-        self._periods: dict[int, float] = {}
+        self._start, self._next, self._periods = subject.start_time, dict[_Clock, float](), dict[int, float]()
         for item in clocks:
             if item.variability == "triggered":
                 self._push(self._start, item)
@@ -94,17 +93,19 @@ class _Schedule:
 
     def _push(self, time: float, item: _Clock) -> None:
         if math.isfinite(time):
-            heapq.heappush(self._heap, (time, item.priority, item.reference, item))
+            self._next[item] = time
 
     @property
     def time(self) -> float:
         """Of the next tick [s]; infinite where there is none before the end."""
-        time = self._heap[0][0] if self._heap else math.inf
+        time = min(self._next.values(), default=math.inf)
         return time if time < self.end - self.near else math.inf
 
     def pop(self) -> _Clock:
         """The clock that ticks next."""
-        return heapq.heappop(self._heap)[-1]
+        first = min(self._next, key=lambda item: (self._next[item], item.priority, item.reference))
+        del self._next[first]
+        return first
 
     def go_on(self, time: float, ticked: Sequence[_Clock], *, updated: bool = True) -> None:
         """When clocks that have ticked do so again; updated: whether countdown clocks are to be looked at."""
@@ -116,10 +117,8 @@ class _Schedule:
             elif item.variability != "countdown":
                 self._push(time + self._periods[item.reference], item)
         for item in self.clocks if updated else ():
-            if item.variability == "countdown" and math.isfinite(wait := self._ask(item)):
-                self._heap = [entry for entry in self._heap if entry[2] != item.reference]  # what it told before is overwritten
-                heapq.heapify(self._heap)
-                self._push(time + wait, item)
+            if item.variability == "countdown":
+                self._push(time + self._ask(item), item)  # what it told before is overwritten
 
     def _ask(self, item: _Clock) -> float:
         """The interval that the FMU tells of a clock [s]; infinite where a countdown has not changed."""
@@ -168,16 +167,12 @@ class _Log:
 def _judge(runs: Callable[[], _Log], more: Callable[[_Log], str]) -> Finding:
     """Two runs with the same ticks give the same finite values."""
     first, second = runs(), runs()
-    if len(first.rows) != len(second.rows) or not all(map(_same, first.rows, second.rows)):
+    if len(first.rows) != len(second.rows) or not all(map(partial(np.array_equal, equal_nan=True), first.rows, second.rows)):
         return failed("a second run with the same activations gives other values.")
     if not all(np.isfinite(row).all() for row in first.rows):
         return failed("a value is no finite number.")
     most = max((row.size for row in first.rows), default=0)
     return passed(f"activated: {first.words()}; {more(first)}; up to {most} values each time, equal bits in a second run.")
-
-
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    return np.array_equal(one, other, equal_nan=True)
 
 
 def _clocked(subject: Subject, references: Sequence[int]) -> Block:
@@ -251,7 +246,7 @@ def ticking(subject: Subject, kind: str) -> Finding:
 
 def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Clock]) -> _Log:
     """A run through twenty ticks of the fastest clock, with whatever other events the FMU has."""
-    with _Ticking(subject, kind, options=None if kind == "ME" else with_events(subject.can(kind, MIGHT_RETURN))) as instance:
+    with _Ticking(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
         instance.log, instance.outputs = _Log([*clocks, *outputs]), outputs
         instance.setup()
         instance.enter_initialisation()
@@ -259,7 +254,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         instance.fmu.exitInitializationMode()
         instance.settle()
         if kind == "CS":
-            step_to(instance, schedule.end, StepLog())
+            instance.step_to(schedule.end)
             return instance.log
         mover = Exchange(instance, TOLERANCE)
         mover.renew(subject.start_time)
@@ -269,7 +264,7 @@ def _ticked(subject: Subject, kind: str, clocks: list[_Clock], outputs: list[_Cl
         return instance.log
 
 
-class _Ticking(CheckedInstance):
+class _Ticking(SteppedInstance):
     """An instance whose clocks tick when their time comes: a tick is a time event of it."""
 
     log: _Log
@@ -293,11 +288,17 @@ class _Ticking(CheckedInstance):
 
     def before_update(self) -> None:
         """What ticks is counted, and what is clocked read."""
-        self.log.counts[""] += 1
         active = [*self.due, *self._active()]
-        for item in active:
-            self.log.counts[item.name] += 1
-        self._read(active)
+        for name in ("", *(item.name for item in active)):
+            self.log.counts[name] += 1
+        clocked = _clocked(self.subject, [item.reference for item in active])
+        try:
+            self.log.rows.append(np.concatenate([self.observe(), self.get(clocked)]))
+        except FMICallException as error:
+            names = " and ".join(item.name for item in active) or "no clock"
+            raise Misbehaviour(
+                f"while {names} ticks at t = {self.time:.6g} s its variables cannot be read ({str(error).rstrip('.')}){self.quote()}"
+            ) from error
         self.due = ()
 
     def content(self) -> None:
@@ -326,14 +327,3 @@ class _Ticking(CheckedInstance):
         """Output clocks that tick."""
         states = self.fmu.getClock([item.reference for item in self.outputs]) if self.outputs else ()
         return [item for item, active in zip(self.outputs, states, strict=True) if active]
-
-    def _read(self, active: Sequence[_Clock]) -> None:
-        """Values that may be read while these clocks tick."""
-        clocked = _clocked(self.subject, [item.reference for item in active])
-        try:
-            self.log.rows.append(np.concatenate([self.observe(), self.get(clocked)]))
-        except FMICallException as error:
-            names = " and ".join(item.name for item in active) or "no clock"
-            raise Misbehaviour(
-                f"while {names} ticks at t = {self.time:.6g} s its variables cannot be read ({str(error).rstrip('.')}){self.quote()}"
-            ) from error

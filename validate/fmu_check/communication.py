@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
+from validate.fmu_check.check import Failed, Finding, Scope, advice, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import compare, fresh_run, require_equal, run
-from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -40,7 +40,7 @@ def lives(subject: Subject, kind: str) -> Finding:
         for step in range(steps):
             began = time.perf_counter()
             if kind == "CS":
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             elif instance.state_count:
                 instance.move(subject.time(step), instance.states() + 1e-3 * subject.step * instance.rates())
             paces.append(time.perf_counter() - began)
@@ -54,7 +54,6 @@ def lives(subject: Subject, kind: str) -> Finding:
 @check("time after a step", Scope.EACH, clauses=("2.2.7", "2.4.7.4"))
 def keeps_time(subject: Subject, kind: str) -> Finding:
     """The time the FMU tells is the time it was brought to."""
-    clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     sources: set[str] = set()
     wrong: list[str] = []
     with CheckedInstance(subject, kind).begin() as instance:
@@ -73,17 +72,15 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                 reached = instance.do_step(begin, subject.step).reached
                 if subject.major >= 3:
                     look("fmi3DoStep's lastSuccessfulTime", reached, end)
-            for clock in clocks:
+            for clock in subject.clocks:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
     if wrong and kind == "CS" and subject.step < subject.internal_step * (1.0 - _SAME):
         return advice(
             f"{wrong[0]}: the step of {subject.step:g} s, which the FMU proposes, is below the one it makes inside, {subject.internal_step:g} s; propose a multiple of that."
         )
-    if wrong:
-        return failed(f"{wrong[0]}.")
     if not sources:
         return not_offered("there is no independent variable, and no time is told with a step.")
-    return passed(f"{' and '.join(sorted(sources))}: right at {steps} times.")
+    return unless(wrong[:1], f"{' and '.join(sorted(sources))}: right at {steps} times.")
 
 
 @check("stop time is respected", Scope.COSIMULATION, clauses=("2.1.6", "2.3.2"))
@@ -93,7 +90,7 @@ def stop_time(subject: Subject, kind: str) -> Finding:
     with CheckedInstance(subject, kind).begin(stop=subject.time(steps)) as instance:
         for step in range(steps):
             try:
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             except FMICallException:
                 return failed(
                     f"the step to t = {subject.time(step + 1):.6g} s is refused, though the stop time is {subject.time(steps):.6g} s{instance.quote()}."
@@ -124,16 +121,53 @@ _UPDATE = "providesIntermediateUpdate"
 MIGHT_RETURN = "mightReturnEarlyFromDoStep"
 
 
-@dataclass
-class StepLog:
-    """What an instance reported on its way: times of events, how often it returned early."""
+class SteppedInstance(CheckedInstance):
+    """An instance whose steps have event mode, where it is Co-Simulation; events, early: how many it had, and how often it returned early."""
 
-    events: list[float] = field(default_factory=list)
-    early: int = 0
+    events = early = 0
+
+    def __init__(self, subject: Subject, kind: str, *, early: bool) -> None:
+        """early: whether it may return early."""
+        super().__init__(subject, kind, options={"eventModeUsed": True, "earlyReturnAllowed": early} if kind == "CS" else None)
+
+    def make_step(self, step: int) -> None:
+        """One communication step, through all events in it. Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
+        self.step_to(self.subject.time(step + 1))
+
+    def step_to(self, goal: float) -> None:
+        """Steps to a time [s]. Raises Misbehaviour where an answer cannot be right."""
+        subject, t, still = self.subject, self.time, 0
+        near = _SAME * subject.step
+        while goal - t > near:
+            target = min(goal, max(self.next_event, t + near))
+            asked, _, early, reached = self.do_step(t, target - t)
+            where = f"the step from t = {t:.6g} s to {target:.6g} s"
+            if early and not self.options["earlyReturnAllowed"]:
+                raise Misbehaviour(f"{where} returned early, which was not allowed")
+            if not early and abs(reached - target) > near:
+                raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
+            if not t - near <= reached <= target + near:
+                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
+            for name, told in zip(subject.clocks.names, self.get(subject.clocks), strict=True):
+                if abs(told - reached) > near:
+                    raise Misbehaviour(f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s")
+            self.early += early
+            still = still + 1 if reached - t <= near else 0
+            if still > _STILL:
+                raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
+            t = self.time = reached
+            if asked or t >= self.next_event - near:
+                self.events += 1
+                self.event()
 
 
-class _Eventful(CheckedInstance):
+class _Eventful(SteppedInstance):
     """An instance with event mode, whose every event is tried once more."""
+
+    def run(self, steps: int) -> np.ndarray:
+        """From its beginning, (steps + 1, observed) [unit of each variable]. Raises as `motion.run`."""
+        self.begin().settle()
+        return run(self, 0, steps)
 
     def content(self) -> None:
         """Once more without effect."""
@@ -145,113 +179,63 @@ class _Eventful(CheckedInstance):
             raise Misbehaviour(f"at t = {self.time:.6g} s fmi3UpdateDiscreteStates was content, but called once more it {what}")
 
 
-def _through(instance: _Eventful, steps: int, log: StepLog) -> np.ndarray:
-    """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
-    subject = instance.subject
-    instance.settle()
-    rows = [instance.observe()]
-    for step in range(steps):
-        if step % HOLD == 0 and subject.continuous_inputs:
-            instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        step_to(instance, subject.time(step + 1), log)
-        rows.append(instance.observe())
-    return np.array(rows)
-
-
-def step_to(instance: CheckedInstance, goal: float, log: StepLog) -> None:
-    """Steps to a time [s] with an instance in Step Mode that has event mode. Raises Misbehaviour where an answer cannot be right."""
-    subject, t, still = instance.subject, instance.time, 0
-    near = _SAME * subject.step
-    clocks = Block(item for item in subject.variables if item.causality == "independent" and item.is_float)
-    while goal - t > near:
-        target = min(goal, max(instance.next_event, t + near))
-        asked, _, early, reached = instance.do_step(t, target - t)
-        where = f"the step from t = {t:.6g} s to {target:.6g} s"
-        if early and not instance.options["earlyReturnAllowed"]:
-            raise Misbehaviour(f"{where} returned early, which was not allowed")
-        if not early and abs(reached - target) > near:
-            raise Misbehaviour(f"{where} says that it did not return early, and that it reached {reached:.9g} s")
-        if not t - near <= reached <= target + near:
-            raise Misbehaviour(f"{where} says that it reached {reached:.9g} s")
-        for name, told in zip(clocks.names, instance.get(clocks), strict=True):
-            if abs(told - reached) > near:
-                raise Misbehaviour(f"{where} says that it reached {reached:.9g} s, the variable {name} says {told:.9g} s")
-        log.early += early
-        still = still + 1 if reached - t <= near else 0
-        if still > _STILL:
-            raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
-        t = instance.time = reached
-        if asked or t >= instance.next_event - near:
-            log.events.append(t)
-            instance.event()
-
-
-def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
-    """Which state goes another way, in words; empty if none does."""
-    watched = subject.states or [item for item in subject.outputs if item.is_float]
-    places = subject.observed.ends
-    names = [item.reference for item in subject.observed]
-    for item in watched:
-        if item.reference not in names:
+def _require_same_way(subject: Subject, plain: np.ndarray, other: np.ndarray, how: str, than: str) -> None:
+    """Raise Failed if a state goes another way; how: what was done in the other run, than: what is said behind it."""
+    columns: dict[int, slice] = {}
+    for item, (begin, end) in zip(subject.observed, pairwise(subject.observed.ends), strict=True):
+        columns.setdefault(item.reference, slice(begin, end))
+    for item in subject.states or [item for item in subject.outputs if item.is_float]:
+        if item.reference not in columns:
             continue
-        at = names.index(item.reference)
-        one, two = plain[:, places[at] : places[at + 1]], other[:, places[at] : places[at + 1]]
+        one, two = plain[:, columns[item.reference]], other[:, columns[item.reference]]
         off = np.abs(one - two) > _OFF * np.ptp(one, axis=0) + 1e-6 * np.abs(one).max(axis=0)
         share = float(off.any(axis=1).mean())
         if share > _OFTEN:
-            return f"{item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g})"
-    return ""
+            raise Failed(
+                f"{how}, {item.name} is another one at {share:.0%} of the times (by up to {np.abs(one - two).max():.3g}) than {than}."
+            )
 
 
 @check("event mode of Co-Simulation", Scope.COSIMULATION, clauses=("", "2.3.5"), needs=("", "hasEventMode"))
 def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
-    steps, log = subject.long_steps(kind), StepLog()
+    steps = subject.long_steps(kind)
     plain = fresh_run(subject, kind, steps)
-    with _Eventful(subject, kind, options=with_events(subject.can(kind, MIGHT_RETURN))) as instance:
-        rows = _through(instance.begin(), steps, log)
-        wrong = _elsewhere(subject, plain, rows)
-        if wrong:
-            return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
+    with _Eventful(subject, kind, early=subject.can(kind, MIGHT_RETURN)) as instance:
+        rows = instance.run(steps)
+        events = instance.events
+        _require_same_way(subject, plain, rows, "with event mode", "without: not every event is announced and handled")
         instance.fmu.reset()
-        require_equal(subject, rows, _through(instance.begin(), steps, StepLog()), "after reset in a run with event mode")
-    return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
-
-
-def with_events(early: bool) -> dict[str, bool]:
-    """Options of an instance with event mode; early: whether it may return early."""
-    return {"eventModeUsed": True, "earlyReturnAllowed": early}
+        require_equal(subject, rows, instance.run(steps), "after reset in a run with event mode")
+    return passed(f"{events} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
 @check("early return", Scope.COSIMULATION, clauses=("", "4.1.3"))
 def early_return(subject: Subject, kind: str) -> Finding:
     """Only where it is allowed, at the time that is told, and where it is asked for."""
     might, asked = (subject.can(kind, name) for name in (MIGHT_RETURN, "canReturnEarlyAfterIntermediateUpdate"))
-    if subject.major < 3 or not (might or asked):
-        return not_offered(
-            "FMI 2.0 has none." if subject.major < 3 else f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true."
-        )
+    if subject.major < 3:
+        return not_offered("FMI 2.0 has none.")
+    if not (might or asked):
+        return not_offered(f"neither {MIGHT_RETURN} nor canReturnEarlyAfterIntermediateUpdate is true.")
     said = []
     if subject.can(kind, "hasEventMode"):
-        log = StepLog()
-        for early in (False, True):
-            with _Eventful(subject, kind, options=with_events(early)) as instance:
-                _through(instance.begin(), subject.long_steps(kind), log)
-        if log.early and not might:
+        for may in (False, True):
+            with _Eventful(subject, kind, early=may) as instance:
+                instance.run(subject.long_steps(kind))
+        if instance.early and not might:  # where it may not, that is no answer
             return failed(f"it returned early, though {MIGHT_RETURN} is false.")
-        said.append(f"{log.early} times at events")
+        said.append(f"{instance.early} times at events")
     if asked and subject.can(kind, _UPDATE):
-        asked, wrong = _asked_to_return(subject, kind)
-        if wrong:
-            return failed(f"{wrong}.")
-        said.append("where it was asked to" if asked else "nowhere on demand, as its intermediate update never offered that")
+        offered = _returns_where_asked(subject, kind)
+        said.append("where it was asked to" if offered else "nowhere on demand, as its intermediate update never offered that")
     if not said:
         return not_offered("it has neither event mode nor intermediate update, by which it could be asked.")
     return passed(f"it returned early {' and '.join(said)}; the times told are right.")
 
 
-def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
-    """Ask for an early return at the first chance: (whether there was one, what is wrong, in words)."""
+def _returns_where_asked(subject: Subject, kind: str) -> bool:
+    """Ask for an early return at the first chance; whether there was one. Raises Failed where it does something else."""
     chances: list[float] = []
 
     def ask(_environment: Any, time: float, _set: bool, _get: bool, finished: bool, may: bool, early: Any, when: Any) -> None:
@@ -266,13 +250,13 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
         _, _, early, reached = instance.do_step(begin, step)
         near = _SAME * subject.step
         if not chances:
-            return False, ""
+            return False
         if not early and begin + step - chances[0] > near:
-            return True, f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s"
+            raise Failed(f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s.")
         if early and not chances[0] - near <= reached < begin + step + near:
-            return True, f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s"
+            raise Failed(f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s.")
         instance.do_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
-    return True, ""
+    return True
 
 
 # Stairs in place of a line: how many, and how much nearer to the line they must be than the constant is. What a slope changes must be this share of a value.
@@ -285,14 +269,12 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), 2 * HOLD)
     wrong: list[str] = []
     calls = [0, 0]  # all, those in which values may be got
-    reading: list[CheckedInstance] = []
     last = [-math.inf]
 
     def update(_environment: Any, time: float, _set: bool, may_get: bool, _finished: bool, may: bool, _early: Any, _when: Any) -> None:
         # An exception in a callback would be lost.
         calls[0] += 1
         calls[1] += may_get
-        instance = reading[0]
         begin, near = instance.time, _SAME * subject.step
         if not begin - near <= time <= begin + subject.step + near:
             wrong.append(f"in the step from t = {begin:.6g} s to {begin + subject.step:.6g} s it is called for t = {time:.9g} s")
@@ -303,29 +285,24 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
         if may_get:
             last[0] = time
             try:
-                finite = bool(np.isfinite(instance.get(watched)).all())
+                if not np.isfinite(instance.get(watched)).all():
+                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
             except FMICallException as error:
                 wrong.append(f"at t = {time:.6g} s values may be got, but that is refused ({str(error).rstrip('.')})")
-            else:
-                if not finite:
-                    wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
     def stepped(instance: CheckedInstance, step: int) -> None:
         instance.time = subject.time(step + 1)
         if wrong:
             raise Misbehaviour(wrong[0])
 
-    watched: list[FmuVariable] = [item for item in subject.outputs if item.is_float]
+    watched = Block(item for item in subject.outputs if item.is_float)
     plain = fresh_run(subject, kind, steps)
-    options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
+    options = {"intermediateUpdate": update, "requiredIntermediateVariables": watched.references}
     with CheckedInstance(subject, kind, options=options) as instance:
-        reading.append(instance)
         rows = run(instance.begin(), 0, steps, after=lambda step: stepped(instance, step))
     if not calls[0]:
         return failed(f"it was never called in {steps} steps, though {_UPDATE} is true.")
-    different = _elsewhere(subject, plain, rows)
-    if different:
-        return failed(f"with a callback that only reads, {different} than without.")
+    _require_same_way(subject, plain, rows, "with a callback that only reads", "without")
     return passed(
         f"{calls[0]} calls in {steps} steps, {calls[1]} of them to read {len(watched)} values; times within the step and never back."
     )
@@ -348,9 +325,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
                 at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
                 instance.set(inputs, at)
                 if slopes is not None:
-                    instance.fmu.setRealInputDerivatives(
-                        [item.reference for item in inputs], [1] * len(inputs), [float(value) for value in slopes]
-                    )
+                    instance.fmu.setRealInputDerivatives(inputs.references, [1] * len(inputs), [float(value) for value in slopes])
                 begin = subject.start_time + length * stair / stairs
                 instance.do_step(begin, subject.start_time + length * (stair + 1) / stairs - begin)
             return instance.get(subject.states)

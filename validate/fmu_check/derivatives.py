@@ -7,10 +7,9 @@ step, there is a kink and no derivative.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +17,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.surroundings import listed
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import Record, fresh_run, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, FmuVariable, Subject
 
@@ -40,36 +39,6 @@ class _DerivativeColumn:
     value: np.ndarray
     error: np.ndarray
     kink: np.ndarray
-
-
-def _column(
-    evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST
-) -> _DerivativeColumn:
-    """The column of entry `place` of x at x; size: the typical magnitude of that entry."""
-    middle = evaluate(x)
-    central, forward, backward, noise = [], [], [], []
-    for number in range(_COUNT):
-        step = max(size, abs(x[place])) * largest / 4.0**number
-        above, below = x.copy(), x.copy()
-        above[place] += step
-        below[place] -= step
-        up, down = evaluate(above), evaluate(below)
-        right, left = above[place] - x[place], x[place] - below[place]
-        central.append((up - down) / (right + left))
-        forward.append((up - middle) / right)
-        backward.append((middle - down) / left)
-        noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
-    d, rounding = np.array(central), np.array(noise)
-    extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
-    error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
-    error = np.where(np.isfinite(error), error, np.inf)
-    best = np.argmin(error, axis=0)
-    columns = np.arange(d.shape[1])
-    gap = np.abs(np.array(forward) - np.array(backward))
-    # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
-    here, before = gap[best + 2, columns], gap[best + 1, columns]
-    kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
-    return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
 
 def _rounding(claimed: np.ndarray) -> float:
@@ -107,6 +76,7 @@ class _CheckedPoint:
     x: np.ndarray
     time: float
     state_entries: int
+    is_initial: bool = False
 
     def evaluate(self, x: np.ndarray) -> np.ndarray:
         """Unknowns (entries,) [unit of each] for knowns x (entries,) [unit of each]. Raises FMICallException."""
@@ -124,25 +94,40 @@ class _CheckedPoint:
         """Knowns that are no states: those come first."""
         return Block(self.knowns[int(np.searchsorted(self.knowns.ends, self.state_entries)) :])
 
-    def sizes(self) -> np.ndarray:
-        """Typical sizes of the knowns' entries, (entries,) [unit of each]. Raises nothing."""
-        return self.knowns.scales
-
     def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
         """The derivatives by entry `place` of x, by finite differences."""
-        return _column(self.evaluate, self.x, place, self.sizes()[place], largest)
+        x = self.x
+        middle = self.evaluate(x)
+        central, forward, backward, noise = [], [], [], []
+        for number in range(_COUNT):
+            step = max(self.knowns.scales[place], abs(x[place])) * largest / 4.0**number
+            above, below = x.copy(), x.copy()
+            above[place] += step
+            below[place] -= step
+            up, down = self.evaluate(above), self.evaluate(below)
+            right, left = above[place] - x[place], x[place] - below[place]
+            central.append((up - down) / (right + left))
+            forward.append((up - middle) / right)
+            backward.append((middle - down) / left)
+            noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
+        d, rounding = np.array(central), np.array(noise)
+        extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
+        error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
+        error = np.where(np.isfinite(error), error, np.inf)
+        best = np.argmin(error, axis=0)
+        columns = np.arange(d.shape[1])
+        gap = np.abs(np.array(forward) - np.array(backward))
+        # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
+        here, before = gap[best + 2, columns], gap[best + 1, columns]
+        kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
+        return _DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
     def entries(self) -> list[tuple[int, FmuVariable]]:
         """(place in x, known) of the entries to look at: all, or some of a large FMU."""
-        every = [item for item in self.knowns for _ in range(item.size)]
-        places = range(len(every))
-        if len(every) > MOST_KNOWNS:
-            places = sorted(np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False).tolist())
-        return [(place, every[place]) for place in places]
-
-    def names(self) -> list[str]:
-        """Of the unknowns' entries."""
-        return self.unknowns.names
+        every = [*enumerate(item for item in self.knowns for _ in range(item.size))]
+        if len(every) <= MOST_KNOWNS:
+            return every
+        return [every[place] for place in sorted(np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False))]
 
 
 def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
@@ -180,23 +165,24 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     return sorted(places)
 
 
-def _initial_point(subject: Subject, kind: str) -> _CheckedPoint | None:
-    """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; None if there are none or it is refused."""
+def _initial_point(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
+    """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; none if there are none or it is refused."""
     unknowns = Block(item for item in subject.of(subject.description.initialUnknowns) if item.is_float)
     knowns = Block(item for item in subject.exact if item.is_float and item.variability != "constant")
     if not knowns or not unknowns:
-        return None
+        return
     instance = CheckedInstance(subject, kind, "initial")
     instance.setup()
     # A little off the starts, where symmetric models have kinks and zeros.
     instance.set(*subject.varied)
     instance.enter_initialisation()
-    point = _CheckedPoint("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
+    x = instance.get(knowns)
+    point = _CheckedPoint("in Initialization Mode", instance, knowns, unknowns, x, subject.start_time, 0, is_initial=True)
     try:
         point.back()
     except FMICallException:
-        return None
-    return point
+        return
+    yield point
 
 
 # A second opinion, with other steps, before a derivative is called wrong.
@@ -215,57 +201,37 @@ def directional(subject: Subject, kind: str) -> Finding:
     """They equal finite differences within the error of those."""
     looked = sharp = kinks = places = 0
     wrong: list[str] = []
-
-    def look(point: _CheckedPoint) -> None:
-        nonlocal looked, sharp, kinks, places
-        for place, known in point.entries():
-            claimed = _claimed(point, place)
-            found = point.column(place)
-            looked += claimed.size
-            sharp += int(np.sum(_resolved(claimed, found)))
-            kinks += int(np.sum(found.kink))
-            wrong.extend(_wrong(point, place, known, claimed, found))
-        places += 1
-
-    for point in _points(subject, kind):
-        look(point)
-    initial = _initial_point(subject, kind)
-    if initial is not None:
-        with contextlib.suppress(FMICallException):  # derivatives by parameters, or of a value outside its range: not every FMU has them
-            look(initial)
-    if wrong:
-        return failed(listed(wrong))
-    if not looked:
+    for point in itertools.chain(_points(subject, kind), _initial_point(subject, kind)):
+        try:
+            for place, known in point.entries():
+                point.back()
+                seed, ends = np.zeros(known.size), point.knowns.ends
+                seed[place - ends[np.searchsorted(ends, place, side="right") - 1]] = 1.0
+                claimed = point.instance.fmu.directional(point.unknowns.references, [known.reference], list(seed), point.unknowns.entries)
+                claimed = np.array(claimed)
+                found = point.column(place)
+                looked += claimed.size
+                sharp += int(np.sum(_resolved(claimed, found)))
+                kinks += int(np.sum(found.kink))
+                wrong.extend(_wrong(point, place, known, claimed, found))
+            places += 1
+        except FMICallException:
+            if not point.is_initial:  # there by parameters, or of a value outside its range: not every FMU has those
+                raise
+    if not looked and not wrong:
         return not_offered("there is nothing to derive: no states or inputs, or no derivatives or outputs.")
     at_kinks = f", {kinks} lie at kinks" if kinks else ""
-    return passed(f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.")
-
-
-def _claimed(point: _CheckedPoint, place: int) -> np.ndarray:
-    """The column that the FMU gives for an entry of the knowns."""
-    point.back()
-    known, within = _locate(point.knowns, place)
-    seed = np.zeros(known.size)
-    seed[within] = 1.0
-    return point.instance.directional(point.unknowns, known, list(seed))
-
-
-def _locate(knowns: Block, place: int) -> tuple[FmuVariable, int]:
-    for known in knowns:
-        if place < known.size:
-            return known, place
-        place -= known.size
-    raise IndexError(place)
+    return unless(wrong, f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.", end="")
 
 
 def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: _DerivativeColumn) -> list[str]:
-    floor = _FLOOR * point.unknowns.scales / point.sizes()[place]
+    floor = _FLOOR * point.unknowns.scales / point.knowns.scales[place]
     bad = ~_agrees(claimed, found, floor)
     if not bad.any():
         return []
     again = point.column(place, _OTHER_STEPS)
     bad &= ~_agrees(claimed, again, floor)
-    names = point.names()
+    names = point.unknowns.names
     return [
         f"d {names[row]} / d {known.name} {point.where} is {claimed[row]:.6g}, finite differences give {found.value[row]:.6g} +- {found.error[row]:.1g}"
         for row in np.flatnonzero(bad)
@@ -284,9 +250,10 @@ def adjoint(subject: Subject, kind: str) -> Finding:
         point.back()
         rows = point.unknowns.entries
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
-            claimed = point.instance.adjoint(point.unknowns, point.knowns, list(seed))
-            for place, (known, found) in enumerate(zip([item for _, item in point.entries()], columns, strict=True)):
-                used = seed != 0.0
+            claimed = point.instance.fmu.adjoint(point.unknowns.references, point.knowns.references, list(seed), point.knowns.entries)
+            claimed = np.array(claimed)
+            used = seed != 0.0
+            for (place, known), found in zip(point.entries(), columns, strict=True):
                 if bool((found.kink & used).any()):
                     continue
                 value = float(seed[used] @ found.value[used])
@@ -294,7 +261,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
                 size = float(np.abs(seed[used]) @ np.abs(found.value[used]))
                 looked += 1
                 if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])) + _rounding(claimed):
-                    names = [name for name, one in zip(point.names(), used, strict=True) if one]
+                    names = [name for name, one in zip(point.unknowns.names, used, strict=True) if one]
                     return failed(
                         f"the adjoint of {listed(names, 1)} by {known.name} {point.where} is {claimed[place]:.6g}, "
                         f"finite differences give {value:.6g} +- {error:.1g}."
@@ -318,15 +285,12 @@ def dependencies(subject: Subject, kind: str) -> Finding:
     for point in _points(subject, kind):
         looked += _missing(point, running, wrong)
         _factors(point, running, slopes, wrong)
-    if starting:
-        initial = _initial_point(subject, kind)
-        if initial is not None:
-            looked += _missing(initial, starting, wrong)
-    if wrong:
-        return failed(listed(list(dict.fromkeys(wrong))))
-    if not looked:
+    for point in _initial_point(subject, kind) if starting else ():
+        looked += _missing(point, starting, wrong)
+    if not looked and not wrong:
         return not_offered("there is nothing that can be changed and compared.")
-    return passed(f"{looked} pairs that are declared independent are so; {len(slopes)} declared factors are constant.")
+    fine = f"{looked} pairs that are declared independent are so; {len(slopes)} declared factors are constant."
+    return unless(list(dict.fromkeys(wrong)), fine, end="")
 
 
 def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
@@ -341,7 +305,7 @@ def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
 
 def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
     """Add to `wrong` what changes undeclared; the number of pairs looked at."""
-    looked, names, drawn = 0, point.names(), point.entries()
+    looked, names, drawn = 0, point.unknowns.names, point.entries()
     point.back()
     base = point.evaluate(point.x)
     asked = np.array([name in declared for name in names], dtype=bool)
@@ -353,7 +317,7 @@ def _missing(point: _CheckedPoint, declared: dict[str, dict[str, str]], wrong: l
             independent[reference[other]][row] = False
     for place, known in drawn:
         moved = point.x.copy()
-        moved[place] += 1e-2 * max(point.sizes()[place], abs(moved[place])) * (-1.0 if moved[place] >= known.upper else 1.0)
+        moved[place] += 1e-2 * max(point.knowns.scales[place], abs(moved[place])) * (-1.0 if moved[place] >= known.upper else 1.0)
         try:
             values = point.evaluate(moved)
         except FMICallException:
@@ -373,7 +337,7 @@ def _factors(
     point: _CheckedPoint, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
 ) -> None:
     """Compare the slopes of dependencies declared `constant` or `fixed` with those at the points before."""
-    names = point.names()
+    names = point.unknowns.names
     for place, known in point.entries():
         rows = [row for row, name in enumerate(names) if declared.get(name, {}).get(known.name) in ("constant", "fixed")]
         if not rows:

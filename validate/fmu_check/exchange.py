@@ -8,14 +8,12 @@ the same equations: the plainest integrator of order one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
@@ -51,9 +49,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
 
         look(0)
         run(instance, 0, steps, after=lambda step: look(step + 1), observe="end")
-        if worst:
-            return failed(f"{worst[0]}.")
-    return passed(f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
+    return unless(worst[:1], f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
 
 
 def _unequal(instance: CheckedInstance, what: str, variables: Block, values: np.ndarray, time: float) -> list[str]:
@@ -72,8 +68,9 @@ def nominals(subject: Subject, kind: str) -> Finding:
         return not_offered("there are no continuous states.")
     with CheckedInstance(subject, kind) as instance:
         values = instance.begin().nominals()
-    if not (np.isfinite(values) & (values > 0.0)).all():
-        return failed(f"a nominal is {values[~(np.isfinite(values) & (values > 0.0))][0]:g}; it must be positive.")
+    wrong = values[~(np.isfinite(values) & (values > 0.0))]
+    if wrong.size:
+        return failed(f"a nominal is {wrong[0]:g}; it must be positive.")
     declared = [item.nominal for item in subject.states for _ in range(item.size)]
     for place, (value, nominal) in enumerate(zip(values, declared, strict=False)):
         if nominal is not None and not np.isclose(value, nominal, rtol=1e-6):
@@ -91,10 +88,9 @@ def indicators(subject: Subject, kind: str) -> Finding:
             if (reported := instance.fmu.getNumberOfEventIndicators()) != count:
                 return failed(f"the binary says {reported} event indicators, the description lists {count}.")
             listed = subject.of(subject.description.eventIndicators)
-            if len(listed) == len(subject.description.eventIndicators) and count:
-                wrong = _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)
-                if wrong:
-                    return failed(f"{wrong[0]}.")
+            all_listed = count and len(listed) == len(subject.description.eventIndicators)
+            if all_listed and (wrong := _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)):
+                return failed(f"{wrong[0]}.")
         steps = subject.long_steps(kind)
         size = np.abs(instance.indicators()) if count else np.empty(0)
         mover = Exchange(instance, _RTOL)
@@ -109,9 +105,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                 if count:
                     now = np.abs(instance.indicators())
                     size = np.maximum(size, now)
-                    if (
-                        (now <= _ZERO * size) & (size > 0)
-                    ).any():  # the look falls on an event, which its indicator announces by being zero
+                    # The look falls on an event, which its indicator announces by being zero.
+                    if ((now <= _ZERO * size) & (size > 0)).any():
                         continue
                 mover.update_unannounced()
                 if mover.record.surprises:
@@ -130,9 +125,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     f"event indicator {place} jumps over zero at t = {time:.10g} s: it is {values[place]:.4g} there, but it should be continuous."
                 )
     state_events = sum(bool(event[1]) for event in mover.record.events)
-    return passed(
-        f"{count} indicators; {state_events} state events and {len(mover.record.events) - state_events} others by t = {mover.time:.4g} s."
-    )
+    others = len(mover.record.events) - state_events
+    return passed(f"{count} indicators; {state_events} state events and {others} others by t = {mover.time:.4g} s.")
 
 
 _RTOLS = (1e-7, 1e-9)
@@ -145,20 +139,6 @@ _FINEST = 1e-6
 _COMPARED = 0.1
 # Of more values than twice that, every second, third, .. is compared.
 _MOST_COMPARED = 10_000
-
-
-@dataclass(frozen=True)
-class _Traces:
-    """(steps + 1, outputs) each: the reference and its own error, and Co-Simulation by the number of parts of a step.
-
-    awake: in how many of the most parts of a step Co-Simulation moves; fewer if its own step is longer.
-    """
-
-    reference: np.ndarray
-    error: np.ndarray
-    parts: dict[int, np.ndarray]
-    awake: int
-    events: int
 
 
 @check("Model Exchange equals Co-Simulation", Scope.FILE)
@@ -176,37 +156,32 @@ def agree(subject: Subject) -> Finding:
     fine, events = _exchange(subject, compared, steps, _RTOLS[1])
     coarse, _ = _exchange(subject, compared, len(fine) - 1, _RTOLS[0])
     length = min(len(fine), len(coarse))
-    parts, awake = {}, 1
+    truth, error, parts, awake = fine[:length], np.abs(fine[:length] - coarse[:length]), {}, 1
     for number in _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]:
         parts[number], awake = _cosimulation(subject, compared, length - 1, number)
-    return _judge(subject, compared, _Traces(fine[:length], np.abs(fine[:length] - coarse[:length]), parts, awake, events))
-
-
-def _judge(subject: Subject, compared: Block, traces: _Traces) -> Finding:
-    names = compared.names
-    size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * compared.scales)
-    finest = traces.parts[max(traces.parts)]
-    apart = np.abs(finest - traces.reference)
-    shrink = np.abs(finest - traces.parts[max(traces.parts) // 2]) if len(traces.parts) > 1 else np.zeros_like(apart)
-    allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(traces.error))
-    shares = {number: float((np.abs(rows - traces.reference) / size).max()) for number, rows in traces.parts.items()}
+    size = np.maximum(np.abs(truth).max(axis=0), 1e-3 * compared.scales)
+    finest = parts[max(parts)]
+    apart = np.abs(finest - truth)
+    shrink = np.abs(finest - parts[max(parts) // 2]) if len(parts) > 1 else np.zeros_like(apart)
+    allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(error))
+    shares = {number: float((np.abs(rows - truth) / size).max()) for number, rows in parts.items()}
     shown = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
-    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {shown} of the value's size"
+    where = f"{len(compared.names)} values over {length - 1} steps of h = {subject.step:g} s, {events} events; largest difference {shown} of the value's size"
     unexplained = ~(apart <= allowed)
     told = passed if shares[max(shares)] <= _COMPARED else not_offered
     if not unexplained.any():
         return told(f"{where}{'' if told is passed else ': steps and tolerances may explain it, which tells nothing'}.")
-    euler = _euler(subject, compared, len(finest) - 1, traces.awake)
+    euler = _euler(subject, compared, length - 1, awake)
     if euler is not None:
-        unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - traces.reference)[: len(apart)]))
+        unexplained &= ~(apart <= allowed + _SAFETY * _running(np.abs(euler - truth)))
         if not unexplained.any():
             return told(
                 f"{where}: no more than explicit Euler has with the smallest of these steps, but it does not shrink with the step, so less cannot be told."
             )
     row, column = np.argwhere(unexplained)[0]
     return failed(
-        f"{names[column]} differs at t = {subject.time(row):.6g} s: {finest[row, column]:.8g} by Co-Simulation, "
-        f"{traces.reference[row, column]:.8g} by Model Exchange, more than steps and tolerances explain ({allowed[row, column]:.1g}); {where}."
+        f"{compared.names[column]} differs at t = {subject.time(row):.6g} s: {finest[row, column]:.8g} by Co-Simulation, "
+        f"{truth[row, column]:.8g} by Model Exchange, more than steps and tolerances explain ({allowed[row, column]:.1g}); {where}."
     )
 
 
@@ -216,8 +191,9 @@ def _running(rows: np.ndarray) -> np.ndarray:
     return np.vstack([largest[1:], largest[-1:]])
 
 
-def _start(instance: CheckedInstance, subject: Subject) -> None:
-    instance.begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
+def _begun(subject: Subject, kind: str, name: str) -> CheckedInstance:
+    """An instance that begins with the first inputs."""
+    return CheckedInstance(subject, kind, name).begin(during=(subject.continuous_inputs, subject.inputs_at(0)))
 
 
 def _exchange(subject: Subject, compared: Block, steps: int, rtol: float) -> tuple[np.ndarray, int]:
@@ -229,8 +205,7 @@ def _exchange(subject: Subject, compared: Block, steps: int, rtol: float) -> tup
 
 
 def _integrate(subject: Subject, compared: Block, steps: int, rtol: float, method: tuple[int, int]) -> tuple[np.ndarray, int]:
-    with CheckedInstance(subject, "ME", "reference") as instance:
-        _start(instance, subject)
+    with _begun(subject, "ME", "reference") as instance:
         mover = Exchange(instance, rtol, method)
         mover.renew(subject.start_time)
         rows = [instance.get(compared)]
@@ -247,8 +222,7 @@ def _integrate(subject: Subject, compared: Block, steps: int, rtol: float, metho
 
 def _cosimulation(subject: Subject, compared: Block, steps: int, parts: int) -> tuple[np.ndarray, int]:
     """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
-    with CheckedInstance(subject, "CS", f"parts {parts}") as instance:
-        _start(instance, subject)
+    with _begun(subject, "CS", f"parts {parts}") as instance:
         rows = [instance.get(compared)]
         length = subject.step / parts
         awake = 1
@@ -269,8 +243,7 @@ def _cosimulation(subject: Subject, compared: Block, steps: int, parts: int) -> 
 def _euler(subject: Subject, compared: Block, steps: int, parts: int) -> np.ndarray | None:
     """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
     length = subject.step / parts
-    with CheckedInstance(subject, "ME", "euler") as instance:
-        _start(instance, subject)
+    with _begun(subject, "ME", "euler") as instance:
         rows = [instance.get(compared)]
         for step in range(steps):
             if step and step % HOLD == 0 and subject.continuous_inputs:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import math
 import platform
 import re
@@ -18,30 +19,49 @@ import sys
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from fmpy.model_description import ValidationError, read_model_description
+from fmpy.model_description import ValidationError, read_build_description, read_model_description
 from fmpy.validation import validate_model_description
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from validate.fmi.archive import DESCRIPTION, FmuError, binary_name, problems
+from validate.fmi.archive import ARCHIVE_CHECKS, FmuError, binary_name, problems
 from validate.fmi.description import read_description, without_garbage
 from validate.fmi.instance import CLASSES
-from validate.fmi.surroundings import listed
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.subject import FmuVariable, Subject
 
 # Names that are legal by either naming convention (FMI 2.0.4, 2.2.9; 3.0.2, 2.4.7.5.1).
 _PART = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 _PLAIN = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*(,[0-9]+)?\)")
 _HEADER = 52  # bytes of the shorter header, that of 32 bits
-_CLASSES = {1: 32, 2: 64}
 _MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
 _DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
 _NEEDED, _UNDEFINED = 1, 0
 _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
+
+
+class _Layout(NamedTuple):
+    """What a file of so many bits has where, as struct takes it.
+
+    table, counts: where the section table begins, the size of its rows and their number, each with its place in the file; section: kind, offset, length,
+    link and size of a row; symbol: name, info and section; dynamic: tag and value.
+    """
+
+    bits: int
+    table: tuple[str, int]
+    counts: tuple[str, int]
+    section: str
+    symbol: str
+    dynamic: str
+
+
+_LAYOUTS = {
+    1: _Layout(32, ("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
+    2: _Layout(64, ("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
+}
 
 
 class NotElf(ValueError):  # noqa: N818 - says what the file is not
@@ -63,63 +83,46 @@ def read_library(data: bytes) -> Library:
     """Raises NotElf."""
     if data[:4] != b"\x7fELF" or len(data) < _HEADER:
         raise NotElf("it does not begin like an ELF file")
-    bits = _CLASSES.get(data[4], 0)
-    order = {1: "<", 2: ">"}.get(data[5], "")
-    if not bits or not order:
+    layout, order = _LAYOUTS.get(data[4]), {1: "<", 2: ">"}.get(data[5])
+    if layout is None or order is None:
         raise NotElf("its class or byte order is unknown")
+
+    def read(form: str, at: int) -> tuple[int, ...]:
+        return struct.unpack_from(f"{order}{form}", data, at)
+
     try:
-        return _read(data, bits, order)
+        (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
+        sections = [read(layout.section, table + number * size) for number in range(count)]
+        if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+            raise NotElf("its tables are larger than the file")
+        exported: set[str] = set()
+        needed: list[str] = []
+        strings = b""
+        for kind, offset, length, link, entry in sections:
+            if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
+                continue
+            strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
+            for at in range(offset, offset + length, entry):
+                if kind == _SYMBOL_SECTION:
+                    name, info, section = read(layout.symbol, at)
+                    if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
+                        exported.add(_text(strings, name))
+                else:
+                    tag, value = read(layout.dynamic, at)
+                    if tag == _NEEDED:
+                        needed.append(_text(strings, value))
+        versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
+        glibc = ".".join(map(str, max(versions))) if versions else ""
+        return Library(layout.bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
     except (struct.error, IndexError, ValueError, OverflowError) as error:
         raise NotElf(f"its tables cannot be read ({error})") from error
-
-
-def _read(data: bytes, bits: int, order: str) -> Library:
-    wide = bits == 64
-    (machine,) = struct.unpack_from(f"{order}H", data, 18)
-    (table,) = struct.unpack_from(f"{order}{'Q' if wide else 'I'}", data, 40 if wide else 32)
-    size, count, _ = struct.unpack_from(f"{order}HHH", data, 58 if wide else 46)
-    header = f"{order}IIQQQQIIQQ" if wide else f"{order}IIIIIIIIII"
-    sections = [struct.unpack_from(header, data, table + number * size) for number in range(count)]
-    if sum(section[5] for section in sections if section[1] in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
-        raise NotElf("its tables are larger than the file")
-    exported: set[str] = set()
-    needed: list[str] = []
-    texts = b""
-    for _, kind, _, _, offset, length, link, _, _, entry in sections:
-        if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
-            continue
-        strings = data[sections[link][4] : sections[link][4] + sections[link][5]]
-        texts = strings
-        for at in range(offset, offset + length, entry):
-            if kind == _SYMBOL_SECTION:
-                name, info, section = _symbol(data, at, order, wide)
-                if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
-                    exported.add(_text(strings, name))
-            else:
-                tag, value = struct.unpack_from(f"{order}{'QQ' if wide else 'II'}", data, at)
-                if tag == _NEEDED:
-                    needed.append(_text(strings, value))
-    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", texts)]
-    glibc = ".".join(map(str, max(versions))) if versions else ""
-    return Library(bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
-
-
-def _symbol(data: bytes, at: int, order: str, wide: bool) -> tuple[int, int, int]:
-    """(name, info, section index) of a row of the symbol table."""
-    if wide:
-        name, info, _, section = struct.unpack_from(f"{order}IBBH", data, at)
-    else:
-        name, _, _, info, _, section = struct.unpack_from(f"{order}IIIBBH", data, at)
-    return name, info, section
 
 
 def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-# Of the checks of the archive: those that are not about its content.
-ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
-_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.
 _EVERYWHERE = ("libc.so", "libm.so", "libpthread.so", "libdl.so", "librt.so", "libgcc_s.so", "libstdc++.so", "ld-linux", "linux-vdso")
 
@@ -137,10 +140,8 @@ def archive(path: Path) -> Finding:
     wrong += [
         f"the entry {item.filename!r} is packed by a method other than deflate" for item in items if item.compress_type not in _METHODS
     ]
-    if wrong:
-        return failed(f"{listed(wrong)}.")
     unpacked = sum(item.file_size for item in items)
-    return passed(f"{len(items)} entries, {path.stat().st_size} bytes, {unpacked} unpacked.")
+    return unless(wrong, f"{len(items)} entries, {path.stat().st_size} bytes, {unpacked} unpacked.")
 
 
 def library_path(subject: Subject, kind: str) -> Path:
@@ -152,71 +153,53 @@ def library_path(subject: Subject, kind: str) -> Path:
 _LONGEST = 300.0
 
 
-@dataclass(frozen=True)
-class Sources:
+class _Sources(NamedTuple):
     """What a binary is compiled from: files and folders below sources/, and definitions, NAME or NAME=VALUE."""
 
-    files: tuple[str, ...]
-    folders: tuple[str, ...]
-    definitions: tuple[str, ...]
+    files: list[str]
+    folders: list[str]
+    definitions: list[str]
 
 
-def sources_of(folder: Path, identifier: str) -> Sources | None:
-    """Of an interface of an unpacked FMU, by its modelIdentifier; None where it has none. Raises FmuError for XML that cannot be read."""
-    described = folder / "sources" / "buildDescription.xml"
+def _sources_of(subject: Subject, kind: str) -> _Sources:
+    """Of an interface, as FMPy reads them. Raises FmuError for XML that cannot be read."""
     try:
-        if described.is_file():
-            for item in ElementTree.parse(described).iter("BuildConfiguration"):
-                if item.get("modelIdentifier") == identifier:
-                    return _found(item, "SourceFile")
-        for item in ElementTree.parse(folder / DESCRIPTION).getroot():
-            if item.get("modelIdentifier") == identifier and item.find("SourceFiles") is not None:
-                return _found(item, "File")
-    except ElementTree.ParseError as error:
-        raise FmuError(f"sources/{described.name} cannot be read ({error})") from error
-    return None
-
-
-def _found(item: ElementTree.Element, name: str) -> Sources:
-    files = tuple(file.get("name", "") for file in item.iter(name))
-    folders = tuple(place.get("name", "") for place in item.iter("IncludeDirectory"))
-    definitions = [(entry.get("name", ""), entry.get("value"), entry.get("optional")) for entry in item.iter("PreprocessorDefinition")]
-    return Sources(
-        files, folders, tuple(key if value is None else f"{key}={value}" for key, value, optional in definitions if optional != "true")
+        described = read_build_description(str(subject.folder), validate=False)
+    except Exception as error:  # FMPy raises anything
+        raise FmuError(f"sources/buildDescription.xml cannot be read ({error})") from error
+    configurations, identifier = (*described, *subject.description.buildConfigurations), subject.interface(kind).modelIdentifier
+    sets = next((item.sourceFileSets for item in configurations if item.modelIdentifier == identifier), [])
+    definitions = (item for one in sets for item in one.preprocessorDefinitions)
+    return _Sources(
+        [name or "" for one in sets for name in one.sourceFiles],
+        [name or "" for one in sets for name in one.includeDirectories],
+        [item.name if item.value is None else f"{item.name}={item.value}" for item in definitions if not item.optional],
     )
 
 
-def compile_sources(folder: Path, sources: Sources, major: int, library: Path) -> str:
+def _compile(subject: Subject, sources: _Sources, library: Path) -> str:
     """Compile an unpacked FMU's binary to `library`; by which compiler. Raises FmuError with what the compiler says, MachineError without one."""
     from models.fmu.description import find_standard, standard_headers  # SymPy with it, 0.6 s, which few FMUs need
 
-    place, compiler = (folder / "sources").resolve(), find_compiler()
+    place, compiler = (subject.folder / "sources").resolve(), find_compiler()
     paths = [(place / name).resolve() for name in (*sources.files, *sources.folders)]
     for path, name in zip(paths, (*sources.files, *sources.folders), strict=True):
         if not path.is_relative_to(place) or not path.exists():
             raise FmuError(f"sources/{name} is named, and is not there")
     headers = library.parent / "headers"
-    for name, text in standard_headers(find_standard(f"{major}.0")).items():
+    for name, text in standard_headers(find_standard(f"{subject.major}.0")).items():
         (headers / name).parent.mkdir(parents=True, exist_ok=True)
         (headers / name).write_text(text, encoding="utf-8")
     includes = {place, *paths[len(sources.files) :], headers, *(path.parent for path in headers.rglob("*.h"))}
     command = [
-        *compiler.command,
-        "-O2",
-        "-w",
-        "-fPIC",
-        "-shared",
-        f"-DFMI{major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
+        *(*compiler.command, "-O2", "-w", "-fPIC", "-shared"),
+        f"-DFMI{subject.major}_OVERRIDE_FUNCTION_PREFIX",  # names as a shared library has them
         *(f"-I{path}" for path in sorted(includes)),
         *(f"-D{text}" for text in sources.definitions),
+        *map(str, paths[: len(sources.files)]),
+        *("-o", str(library), "-lm"),
     ]
-    done = subprocess.run(
-        [*command, *map(str, paths[: len(sources.files)]), "-o", str(library), "-lm"],
-        capture_output=True,
-        text=True,
-        timeout=_LONGEST,
-        check=False,
-    )
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST, check=False)
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["no word"]
         raise FmuError(f"{compiler.command[0]} cannot compile it: {lines[0].replace(str(place), 'sources')}")
@@ -230,11 +213,11 @@ def compiled(subject: Subject, kind: str) -> Finding:
     if path.is_file():
         return not_offered("there is a binary for this machine.")
     try:
-        sources = sources_of(subject.folder, subject.interface(kind).modelIdentifier)
-        if sources is None or not sources.files:
+        sources = _sources_of(subject, kind)
+        if not sources.files:
             return not_offered("there is no binary for this machine, and no source.")
         path.parent.mkdir(parents=True, exist_ok=True)
-        compiler = compile_sources(subject.folder, sources, subject.major, path)
+        compiler = _compile(subject, sources, path)
     except FmuError as error:
         return failed(f"{error}.")
     except MachineError as error:
@@ -276,9 +259,7 @@ def valid(path: Path) -> Finding:
     # Looks at the unpacked folder; comes before the description is read without validation.
     with without_garbage():
         problems = [" ".join(str(problem).split()).rstrip(".") for problem in _by_fmpy(path)] + _of_terminals(path)
-    if problems:
-        return failed(f"{listed(problems)}.")
-    return passed("0 problems.")
+    return unless(problems, "0 problems.")
 
 
 def _by_fmpy(path: Path) -> list[str]:
@@ -325,14 +306,10 @@ def _of_terminals(folder: Path) -> list[str]:
 @check("variables are consistent", Scope.FILE, clauses=("2.2.7", "2.4.7"))
 def consistent(subject: Subject) -> Finding:
     """Starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second."""
-    wrong = [problem for item in subject.variables for problem in _of_variable(item)]
-    wrong += _of_aliases(subject)
-    wrong += _of_derivatives(subject)
+    wrong = [*itertools.chain.from_iterable(map(_of_variable, subject.variables)), *_of_aliases(subject), *_of_derivatives(subject)]
     if not subject.description.guid:
         wrong.append("the GUID or instantiation token is empty")
-    if wrong:
-        return failed(f"{listed(wrong)}.")
-    return passed(f"{len(subject.variables)} variables.")
+    return unless(wrong, f"{len(subject.variables)} variables.")
 
 
 def _of_variable(item: FmuVariable) -> list[str]:

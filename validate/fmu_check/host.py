@@ -21,7 +21,7 @@ from typing import Any
 from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
-from validate.fmi.archive import ArchiveError, check_archive, unpack
+from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import clocks, communication, derivatives, exchange, files, importers, reference, states, values
@@ -195,7 +195,7 @@ def check_fmu(
     try:
         archive = check_archive(path, but_for=("binary", "duplicates", "scheduled"))
     except ArchiveError as error:
-        if error.check not in files.ARCHIVE_CHECKS:
+        if error.check not in ARCHIVE_CHECKS:
             raise
         _unsafe(path, take)
         return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
@@ -211,12 +211,10 @@ def check_fmu(
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
             done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
+    if done.ending is Ending.MACHINE:
+        raise MachineError(done.sentence)
     if not done.ok:
-        raise MachineError(
-            done.sentence
-            if done.ending is Ending.MACHINE
-            else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
-        )
+        raise MachineError(f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end.")
     version, types, lacking = (done.value[name] for name in ("version", "types", "lacking"))
     return CheckReport(path=str(path), version=version, types=tuple(types), rows=tuple(rows), unrunnable=lacking)
 

@@ -9,13 +9,12 @@ importer's or the FMU's, which nobody can tell from here: so it is advice, with 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import importlib.metadata
 import importlib.util
 import io
 import sys
 from collections.abc import Callable
-from functools import partial
+from importlib import import_module  # where each is run: a checker of types does without them
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -30,11 +29,6 @@ from validate.fmu_check.subject import NOTHING, Block, CheckedInstance, FmuVaria
 
 # Of FMPy's CVODE.
 _TOLERANCE = 1e-9
-
-
-def _module(name: str) -> Any:
-    """Imported where it is run: a checker of types does without it."""
-    return importlib.import_module(name)
 
 
 def fmpy(job: dict[str, Any]) -> list[float]:
@@ -55,14 +49,14 @@ def fmuloader(job: dict[str, Any]) -> list[float]:
     """Its classes of a slave, call by call."""
     begin = job["steps"][0][0]
     if job["fmi"] == "2.0":
-        loader = _module("fmuloader.fmi2")
+        loader = import_module("fmuloader.fmi2")
         fmu = loader.Fmi2Slave(job["path"], model_identifier=job["identifier"])
         fmu.instantiate("it", loader.Fmi2Type.CO_SIMULATION, guid=job["token"])
         fmu.setup_experiment(begin)
         fmu.enter_initialization_mode()
         get, put = fmu.get_real, fmu.set_real
     else:
-        fmu = _module("fmuloader.fmi3").Fmi3Slave(job["path"], model_identifier=job["identifier"])
+        fmu = import_module("fmuloader.fmi3").Fmi3Slave(job["path"], model_identifier=job["identifier"])
         fmu.instantiate_co_simulation("it", instantiation_token=job["token"])
         fmu.enter_initialization_mode(start_time=begin)
         get, put = fmu.get_float64, fmu.set_float64
@@ -81,11 +75,11 @@ def libcosimpy(job: dict[str, Any]) -> list[float]:
     """A co-simulation of one, whose steps are whole nanoseconds from 0 on."""
     if job["steps"][0][0] != 0.0:
         raise FmuError(f"it begins at 0 s, and the FMU's experiment at {job['steps'][0][0]:g} s")
-    execution = _module("libcosimpy.CosimExecution").CosimExecution.from_step_size(round(1e9 * job["steps"][0][1]))
-    index = execution.add_local_slave(_module("libcosimpy.CosimSlave").CosimLocalSlave(fmu_path=job["path"], instance_name="it"))
+    execution = import_module("libcosimpy.CosimExecution").CosimExecution.from_step_size(round(1e9 * job["steps"][0][1]))
+    index = execution.add_local_slave(import_module("libcosimpy.CosimSlave").CosimLocalSlave(fmu_path=job["path"], instance_name="it"))
     for _, reference, value in job["inputs"]:
         execution.real_initial_value(index, reference, value)
-    observer = _module("libcosimpy.CosimObserver").CosimObserver.create_last_value()
+    observer = import_module("libcosimpy.CosimObserver").CosimObserver.create_last_value()
     execution.add_observer(observer)
     execution.simulate_until(round(1e9 * sum(job["steps"][-1])))
     return list(observer.last_real_values(index, job["references"]))
@@ -93,7 +87,7 @@ def libcosimpy(job: dict[str, Any]) -> list[float]:
 
 def casadi(job: dict[str, Any]) -> list[float]:
     """CVODES over DaeBuilder's function of the unpacked FMU; it takes no imported FMU to Event Mode."""
-    ca = _module("casadi")
+    ca = import_module("casadi")
     dae = ca.DaeBuilder("model", job["folder"])
     n, m = len(dae.x()), len(dae.u())
     if (n, m) != (len(job["references"]), len(job["inputs"])):
@@ -113,7 +107,7 @@ def fmutool(job: dict[str, Any]) -> list[str]:
     said, code = io.StringIO(), 0
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         try:
-            _module("fmu_manipulation_toolbox.cli.fmutool").fmutool()
+            import_module("fmu_manipulation_toolbox.cli.fmutool").fmutool()
         except SystemExit as end:
             code = end.code or 0
     lines = said.getvalue().splitlines()
@@ -159,48 +153,15 @@ _SAME_STEPS, _OTHER_SOLVER = 1e-6, 1e-5
 _BEFORE = 0.9
 
 
-def _job(subject: Subject, kind: str, watched: Block, given: Settings, steps: list[tuple[float, float]]) -> dict[str, Any]:
-    """What an importer is asked for."""
-    variables, values = given
-    return {
-        "path": str(subject.path.resolve()),
-        "folder": str(subject.folder),
-        "fmi": "2.0" if subject.major == 2 else "3.0",
-        "type": kind,
-        "identifier": subject.interface(kind).modelIdentifier,
-        "token": subject.description.guid,
-        "names": watched.names,
-        "references": [item.reference for item in watched],
-        "inputs": [[item.name, item.reference, value] for item, value in zip(variables, values.tolist(), strict=True)],
-        "steps": steps,
-    }
-
-
-def _asked(importer: Importer, job: dict[str, Any]) -> tuple[str, Any, str]:
+def _asked(importer: Importer, subject: Subject, job: dict[str, Any]) -> tuple[str, Any, str]:
     """Its name with the version, what it answered, and why it did not."""
     who = f"{importer.title} {importlib.metadata.version(importer.package)}"
-    done = run_isolated("validate.fmu_check.importers:run_importer", {**job, "importer": importer.title}, limits=_LIMITS, what=who)
+    job |= {"importer": importer.title, "path": str(subject.path.resolve()), "fmi": "2.0" if subject.major == 2 else "3.0"}
+    done = run_isolated("validate.fmu_check.importers:run_importer", job, limits=_LIMITS, what=who)
     return who, done.value["values"] if done.ok else None, "" if done.ok else done.sentence.rstrip(".")
 
 
-def _absent(importer: Importer) -> Finding | None:
-    if importlib.util.find_spec(importer.module) is not None:
-        return None
-    return not_offered(f"{importer.title} is not installed; it comes with the extra [fmu-check].")
-
-
-def _complaints(importer: Importer, subject: Subject) -> Finding:
-    if absent := _absent(importer):
-        return absent
-    who, told, problem = _asked(importer, {"path": str(subject.path.resolve()), "fmi": "2.0" if subject.major == 2 else "3.0"})
-    if problem or told:
-        return advice(f"{problem or f'{who}: ' + '; '.join(told)}.")
-    return passed(f"{who} finds nothing.")
-
-
 def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
-    if absent := _absent(importer):
-        return absent
     if (subject.major, kind) not in importer.takes:
         return not_offered(f"{importer.title} takes no FMI {subject.major}.0 as {kind}.")
     plain = all(_is_plain(item) for item in subject.continuous_inputs)  # else they stay at their starts
@@ -217,8 +178,13 @@ def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
     points = [subject.start_time + (end - subject.start_time) * place / steps for place in range(steps + 1)]
     if kind == "CS":
         points = [subject.time(place) for place in range(steps + 1)]
-    job = _job(subject, kind, block, given, [(begin, subject.step if kind == "CS" else after - begin) for begin, after in pairwise(points)])
-    who, theirs, problem = _asked(importer, job)
+    job = {
+        "folder": str(subject.folder), "type": kind, "identifier": subject.interface(kind).modelIdentifier, "token": subject.description.guid,
+        "names": block.names, "references": block.references,
+        "inputs": [[item.name, item.reference, value] for item, value in zip(given[0], given[1].tolist(), strict=True)],
+        "steps": [(begin, subject.step if kind == "CS" else after - begin) for begin, after in pairwise(points)],
+    }  # fmt: skip
+    who, theirs, problem = _asked(importer, subject, job)
     if problem:
         return advice(f"{problem}.")
     size = np.maximum(np.abs(ours), block.scales)
@@ -241,7 +207,7 @@ def _ours(
     if kind == "CS":
         with CheckedInstance(subject, kind).begin(during=given) as instance:
             for step in range(steps):
-                instance.do_step(subject.time(step), subject.step)
+                instance.make_step(step)
             values = instance.get(watched)
         return subject.time(steps), values, _SAME_STEPS * np.maximum(np.abs(values), watched.scales)
     variables, values = given
@@ -256,17 +222,18 @@ def _ours(
     return end, found.values[-1], found.bars[-1] + _OTHER_SOLVER * np.maximum(np.abs(found.values[-1]), watched.scales)
 
 
-def _checks() -> tuple[Check, ...]:
-    made = []
-    for importer in IMPORTERS.values():
-        function: Callable[..., Finding] = partial(_compared if importer.takes else _complaints, importer)
-        function.__doc__ = (  # type: ignore[attr-defined]
-            "It runs, and its numbers are ours: in the same steps, or as exact as the integrators"
-            if importer.takes
-            else "It complains of nothing"
-        )
-        made.append(check(f"importer {importer.title}", Scope.EACH if importer.takes else Scope.FILE)(function))
-    return tuple(made)
+def _check(importer: Importer) -> Check:
+    def by_it(subject: Subject, *kind: str) -> Finding:
+        if importlib.util.find_spec(importer.module) is None:
+            return not_offered(f"{importer.title} is not installed; it comes with the extra [fmu-check].")
+        if importer.takes:
+            return _compared(importer, subject, *kind)
+        who, told, problem = _asked(importer, subject, {})
+        return advice(f"{problem or f'{who}: ' + '; '.join(told)}.") if problem or told else passed(f"{who} finds nothing.")
+
+    claim = "It runs, and its numbers are ours: in the same steps, or as exact as the integrators"
+    by_it.__doc__ = claim if importer.takes else "It complains of nothing"
+    return check(f"importer {importer.title}", Scope.EACH if importer.takes else Scope.FILE)(by_it)
 
 
-CHECKS = _checks()
+CHECKS = tuple(map(_check, IMPORTERS.values()))

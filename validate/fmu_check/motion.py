@@ -5,6 +5,7 @@ A run is a pure function of the instance's state, the steps and the inputs: two 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 from collections.abc import Callable
@@ -171,41 +172,27 @@ def run(
     """
     subject = instance.subject
     rows = [instance.observe()] if observe == "each" else []
-    mover = Exchange(instance, TOLERANCE) if instance.kind == "ME" else None
-    if mover is not None and record is not None:
-        mover.record = record
-    try:
+    exchange = contextlib.closing(Exchange(instance, TOLERANCE, record=record)) if instance.kind == "ME" else contextlib.nullcontext()
+    with exchange as mover, contextlib.suppress(Crowded):
         for step in range(first, last):
             if step == first or step % HOLD == 0:
                 values = subject.inputs_at(step, seed)
-                if mover is not None:
-                    mover.jump(subject.time(step), values)
-                else:
-                    instance.set(subject.continuous_inputs, values)
-            if mover is None:
-                instance.do_step(subject.time(step), subject.step)
-            else:
-                mover.advance(subject.time(step + 1))
+                mover.jump(subject.time(step), values) if mover else instance.set(subject.continuous_inputs, values)
+            mover.advance(subject.time(step + 1)) if mover else instance.make_step(step)
             if observe == "each":
                 rows.append(instance.observe())
             if after is not None:
                 after(step)
-    except Crowded:
-        pass
-    finally:
-        if mover is not None:
-            mover.close()
     return np.array(rows) if observe == "each" else instance.observe()[np.newaxis]
 
 
 class Exchange:
-    """CVODE over an instance in Continuous-Time Mode. drive: called after each change of the time [s], to set inputs that move with it."""
+    """CVODE over an instance in Continuous-Time Mode; drive: called after each change of the time [s], to set inputs that move with it."""
 
     def __init__(
-        self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF, drive: Callable[[float], None] | None = None
+        self, instance: CheckedInstance, rtol: float, method: tuple[int, int] = BDF, *, drive: Any = None, record: Record | None = None
     ) -> None:
-        self.instance, self._drive = instance, drive
-        self.record = Record()
+        self.instance, self._drive, self.record = instance, drive, record or Record()
         self.problem: Exception | None = None
         self.count, indicators = instance.state_count, instance.indicator_count
         # An FMU without continuous states still has time and events: a state that stands still lets CVODE find them.
@@ -333,6 +320,6 @@ class Exchange:
         return FILLS(fill)
 
     def _check(self) -> None:
-        if self.problem is not None:
-            problem, self.problem = self.problem, None
+        problem, self.problem = self.problem, None
+        if problem is not None:
             raise problem

@@ -24,18 +24,10 @@ from validate.fmi.archive import FmuError
 from validate.fmi.cvode import ADAMS, BDF
 from validate.fmi.description import read_description
 from validate.fmi.instance import Fault, Misbehaviour, TerminationRequested
-from validate.fmi.references import (
-    LS_REF,
-    StoredResult,
-    Table,
-    missing_attributes,
-    read_table,
-    read_text,
-    stored_results,
-)  # fmt: skip
+from validate.fmi.references import LS_REF, StoredResult, Table, missing_attributes, read_table, read_text, stored_results
 from validate.fmi.surroundings import listed
 from validate.fmu_check.check import Finding, Scope, advice, check, failed, not_offered, passed
-from validate.fmu_check.motion import Crowded, Exchange
+from validate.fmu_check.motion import Crowded, Exchange, Record
 from validate.fmu_check.subject import RUN_SECONDS, Block, CheckedInstance, FmuVariable, Subject
 
 # Tolerances of CVODE, and into how many parts communication steps are divided: the finest last.
@@ -175,21 +167,13 @@ def solve(subject: Subject, kind: str, times: np.ndarray, signals: Signals, watc
                     f"{'simulate its Model Exchange' if 'ME' in subject.types else 'Model Exchange, or another step inside, would'}."
                 )
             how = "steps and tolerances alike, as nothing continuous moves"
-    for run in runs:
-        _refuse_no_numbers(watched, times, run)
-    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
-
-
-def _refuse_no_numbers(watched: Block, times: np.ndarray, run: _Run) -> None:
-    """Raises FmuError where a value is none: it is no reference, and no bar can be told of it."""
-    for rows in (run.before, run.rows):
-        none = ~np.isfinite(rows)
-        if none.any():
-            row, column = np.argwhere(none)[0]
+    for rows in (rows for run in runs for rows in (run.before, run.rows)):
+        for row, column in np.argwhere(~np.isfinite(rows))[:1]:  # it is no reference, and no bar can be told of it
             raise FmuError(
                 f"{watched.names[column]} is {rows[row, column]:g} at t = {times[row]:.6g} s, which is no number to hold others against; "
                 "end the experiment before that."
             )
+    return ErrorBounded(runs[-1].rows, runs[-1].before, bars([run.rows for run in runs]), runs[-1].events, how)
 
 
 class _Run(NamedTuple):
@@ -245,8 +229,7 @@ def _exchanged(subject: Subject, times: np.ndarray, signals: Signals, watched: B
             instance.set(lines.variables, lines.at(time, early=time > begun[-1]))
 
         instance.begin(during=(signals.variables, signals.values[0]))
-        mover = Exchange(instance, rtol, method, drive if lines.variables else None)
-        mover.record.most = _EVENTS
+        mover = Exchange(instance, rtol, method, drive=drive if lines.variables else None, record=Record(most=_EVENTS))
 
         def jump(time: float) -> None:
             instance.fmu.enterEventMode()
@@ -317,23 +300,15 @@ def run_reference(request: dict[str, Any], arrays: dict[str, np.ndarray]) -> tup
     subject = Subject(Path(request["path"]), folder, read_description(folder))
     times = arrays.pop("times")
     subject.start_time = float(times[0])
-    table = (
-        Table(arrays.pop("input_times"), {name: arrays[f"input {place}"] for place, name in enumerate(request["inputs"])})
-        if request["inputs"]
-        else None
-    )
-    signals = signals_of(subject, request["input_file"], table)
+    columns = {name: arrays[f"input {place}"] for place, name in enumerate(request["inputs"])}
+    signals = signals_of(subject, request["input_file"], Table(arrays["input_times"], columns) if columns else None)
     watched = Block(dict.fromkeys([*subject.outputs, *subject.states]))
     if not watched:
         raise FmuError("it has neither outputs nor states that are numbers: there is nothing to write.")
     with _in_words():
         found = solve(subject, request["type"], times, signals, watched)
-    value = {
-        "names": [item.name for item in watched],
-        "sizes": [item.size for item in watched],
-        "how": found.how,
-        "events": len(found.events),
-    }
+    names, sizes = [item.name for item in watched], [item.size for item in watched]
+    value = {"names": names, "sizes": sizes, "how": found.how, "events": len(found.events)}
     return value, {"values": found.values, "bars": found.bars}
 
 
@@ -341,9 +316,8 @@ def reference_solution(
     request: dict[str, Any], arrays: dict[str, np.ndarray], seconds: float
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """`run_reference` in a process of its own, for at most so many seconds; arrays (rows, entries) [unit of each]. Raises FmuError, MachineError."""
-    done = run_isolated(
-        "validate.fmu_check.reference:run_reference", request, arrays, limits=Limits(seconds=seconds), what="the reference solution"
-    )
+    function, limits = "validate.fmu_check.reference:run_reference", Limits(seconds=seconds)
+    done = run_isolated(function, request, arrays, limits=limits, what="the reference solution")
     if not done.ok:
         raise FmuError(f"FMU {request['name']}: {done.sentence}")
     return done.value, dict(done.arrays)
@@ -382,12 +356,8 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     table = read_table(where, text, others)
     watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
     settings = result.read_settings()
-    claims = read_table(result.error.name, read_text(result.error)) if result.error else None
-    inputs = (
-        signals_of(subject, result.inputs.name, read_table(result.inputs.name, read_text(result.inputs)))
-        if result.inputs
-        else signals_of(subject, "", None)
-    )
+    claims, driven = (read_table(path.name, read_text(path)) if path else None for path in (result.error, result.inputs))
+    inputs = signals_of(subject, result.inputs.name if result.inputs else "", driven)
     if claims is not None and ([*claims.columns] != [*table.columns] or not np.array_equal(claims.times, table.times)):
         raise FmuError(f"{where}: its error bars have other columns or times than it")
     subject = Subject(subject.path, subject.folder, subject.description, dict(subject.pace), dict(subject.ends))
@@ -414,14 +384,10 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
         return passed, f"{shown}, within {claim}; by {found.how}"
     clause = f"{where}: {names[column]} is {theirs[row, column]:.9g} at t = {table.times[row]:.6g} s, by {found.how} {found.values[row, column]:.9g} +- {found.bars[row, column]:.1g}"
     if claims or settings:
-        return (
-            failed,
-            f"{clause}: {apart[row, column]:.2g} off, where {claim} allow{'' if claims else 's'} {np.broadcast_to(stated, apart.shape)[row, column]:.2g}",
-        )
-    if worst[row, column] > _ANOTHER or not np.isfinite(worst[row, column]):
-        again = _again(subject, watched, table.times[:rows], inputs, theirs, size)
-        if again:
-            return failed, f"{clause}; {again}"
+        allowed = f"{claim} allow{'' if claims else 's'} {np.broadcast_to(stated, apart.shape)[row, column]:.2g}"
+        return failed, f"{clause}: {apart[row, column]:.2g} off, where {allowed}"
+    if not worst[row, column] <= _ANOTHER and (again := _again(subject, watched, table.times[:rows], inputs, theirs, size)):
+        return failed, f"{clause}; {again}"
     return advice, f"{clause}: {worst[row, column]:.1g} of its size off, and it does not say how exact it is"
 
 
@@ -449,12 +415,10 @@ def _apart(watched: Block, theirs: np.ndarray, found: ErrorBounded, times: np.nd
 
 def _again(subject: Subject, watched: Block, times: np.ndarray, inputs: Signals, theirs: np.ndarray, size: np.ndarray) -> str:
     """Why a result that is far off is wrong: plain Co-Simulation does not give it either; empty if it does."""
-    if "CS" not in subject.types:
-        return "nothing of it is what the FMU gives"
-    try:
-        with _in_words():
-            plain = _stepped(subject, times, inputs, watched, 1, None).rows
-    except FmuError:
-        return "nothing of it is what the FMU gives"
-    off = float((np.abs(plain - theirs) / size).max())
-    return f"plain Co-Simulation is {off:.2g} of its size off as well" if not off <= _ANOTHER else ""
+    with contextlib.suppress(FmuError):
+        if "CS" in subject.types:
+            with _in_words():
+                plain = _stepped(subject, times, inputs, watched, 1, None).rows
+            off = float((np.abs(plain - theirs) / size).max())
+            return f"plain Co-Simulation is {off:.2g} of its size off as well" if not off <= _ANOTHER else ""
+    return "nothing of it is what the FMU gives"

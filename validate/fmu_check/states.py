@@ -12,24 +12,21 @@ import contextlib
 import copy
 import ctypes
 import gc
-import itertools
 import mmap
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Fault, Misbehaviour
-from validate.fmi.surroundings import changes, listed, surroundings
-from validate.fmu_check.check import Finding, Scope, advice, check, failed, in_fork, not_offered, passed
+from validate.fmi.surroundings import changes, listed, surroundings, symbols
+from validate.fmu_check.check import Finding, Scope, advice, check, failed, in_fork, not_offered, passed, unless
 from validate.fmu_check.motion import compare, fresh_run, require_equal, restart_limit, run
 from validate.fmu_check.subject import CheckedInstance, Subject
 
@@ -55,8 +52,7 @@ def restores(subject: Subject, kind: str) -> Finding:
     worst, limit = 0.0, restart_limit(subject)
     places = sorted({int(share * (steps - length)) for share in _SHARES})
     for place in places:
-        with CheckedInstance(subject, kind) as instance:
-            begin_varied(instance)
+        with CheckedInstance(subject, kind).begin_varied() as instance:
             if place:
                 run(instance, 0, place)
             before = instance.observe()
@@ -64,14 +60,12 @@ def restores(subject: Subject, kind: str) -> Finding:
             reference = run(instance, place, place + length)
             run(instance, place + length, place + 2 * length, seed=1)  # elsewhere, with other inputs
             for turn in ("", "a second time "):
-                instance.restore(saved)
-                at_time(instance, place)
+                _restore(instance, saved, next_event, place)
                 apart = compare(subject, before[np.newaxis], instance.observe()[np.newaxis])
                 if not apart.equal:
                     return failed(
                         f"the state saved at t = {subject.time(place):.6g} s was set {turn}again, but {apart.where(subject, place)}."
                     )
-                instance.next_event = next_event
                 apart = compare(subject, reference, run(instance, place, place + length))
                 if apart.share > limit and limit == restart_limit(subject):
                     limit = max(limit, _restart_error(subject, kind, place, length))
@@ -93,30 +87,22 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
     for tolerance in (None, _TIGHT) if kind == "CS" else ():
         with CheckedInstance(subject, kind, f"tolerance {tolerance}") as instance:
             instance.tolerance = tolerance
-            begin_varied(instance)
+            instance.begin_varied()
             if first:
                 run(instance, 0, first)
             saved = instance.save()
             reference = run(instance, first, first + length)
             instance.restore(saved)
-            at_time(instance, first)
             shares.append(compare(subject, reference, run(instance, first, first + length)).share)
     return _SAFETY * shares[0] if shares and shares[1] <= _SHRUNK * shares[0] else 0.0
 
 
-def at_time(instance: CheckedInstance, step: int) -> None:
-    """Tell a Model Exchange FMU the time again: it is given from outside, and need not be part of a saved state."""
+def _restore(instance: CheckedInstance, saved: Any, next_event: float, step: int) -> None:
+    """Set a saved state; to Model Exchange the time of its step and its next event are given again: both are from outside, and need not be part of it."""
+    instance.restore(saved)
     if instance.kind == "ME":
         instance.set_time(instance.subject.time(step))
-
-
-def begin_varied(instance: CheckedInstance) -> None:
-    """Begin with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
-    try:
-        instance.begin(before=instance.subject.varied)
-    except FMICallException:
-        instance.fmu.reset()
-        instance.begin()
+    instance.next_event = next_event
 
 
 @check("serialised state loads elsewhere", Scope.EACH, clauses=("2.1.8", "2.2.7.4"), needs=_SERIALISES)
@@ -126,8 +112,7 @@ def serialises(subject: Subject, kind: str) -> Finding:
     place, length = steps // 2, max(2, steps // 4)
 
     def first() -> dict[str, Any]:
-        with CheckedInstance(subject, kind) as instance:
-            begin_varied(instance)
+        with CheckedInstance(subject, kind).begin_varied() as instance:
             run(instance, 0, place)
             saved, next_event = instance.save(), instance.next_event
             data = instance.fmu.serializeFMUState(saved)
@@ -139,26 +124,21 @@ def serialises(subject: Subject, kind: str) -> Finding:
         junk = mmap.mmap(-1, _SHIFT)
         others = [CheckedInstance(subject, kind, f"other {number}") for number in range(3)]
         with CheckedInstance(subject, kind).begin() as instance:
-            saved = instance.fmu.deserializeFMUState(data)
-            instance.restore(saved)
-            at_time(instance, place)
-            instance.next_event = next_event
+            _restore(instance, instance.fmu.deserializeFMUState(data), next_event, place)
             rows = run(instance, place, place + length).tolist()
         for other in others:
             other.free()
         junk.close()
         return rows
 
+    where = "while a state was serialised"
     try:
         found = in_fork(first, _HALF_SECONDS)
-    except Misbehaviour as fault:
-        return failed(f"while a state was serialised: {fault}.")
-    try:
+        where = "in a new process"
         read = in_fork(lambda: second(bytes.fromhex(found["data"]), found["next"]), _HALF_SECONDS)
     except Misbehaviour as fault:
-        return failed(f"in a new process: {fault}.")
-    reference, rows = np.array(found["rows"]), np.array(read)
-    apart = compare(subject, reference, rows)
+        return failed(f"{where}: {fault}.")
+    apart = compare(subject, np.array(found["rows"]), np.array(read))
     if apart.share > restart_limit(subject) and apart.share > _restart_error(subject, kind, place, length):
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
     if not found["same"]:
@@ -194,7 +174,7 @@ def resets(subject: Subject, kind: str) -> Finding:
     reference = fresh_run(subject, kind, steps, "fresh")
     with CheckedInstance(subject, kind, "reset") as instance:
         for terminated in (True, False):
-            begin_varied(instance)
+            instance.begin_varied()
             run(instance, 0, steps // 2, seed=1, observe="end")
             if terminated:
                 instance.fmu.terminate()
@@ -211,34 +191,21 @@ def independent(subject: Subject, kind: str) -> Finding:
     if subject.can(kind, "canBeInstantiatedOnlyOncePerProcess"):
         return not_offered("canBeInstantiatedOnlyOncePerProcess is true.")
     steps = min(subject.steps(kind), _IN_TURN)
-    alone = []
-    for seed in (0, 1):
-        with CheckedInstance(subject, kind, f"alone {seed}") as instance:
-            _begin_as(instance, seed)
-            alone.append(np.array(list(_stepwise(instance, steps, seed))))
-    pair: list[CheckedInstance] = [CheckedInstance(subject, kind, f"pair {seed}") for seed in (0, 1)]
-    for seed, instance in enumerate(pair):
-        _begin_as(instance, seed)
-    together = [_stepwise(instance, steps, seed) for seed, instance in enumerate(pair)]
-    rows = [list(item) for item in zip(*itertools.zip_longest(*together), strict=True)]
-    for instance in pair:
-        instance.close()
-    for seed in (0, 1):
-        require_equal(subject, alone[seed], np.array([row for row in rows[seed] if row is not None]), "beside another instance", 1)
+
+    def in_turn(name: str, *seeds: int) -> Iterator[np.ndarray]:
+        """(steps, observed) values after each step, of an instance for each seed: two know other parameters and inputs."""
+        instances = {seed: CheckedInstance(subject, kind, f"{name} {seed}") for seed in seeds}
+        for seed, instance in instances.items():
+            instance.begin_varied() if seed else instance.begin()
+        rows = [[run(item, step, step + 1, seed=seed, observe="end")[0] for seed, item in instances.items()] for step in range(steps)]
+        for instance in instances.values():
+            instance.close()
+        yield from np.swapaxes(np.array(rows), 0, 1)
+
+    alone = [*in_turn("alone", 0), *in_turn("alone", 1)]
+    for one, beside in zip(alone, in_turn("pair", 0, 1), strict=True):
+        require_equal(subject, one, beside, "beside another instance", 1)
     return passed(f"{steps} steps each in turn, with different parameters and inputs: equal bits.")
-
-
-def _begin_as(instance: CheckedInstance, seed: int) -> None:
-    if seed:
-        begin_varied(instance)
-    else:
-        instance.begin()
-
-
-def _stepwise(instance: CheckedInstance, steps: int, seed: int):
-    """The values after each step, one at a time."""
-    for step in range(steps):
-        yield run(instance, step, step + 1, seed=seed, observe="end")[0]
 
 
 @check("freed instances give memory back", Scope.EACH, clauses=("2.1.5", "2.3.1"))
@@ -256,15 +223,7 @@ def leaks(subject: Subject, kind: str) -> Finding:
                 instance.instantiate()
             except Misbehaviour as error:
                 raise Misbehaviour(f"{error}, after {made} others were freed") from error
-        instance.begin()
-        if kind == "CS":
-            for step in range(subject.before_end(kind, 3)):
-                instance.do_step(subject.time(step), subject.step)
-        elif instance.state_count:
-            for step in range(subject.before_end(kind, 3)):
-                instance.move(subject.time(step), instance.states())
-                instance.rates()
-                instance.completed()
+        instance.begin().live(subject.before_end(kind, 3), completed=True)
         if saves:
             saved = instance.save()
             instance.restore(saved)
@@ -294,33 +253,19 @@ def leaks(subject: Subject, kind: str) -> Finding:
 
 
 class _MallocInfo(ctypes.Structure):
-    """struct mallinfo2 of the GNU C library."""
+    """struct mallinfo2 of the GNU C library: hblkhd, the bytes in large blocks, is its fifth number, uordblks, those in others, its eighth."""
 
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
-    ]
-
-
-@lru_cache(maxsize=1)
-def _mallinfo2() -> Any:
-    """The function of the GNU C library; None with another one."""
-    try:
-        function = ctypes.CDLL(None).mallinfo2
-    except (AttributeError, OSError, TypeError):
-        return None
-    function.restype = _MallocInfo
-    return function
+    _fields_ = [("numbers", ctypes.c_size_t * 10)]
 
 
 def _memory() -> tuple[float, float]:
     """(bytes allocated on the heap, bytes resident), Python's own garbage collected; 0 where the system does not tell."""
     gc.collect()
     allocated = resident = 0.0
-    mallinfo2 = _mallinfo2()
-    if mallinfo2 is not None:
-        info = mallinfo2()
-        allocated = float(info.uordblks + info.hblkhd)
+    if mallinfo2 := getattr(symbols(), "mallinfo2", None):  # of the GNU C library alone
+        mallinfo2.restype = _MallocInfo
+        numbers = mallinfo2().numbers
+        allocated = float(numbers[4] + numbers[7])
     if os.path.exists("/proc/self/statm"):
         with open("/proc/self/statm", encoding="ascii") as file:
             resident = float(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -353,30 +298,23 @@ def surrounded(subject: Subject, kind: str) -> Finding:
         opened = {name for name in after if name.startswith("file descriptor")} - set(before)
         if opened:
             wrong.append(f"an instance leaves {_count(opened, 'file')} open")
-        if more := _lasting(threads):
+        if more := _lasting(lambda: _threads() - threads):
             wrong.append(f"an instance leaves {_count(more, 'thread')} behind")
-        if children := _children():
+        if children := _lasting(_children):
             wrong.append(f"it leaves {_count(children, 'process')} behind")
         if new := sorted({name for name, _ in _files(subject) - files}):
             wrong.append(f"it changes its own files: {listed(new)}")
     if said:
         wrong.append(f"it prints on the standard output: {''.join(said)[:_QUOTED]!r}")
-    if wrong:
-        return failed(f"{listed(list(dict.fromkeys(wrong)))}.")
-    return passed(f"two lives of {steps} {'steps' if kind == 'CS' else 'evaluations'}: nothing is changed, printed or left.")
+    fine = f"two lives of {steps} {'steps' if kind == 'CS' else 'evaluations'}: nothing is changed, printed or left."
+    return unless(list(dict.fromkeys(wrong)), fine)
 
 
 def _live(subject: Subject, kind: str, steps: int, wrong: list[str]) -> None:
     """One life of an instance; what it changes of the process meanwhile is added to `wrong`."""
     before = surroundings()
-    instance = CheckedInstance(subject, kind)
-    instance.begin()
-    for step in range(steps):
-        if kind == "CS":
-            instance.do_step(subject.time(step), subject.step)
-        elif instance.state_count:
-            instance.move(subject.time(step), instance.states())
-            instance.rates()
+    instance = CheckedInstance(subject, kind).begin()
+    instance.live(steps)
     instance.observe()
     wrong += changes(before, surroundings())
     instance.close()
@@ -406,26 +344,20 @@ def _threads() -> set[str]:
 
 
 def _children() -> set[int]:
-    """Child processes, after they had time to end; those that have ended are not counted, unless nobody can wait for them."""
-    until = time.monotonic() + _GRACE
-    while True:
-        found: set[int] = set()
-        for thread in _threads():
-            with contextlib.suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
-                found.update(map(int, file.read().split()))
-        if not found or time.monotonic() > until:
-            return found
-        time.sleep(_GRACE / 20)
+    """Child processes; those that have ended are not counted, unless nobody can wait for them."""
+    found: set[int] = set()
+    for thread in _threads():
+        with contextlib.suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
+            found.update(map(int, file.read().split()))
+    return found
 
 
-def _lasting(before: set[str]) -> set[str]:
-    """Threads that were not there before, and do not end soon."""
+def _lasting(look: Callable[[], set[Any]]) -> set[Any]:
+    """What is there, after it had time to end."""
     until = time.monotonic() + _GRACE
-    while more := _threads() - before:
-        if time.monotonic() > until:
-            break
+    while (found := look()) and time.monotonic() <= until:
         time.sleep(_GRACE / 20)
-    return more
+    return found
 
 
 def _files(subject: Subject) -> set[tuple[str, int]]:
@@ -434,8 +366,8 @@ def _files(subject: Subject) -> set[tuple[str, int]]:
     return {(str(path.relative_to(subject.folder)), path.stat().st_mtime_ns) for path in paths}
 
 
-def _count(items: object, what: str) -> str:
-    number = len(items)  # type: ignore[arg-type]
+def _count(items: set[Any], what: str) -> str:
+    number = len(items)
     return f"{number} {what}{'' if number == 1 else 'es' if what.endswith('s') else 's'}"
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import DESCRIPTION, interfaces
 from validate.fmi.description import interface_of, without_garbage
@@ -93,6 +94,11 @@ class Block(tuple[FmuVariable, ...]):
     def names(self) -> list[str]:
         """Of the variable of each entry."""
         return [item.name for item in self for _ in range(item.size)]
+
+    @property
+    def references(self) -> list[int]:
+        """Value references of the variables."""
+        return [item.reference for item in self]
 
     def each(self, of: Callable[[FmuVariable], float]) -> np.ndarray:
         """(entries,) a number of each entry's variable [unit of that]. Raises nothing."""
@@ -229,6 +235,11 @@ class Subject:
     def continuous_inputs(self) -> Block:
         """Continuous floating-point inputs."""
         return Block(item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous")
+
+    @cached_property
+    def clocks(self) -> Block:
+        """Variables that tell the time."""
+        return Block(item for item in self.variables if item.causality == "independent" and item.is_float)
 
     @cached_property
     def exact(self) -> Block:
@@ -390,6 +401,14 @@ class CheckedInstance(Instance):
         self.set(*during)
         return self.finish_initialisation()
 
+    def begin_varied(self) -> Self:
+        """As `begin`, with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
+        try:
+            return self.begin(before=self.subject.varied)
+        except FMICallException:
+            self.fmu.reset()
+            return self.begin()
+
     def finish_initialisation(self) -> Self:
         """Out of Initialization Mode, and with Model Exchange to Continuous-Time Mode."""
         self.fmu.exitInitializationMode()
@@ -397,6 +416,21 @@ class CheckedInstance(Instance):
         if self.kind == "ME":
             self.settle()
         return self
+
+    def make_step(self, step: int) -> None:
+        """One communication step of the subject's grid. Raises FMICallException, Fault."""
+        self.do_step(self.subject.time(step), self.subject.step)
+
+    def live(self, steps: int, *, completed: bool = False) -> None:
+        """So many communication steps; of Model Exchange as many evaluations, if it has states; completed: whether each is told to be an accepted step."""
+        for step in range(steps):
+            if self.kind == "CS":
+                self.make_step(step)
+            elif self.state_count:
+                self.move(self.subject.time(step), self.states())
+                self.rates()
+                if completed:
+                    self.completed()
 
     def get(self, variables: Sequence[FmuVariable]) -> np.ndarray:
         """Values of variables in the order given; one call a type.
@@ -435,37 +469,3 @@ class CheckedInstance(Instance):
     def observe(self) -> np.ndarray:
         """Values (entries,) [unit of each variable] of all that runs are compared by. Raises FMICallException."""
         return self.get(self.subject.observed)
-
-    def directional(self, unknowns: Block, known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
-        """Directional derivatives of unknowns by one known.
-
-        Parameters
-        ----------
-        seed : (entries of the known,) the direction [unit of the known].
-
-        Returns
-        -------
-        (entries,) of the unknowns [unit of each unknown].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses the call.
-        """
-        return np.array(self.fmu.directional([item.reference for item in unknowns], [known.reference], seed, unknowns.entries))
-
-    def adjoint(self, unknowns: Block, knowns: Block, seed: Sequence[float]) -> np.ndarray:
-        """Adjoint derivatives of FMI 3.0 by all knowns.
-
-        Parameters
-        ----------
-        seed : (entries of the unknowns,) the weights [-].
-
-        Returns
-        -------
-        (entries,) of the knowns [unit of the unknown per unit of the known].
-
-        Raises
-        ------
-        FMICallException : if the FMU refuses the call.
-        """
-        return np.array(self.fmu.adjoint([item.reference for item in unknowns], [item.reference for item in knowns], seed, knowns.entries))

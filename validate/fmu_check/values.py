@@ -9,8 +9,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmi.surroundings import listed
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed
+from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.motion import fresh_run, require_equal, run
 from validate.fmu_check.subject import Block, CheckedInstance, FmuVariable, Subject
 
@@ -36,10 +35,8 @@ def readable(subject: Subject, kind: str) -> Finding:
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
-    if problems:
-        return failed(listed(problems))
     more = f", {len(texts)} of them strings or binaries" if texts else ""
-    return passed(f"{len(variables) + len(texts)} variables were read{more}.")
+    return unless(problems, f"{len(variables) + len(texts)} variables were read{more}.", end="")
 
 
 def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
@@ -55,10 +52,10 @@ def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
             kept = item.causality == "input" or (item.initial == "exact" and item.variability in ("constant", "fixed", "tunable"))
             if kept and wanted is not None and found != wanted:
                 said = f"{found[:40]!r} in the binary, {wanted[:40]!r} in the description"
-        except (FMICallException, UnicodeDecodeError, AttributeError) as error:
-            said = (
-                f"refused, or no text{instance.quote()}" if isinstance(error, FMICallException) else "no text: it is missing, or not UTF-8"
-            )
+        except FMICallException:
+            said = f"refused, or no text{instance.quote()}"
+        except (UnicodeDecodeError, AttributeError):
+            said = "no text: it is missing, or not UTF-8"
         yield item.name, said
 
 
@@ -89,9 +86,7 @@ def starts(subject: Subject, kind: str) -> Finding:
     wrong = [
         f"{variables.names[at]} is {values[at]:.10g} in the binary, {starts[at]:.10g} in the description" for at in np.flatnonzero(bad)
     ]
-    if wrong:
-        return failed(listed(wrong))
-    return passed(f"{len(variables)} start values agree to {_TEXT:g}.")
+    return unless(wrong, f"{len(variables)} start values agree to {_TEXT:g}.", end="")
 
 
 def _movable(item: FmuVariable) -> bool:
@@ -100,12 +95,10 @@ def _movable(item: FmuVariable) -> bool:
     return changes and (item.is_float or (item.type == "Boolean" and item.causality == "input"))
 
 
-def _moved(item: FmuVariable, start: np.ndarray) -> np.ndarray | None:
-    """Another value than its start; None if there is none in its range."""
-    value = Block([item]).near(_MOVED) if item.is_float else 1.0 - start
-    if item.type == "Float32":  # what it can hold
-        value = value.astype(np.float32).astype(float)
-    return None if np.array_equal(value, start) else value
+def _moved(block: Block) -> np.ndarray:
+    """Another value of one variable than its start, as far as there is one in its range."""
+    value = block.near(_MOVED) if block[0].is_float else 1.0 - block.starts
+    return value.astype(np.float32).astype(float) if block[0].type == "Float32" else value  # what it can hold
 
 
 @check("start values are obeyed", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
@@ -113,7 +106,7 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     """A start value set before or in initialisation is the value from then on."""
     every = [item for item in subject.exact if _movable(item)]
     drawn = [Block([every[place]]) for place in sorted(_drawn(len(every), len(subject.variables)))]
-    moved = {block: value for block in drawn if (value := _moved(block[0], block.starts)) is not None}
+    moved = {block: value for block in drawn if not np.array_equal(value := _moved(block), block.starts)}
     if not moved:
         return not_offered("no start value can be moved.")
     with CheckedInstance(subject, kind, "default").begin() as instance:
@@ -143,16 +136,11 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                 refused += 1  # the model has no solution there, and says so
                 continue
             wrong += _ignored(block[0], phase, value, inside, after, default[block])
-    if wrong:
-        return failed(listed(wrong))
     more = f" {refused} of them make the model refuse to start." if refused else ""
-    more += (
-        ""
-        if tried == 2 * len(moved)
-        else f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
-    )
+    if tried < 2 * len(moved):
+        more += f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
     of_all = "" if len(drawn) == len(every) else f", drawn from {len(every)}"
-    return passed(f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}")
+    return unless(wrong, f"{tried // 2} start values were moved, each before and in initialisation{of_all}.{more}", end="")
 
 
 def _drawn(count: int, size: int) -> list[int]:
@@ -165,11 +153,9 @@ def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarra
     clause = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
         return [f"{clause}, but is {inside[0]:.10g} in Initialization Mode"]
-    kept = np.allclose(after, value, rtol=_TEXT, atol=0.0)
-    free = item.causality not in ("parameter", "input")
-    if not kept and (not free or np.array_equal(after, default)):
-        return [f"{clause}, but is {after[0]:.10g} after it"]
-    return []
+    may_move = item.causality not in ("parameter", "input") and not np.array_equal(after, default)
+    kept = may_move or np.allclose(after, value, rtol=_TEXT, atol=0.0)
+    return [] if kept else [f"{clause}, but is {after[0]:.10g} after it"]
 
 
 @check("values stay finite", Scope.EACH)

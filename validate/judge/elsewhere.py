@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -25,8 +26,8 @@ from models.scene import Limit, Scene
 from validate.execution.isolated import Limits
 from validate.judge.disagreement import REFERENCE, Otherwise, level_of, size, why
 from validate.judge.judgement import Judgement
-from validate.judge.replay.error_estimate import ReplayNodes, difference
-from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.error_estimate import by_entry, difference
+from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
 from validate.judge.replay.wiring import Feedback, measure_effort
 from validate.judge.score import Score, score, wants_feedback
@@ -101,10 +102,8 @@ class _Matrix:
         self.replay, self.nominal = judgement.replay, nominals(scene)[: scene.nq]
         self.feedback: Feedback | None = None
         if self.plan.has_states and scene.nu:
-            try:
+            with suppress(TrackingError):
                 self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
-            except TrackingError:
-                self.feedback = None
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""
@@ -169,9 +168,9 @@ class _Matrix:
     def _replays(self, drives: Sequence[Drive], motions: Sequence[SimulatedMotion]) -> list[Replay]:
         """Motions as replays of the scene. Of first order, at least, each is a third as wrong as it differs from the one at four times its step: said is a half."""
         made = [self._replay(drive, motion) for drive, motion in zip(drives, motions, strict=True)]
-        nodes = [ReplayNodes(item) if item.ok else None for item in made]
+        nodes = [item.rows(item.knots) if item.ok else None for item in made]
         apart = [difference(*pair) for pair in pairwise(nodes)]
-        errors = [scaled(apart[0], 2.0), *(scaled(item, 0.5) for item in apart)]
+        errors = [by_entry(lambda value: 2.0 * value, apart[0]), *(by_entry(lambda value: 0.5 * value, item) for item in apart)]
         return [replace(item, error=ReplayError(estimate=error)) for item, error in zip(made, errors, strict=True)]
 
     def _replay(self, drive: Drive, motion: SimulatedMotion) -> Replay:
@@ -197,8 +196,3 @@ class _Matrix:
         """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""
         apart = np.abs(q[:: (len(q) - 1) // self.plan.steps] - self.replay.q[self.replay.knots])[times] / self.nominal
         return float(np.nan_to_num(apart, nan=np.inf).max())
-
-
-def scaled(apart: Difference | None, factor: float) -> Difference | None:
-    """A difference so many times as large."""
-    return None if apart is None else Difference(position=factor * apart.position, state=factor * apart.state, gap=factor * apart.gap)

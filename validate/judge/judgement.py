@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from models.catalog import load_scene
 from models.errors import SceneError, TrajectoryError
@@ -29,18 +29,10 @@ from models.trajectory_netcdf import read_netcdf
 from validate.execution.isolated import Limits
 from validate.fmi.description import Package, read_package
 from validate.judge.replay import Replay
-from validate.judge.replay.run import Foreign, Track, replay, replay_foreign
-from validate.judge.replay.subject import Subject
+from validate.judge.replay.run import Track, replay, replay_foreign
+from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
-
-
-class HasTrajectory(Protocol):
-    """What a method hands back (formulations.solution.Solution)."""
-
-    @property
-    def trajectory(self) -> Trajectory | None:
-        """The plan, or None."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +60,7 @@ class Judgement:
 
 def judge(
     scene: Scene | str | Path,
-    plan: Trajectory | HasTrajectory | Mapping[str, Any] | str | Path | Any,
+    plan: Trajectory | Mapping[str, Any] | str | Path | Any,
     *,
     hold: Hold | str | None = None,
     scheme: Scheme | str | None = None,

@@ -132,37 +132,35 @@ def test_cpu_time_is_drawn_against_error_and_against_cost():
     ]  # fmt: skip
     error, cost = speed(*runs)
     ends = "ends off the goal by position 0.040 m"
-    assert drawn(error.plot).marks == [
+    assert drawn(error[0]).marks == [
         Mark("c2 full", "circle", f"quick, pipeline quick, stage 1: 2.00 CPU s, replay error 0.020, {ends}, holds", "pages/quick-key.html", (2.0, 0.02)),
         Mark("c2 full", "circle", f"best, pipeline best, stage 1: 8.00 CPU s, replay error 0.0010, {ends}, holds", "pages/best-key.html", (8.0, 0.001)),
         Mark("c2", "circle", f"wrong, pipeline wrong, stage 1: 1.00 CPU s, replay error 0.50, {ends}, violates", "pages/wrong-key.html", (1.0, 0.5)),
         Mark("c2", "circle", f"tick, pipeline tick, stage 1: 0.001 CPU s, replay error 3.0×10⁻⁹, {ends}, undecided", "pages/tick-key.html", (1e-3, 3e-9)),
         Mark("c2", "circle", f"loose, pipeline loose, stage 1: 4.00 CPU s, replay error 0.030, {ends}, violates", "pages/loose-key.html", (4.0, 0.03)),
     ]  # fmt: skip
-    assert [mark.at for mark in drawn(cost.plot).marks] == [(2.0, 500.0), (8.0, 400.0), (4.0, 300.0)], (
-        "those that end where the scene allows"
-    )
-    assert drawn(cost.plot).lines["front"][1][1:-1] == [(2.0, 500.0), (8.0, 500.0), (8.0, 400.0)], "of those that hold"
-    assert not unsaid(cost.sentence, "Not compared … 2 plans.")
-    assert drawn(error.plot).lines["front"][1][1] == (1e-3, 3e-9), "of all"
-    assert (error.plot.y.quantity, error.plot.y.unit, error.plot.y.log, error.plot.x.unit) == ("replay error", "m", True, "s")
-    assert [(view.plot.width, view.plot.height) for view in (error, cost)] == [(720, 400)] * 2
-    assert [(key.style, key.marker) for key in cost.plot.keys] == [*KEYS, ("front", "")]
-    assert [key.words for key in cost.plot.keys] == [
+    assert [mark.at for mark in drawn(cost[0]).marks] == [(2.0, 500.0), (8.0, 400.0), (4.0, 300.0)], "those that end where the scene allows"
+    assert drawn(cost[0]).lines["front"][1][1:-1] == [(2.0, 500.0), (8.0, 500.0), (8.0, 400.0)], "of those that hold"
+    assert not unsaid(cost[1], "Not compared … 2 plans.")
+    assert drawn(error[0]).lines["front"][1][1] == (1e-3, 3e-9), "of all"
+    assert (error[0].y.quantity, error[0].y.unit, error[0].y.log, error[0].x.unit) == ("replay error", "m", True, "s")
+    assert [(view[0].width, view[0].height) for view in (error, cost)] == [(720, 400)] * 2
+    assert [(key.style, key.marker) for key in cost[0].keys] == [*KEYS, ("front", "")]
+    assert [key.words for key in cost[0].keys] == [
         "relaxed contact", "gradient descent", "exact contact", "ours", "filled: holds", "front: no stage is both faster and better",
     ]  # fmt: skip
-    assert (cost.plot.y.quantity, cost.plot.y.log, cost.plot.x.quantity) == ("cost", False, "CPU time, with the stages before")
-    level = next(words for words in drawn(cost.plot).lines if words != "front")
+    assert (cost[0].y.quantity, cost[0].y.log, cost[0].x.quantity) == ("cost", False, "CPU time, with the stages before")
+    level = next(words for words in drawn(cost[0]).lines if words != "front")
     assert not unsaid(level, "best known … 490.55")
-    assert not unsaid(cost.plot.words, "3 stages; on the front … first: quick (2.00 s, 500.00) and best (8.00 s, 400.00).")
-    assert error.plot.x.low == pytest.approx(1e-3 * 10 ** -(0.06 * 3.90309), rel=1e-6)
-    assert error.plot.y.high == pytest.approx(0.5 * 10 ** (0.06 * 8.22185), rel=1e-4)
+    assert not unsaid(cost[0].words, "3 stages; on the front … first: quick (2.00 s, 500.00) and best (8.00 s, 400.00).")
+    assert error[0].x.low == pytest.approx(1e-3 * 10 ** -(0.06 * 3.90309), rel=1e-6)
+    assert error[0].y.high == pytest.approx(0.5 * 10 ** (0.06 * 8.22185), rel=1e-4)
 
 
 @pytest.mark.parametrize(("least", "log"), [(24.6, False), (24.5, True), (0.0, False), (-5.0, False)])
 def test_costs_far_apart_are_logarithmic(least: float, log: bool):
     """The best known cost, 490.55, is one of them."""
-    assert speed(replayed("a", 0.01, least, 1.0))[1].plot.y.log is log
+    assert speed(replayed("a", 0.01, least, 1.0))[1][0].y.log is log
 
 
 @pytest.mark.parametrize(
@@ -179,8 +177,8 @@ def test_costs_far_apart_are_logarithmic(least: float, log: bool):
 )  # fmt: skip
 def test_what_more_time_buys(steps: list[tuple[float, float]], said: str):
     error = speed(*(replayed(name, missed, 500.0, cpu) for name, (cpu, missed) in zip("abc", steps, strict=False)))[0]
-    assert not unsaid(error.sentence, said)
-    assert not unsaid(error.sentence, f"least CPU time … {steps[0][0]:.2f} s (a), replay error ")
+    assert not unsaid(error[1], said)
+    assert not unsaid(error[1], f"least CPU time … {steps[0][0]:.2f} s (a), replay error ")
 
 
 @pytest.mark.parametrize(
@@ -192,7 +190,7 @@ def test_what_more_time_buys(steps: list[tuple[float, float]], said: str):
 )  # fmt: skip
 def test_what_more_time_saves(costs: tuple[float, ...], said: str):
     cost = speed(*(replayed(name, 0.01, price, cpu) for name, cpu, price in zip("ab", (1.0, 2.0), costs, strict=True)))[1]
-    assert not unsaid(cost.sentence, said)
+    assert not unsaid(cost[1], said)
 
 
 def test_of_a_stage_that_holds_with_feedback_that_replay_counts():
@@ -205,15 +203,15 @@ def test_of_a_stage_that_holds_with_feedback_that_replay_counts():
     )
     stage = one.model_copy(update={"metrics": (*one.metrics, *tracked), "replay": one.replay.model_copy(update={"judged": "feedback"})})
     error, cost = speed(run.model_copy(update={"stages": (stage,)}))
-    assert [mark.at for mark in drawn(error.plot).marks] == [(1.0, 0.004)]
-    assert [mark.style for mark in drawn(cost.plot).marks] == ["c2 full"]
-    assert "followed, which holds with feedback" in error.sentence
+    assert [mark.at for mark in drawn(error[0]).marks] == [(1.0, 0.004)]
+    assert [mark.style for mark in drawn(cost[0]).marks] == ["c2 full"]
+    assert "followed, which holds with feedback" in error[1]
 
 
 def test_where_no_replay_is_limited_the_plans_own_grid_decides():
     grid = judged("discrete_terminal_error", 0.1, limit=0.05, ok=False)
     (error,) = speed(ran("off", judged("replay_error", 0.01), grid, cost=5.0))
-    assert error.plot.title == "CPU time against replay error"
+    assert error[0].title == "CPU time against replay error"
     assert len(speed(ran("free", judged("replay_error", 0.01), cost=5.0))) == 2, "nothing is limited: the end is free"
 
 
@@ -237,7 +235,7 @@ def test_why_a_method_has_no_point():
 
 def test_where_nothing_holds_or_nothing_is_planned_it_says_so():
     bad = replayed("bad", 0.3, 490.0, 1.0, "violates")
-    assert not unsaid(speed(bad)[0].sentence, "None of 1 plan holds")
+    assert not unsaid(speed(bad)[0][1], "None of 1 plan holds")
     told = report(bad.model_copy(update={"scene": bad.scene.model_copy(update={"inputs": ()})}))
     free = pareto.build(told, told.scenes[0])
     assert (free.values["views"], free.values["failed"], free.values["nothing"][:28]) == ([], [], "This scene has no inputs: no")

@@ -86,12 +86,12 @@ def test_judged_metrics_of_all_stages_stand_side_by_side():
     ).stages[0]
     run = ran("a").model_copy(update={"stages": (first, second.model_copy(update={"index": 1}))})
     view = view_of(report(run), run)
-    assert [(row.metric.name, [item and item.value for item in row.found]) for row in view.beside] == [
+    assert [(metric.name, [item and item.value for item in found]) for metric, found in view.beside] == [
         ("d", [None, 8.0]),
         ("b", [1.0, 2.0]),
         ("c", [None, 7.0]),
     ]
-    assert view.beside[1].metric.limit == 4.0, "the limit of the last"
+    assert view.beside[1][0].limit == 4.0, "the limit of the last"
     assert view_of(report(run), ran("a", judged("b", 1.0, limit=3.0))).beside == []
     assert one_run.build(report(run), run).entries == (("run-stage-1", "a"), ("run-stage-2", "a, ε = 10⁻³"))
 

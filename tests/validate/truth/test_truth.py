@@ -107,7 +107,7 @@ def plant(monkeypatch, engine: str, fault: str) -> None:
     """The fault, where the adapter reads the scene or makes its steps."""
     module, ours = importlib.import_module(f"validate.judge.engines.{engine}"), engine.startswith("fmu")
     shared = (
-        importlib.import_module("validate.judge.engines._runs" if ours else "validate.judge.engines._drake")
+        importlib.import_module("validate.judge.engines.fmu" if ours else "validate.judge.engines._drake")
         if ours or "drake" in engine
         else module
     )

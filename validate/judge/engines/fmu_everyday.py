@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from validate.judge.engines._runs import motion_of
+from validate.judge.engines.fmu import motion_of
 from validate.judge.replay.everyday import simulate as step_through
 from validate.judge.simulator import Drive, SimulatedMotion, Simulator
 

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from models.scene.contacts import DampingLaw
-from validate.judge.engines._mechanism import Mechanism, Touch, mechanism_of
-from validate.judge.engines._trees import Pad
+from validate.judge.engines._mechanism import Mechanism, Pad, Touch, mechanism_of
 from validate.judge.simulator import CannotExpressError, Drive, SimulatedMotion, Simulator, stepped
 
 mujoco: Any = importlib.import_module("mujoco")  # a checker without the package takes this file for it

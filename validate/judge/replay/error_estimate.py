@@ -17,7 +17,6 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -26,9 +25,9 @@ from models.collocation import lowest_between, penetration_rates
 from models.scene import Scene
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
-from validate.judge.replay.job import Job
-from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
-from validate.judge.replay.subject import Outputs, Subject, find_variables
+from validate.judge.replay.job import Job, Simulated
+from validate.judge.replay.result import Difference, Recorded, Replay, ReplayError, ReplayOutcome, Run
+from validate.judge.replay.subject import ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.wiring import Feedback, Variables
 
 # Steps within the contact that was overlooked; and steps in all that are taken for it.
@@ -55,7 +54,8 @@ def with_steps_of(subject: Subject, job: Job) -> Job:
     times, step = job.plan.t, float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
     parts = min(job.parts * max(1, longest), _MOST_PARTS)
-    return _finer(replace(job, parts=parts), base_step(times) / step - 1e-6)
+    job = _finer(replace(job, parts=parts), base_step(times) / step - 1e-6)
+    return fine_enough(subject, job) if isinstance(subject, Scene) else job
 
 
 def with_max_step(job: Job, longest: float) -> Job | None:
@@ -92,9 +92,10 @@ def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
     return None if twice == find_variables(package, scene) else twice
 
 
-def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Feedback | None, replayed: Replay) -> Replay:
+def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: Replay) -> Replay:
     """The replay with the lag's error in its own; as it is where there is none to be told (`twice_the_lag`)."""
-    if twice is None or not replayed.ok:
+    twice = twice_the_lag(job.package, scene) if replayed.ok else None
+    if twice is None:
         return replayed
     is_reference = replayed.method == "reference"
     tolerances, fineness = (job.tolerances[:1], ()) if is_reference else ((), job.fineness[-1:])
@@ -102,9 +103,8 @@ def with_lag_error(scene: Scene, job: Job, twice: Variables | None, feedback: Fe
     if run.outcome is not ReplayOutcome.OK:
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return without_estimate(replayed, note)
-    lag, estimate = difference(Outputs(scene, twice, run, run.knots), ReplayNodes(replayed)), replayed.error.estimate
-    both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
-    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
+    lag = difference(recorded(scene, twice, run, run.knots), replayed.rows(replayed.knots))
+    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=by_entry(operator.add, replayed.error.estimate, lag)))
 
 
 def without_estimate(replayed: Replay, note: str) -> Replay:
@@ -112,16 +112,12 @@ def without_estimate(replayed: Replay, note: str) -> Replay:
     return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
 
 
-class ReplayNodes:
-    """A replay at the plan's nodes."""
-
-    def __init__(self, replay: Replay) -> None:
-        self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
-
-
-def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
-    """A function of each entry of some differences."""
-    return Difference(**{name: function(*(getattr(item, name) for item in of)) for name in ("position", "state", "gap")})
+def by_entry(function: Callable[..., float], *of: Difference | None) -> Difference | None:
+    """A function of each entry of some differences; None if one of them is not known."""
+    known = [item for item in of if item is not None]
+    if len(known) < len(of):
+        return None
+    return Difference(**{name: function(*(getattr(item, name) for item in known)) for name in ("position", "state", "gap")})
 
 
 # The everyday replay is explained by its own step error if it is within this factor of its step halving: to first order the
@@ -129,24 +125,13 @@ def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
 _EXPLAINED = 3.0
 
 
-class AtNodes(Protocol):
-    """A simulation at the plan's nodes: q, v (nodes, nq), gap (nodes, nc)."""
-
-    q: np.ndarray
-    v: np.ndarray
-    gap: np.ndarray
-
-
-def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
-    """Largest difference over the nodes, or None if one of the two did not get to the end."""
+def difference(one: Recorded | None, other: Recorded | None) -> Difference | None:
+    """Largest difference of two simulations over the nodes, or None if one of the two did not get to the end."""
     if one is None or other is None:
         return None
     state = np.hypot(np.linalg.norm(one.q - other.q, axis=1), np.linalg.norm(one.v - other.v, axis=1))
-    return Difference(
-        position=float(np.abs(one.q - other.q).max(initial=0.0)),
-        state=float(state.max()),
-        gap=float(np.abs(one.gap - other.gap).max(initial=0.0)),
-    )
+    position, gap = (float(np.abs(part).max(initial=0.0)) for part in (one.q - other.q, one.gap - other.gap))
+    return Difference(position=position, state=float(state.max()), gap=gap)
 
 
 # Below this position difference [m or rad] a ratio is one of roundings.
@@ -155,7 +140,7 @@ _ROUNDING = 1e-11
 _SAME = 1e-13
 
 
-def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
+def heeds_step(coarse: Recorded | None, fine: Recorded | None) -> bool:
     """Whether half the communication step changes anything. If not, the FMU has a step of its own, and what is wrong with that one does not show."""
     if coarse is None or fine is None:
         return True
@@ -163,7 +148,7 @@ def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
     return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
 
 
-def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
+def local_errors(fine: Recorded | None, coarse_steps: Recorded | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
     """What halving each step changed in that step, summed over the steps.
 
     Parameters
@@ -204,9 +189,7 @@ def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.n
 
 def larger(one: Difference | None, other: Difference | None) -> Difference | None:
     """Entry by entry, or the one there is."""
-    if one is None or other is None:
-        return other if one is None else one
-    return _by_entry(max, one, other)
+    return by_entry(max, one, other) or one or other
 
 
 def _larger_where_stated(measured: float, stated: float) -> float:
@@ -233,27 +216,47 @@ def estimate(
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
     source = " and ".join(name for name, found in (("second run", step), ("rollback", rollback)) if found is not None)
-    if not has_reference:
-        measured = larger(step, rollback)
-        if stated is not None:
-            source = f"{source}, stated" if source else "stated"
-            measured = stated if measured is None else _by_entry(_larger_where_stated, measured, stated)
-        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
-    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
-    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
-    if tolerance is not None and step is not None and everyday is not None:
-        judged = _by_entry(_judged, tolerance, step, everyday)
+    if has_reference:
+        # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+        judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+        judged, stated = by_entry(_judged, tolerance, step, everyday) or judged, None
+    else:
+        judged = larger(step, rollback)
+    if stated is not None:
+        judged, source = by_entry(_larger_where_stated, judged, stated) or stated, f"{source}, stated" if source else "stated"
     return ReplayError(
-        estimate=judged,
-        tolerance=tolerance,
-        step=step,
-        everyday=everyday,
-        step_ratio=ratio,
-        rollback=rollback,
-        step_source=source or "none",
-    )
+        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated,
+    )  # fmt: skip
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
     """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)
+
+
+def error_of(subject: Subject, variables: Variables, simulated: Simulated) -> tuple[ReplayError, bool]:
+    """The error of the run that is judged, and whether that of the everyday replay's step is known: not where half the step changes nothing."""
+    reference, everyday = simulated.reference, simulated.everyday
+    # A run that ended the process has no other beside it: what is compared must be there twice.
+    nodes = [recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
+    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
+    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
+    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    error = estimate(
+        tolerance=difference(loose, tight),
+        step=difference(coarse, fine) if is_known else None,
+        everyday=difference(fine, tight),
+        has_reference=bool(reference),
+        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
+        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
+    )
+    return error, is_known
+
+
+def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Recorded | None, carried: bool) -> Difference | None:
+    if fine is None or len(run.local) != len(run.t) - 1:
+        return None
+    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
+    ends = recorded(subject, variables, Run(t=run.t[1:], outputs=coarse))
+    return local_errors(fine, ends, np.array(run.t), carried, heeds=variables.internal_step is not None or not carried)

@@ -140,21 +140,18 @@ def simulate(
     try:
         fmu = fmu or load_instance(package, "CS")
         try:
-            has_own = variables.internal_step is not None
-            own_step_of = References([] if variables.internal_step is None else [variables.internal_step])
-            own_step = base_step(inputs.grid) / fineness
+            own, own_step = [] if variables.internal_step is None else [variables.internal_step], base_step(inputs.grid) / fineness
             given, settings = References(variables.u), [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
-            if variables.internal_step is not None:
-                settings.append((variables.internal_step, own_step))
+            settings += [(reference, own_step) for reference in own]
             fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
             slopes = inputs.linear and _takes_slopes(package)
-            parts = 1 if has_own else max(1, fineness // FINENESS_OF_A_CALL)
+            parts = 1 if own else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
-            parts = 2 * ((parts + 1) // 2) if rolls_back and not has_own else parts
+            parts = 2 * ((parts + 1) // 2) if rolls_back and not own else parts
             stepping = Stepping(
                 fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=parts, slopes=slopes,
-                states=len(variables.q) + len(variables.v), rolls_back=rolls_back, own_step_of=own_step_of, own_step=own_step,
+                states=len(variables.q) + len(variables.v), rolls_back=rolls_back, own_step_of=References(own), own_step=own_step,
             )  # fmt: skip
             if record_start(stepping, run):
                 step_through(stepping, run)

@@ -30,8 +30,7 @@ from validate.judge.replay.everyday import RollbackError, everyday_refusal, offe
 from validate.judge.replay.everyday import simulate as simulate_everyday
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
-from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
-from validate.judge.replay.world import World, WorldInputs
+from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World, WorldInputs
 
 # Arrays of a run.
 _RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")

@@ -17,9 +17,9 @@ import math
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from models.errors import TouchstoneError, did_you_mean
@@ -46,6 +46,11 @@ class Signal(_Strict):
     offset: float = 0.0
     unit: str | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        return {"variable": value} if isinstance(value, str) else value
+
 
 class VelocitySignal(Signal):
     """column: of the plan; without one, v_<position>."""
@@ -68,23 +73,14 @@ class InputSignal(Signal):
         return self
 
 
-def _short(value: Any) -> Any:
-    return {"variable": value} if isinstance(value, str) else value
-
-
-OfSignal = Annotated[Signal, BeforeValidator(_short)]
-OfInput = Annotated[InputSignal, BeforeValidator(_short)]
-OfVelocity = Annotated[VelocitySignal, BeforeValidator(_short)]
-
-
 class ContactEntry(_Strict):
     """A contact: its force, positive when it pushes, and its gap, negative in contact, as variables of the FMU.
 
     column: of the planned force, lam_<name> without one; depth: penetration at which the FMU's model of the contact ends, in the unit of the gap [m].
     """
 
-    force: OfSignal | None = None
-    gap: OfSignal | None = None
+    force: Signal | None = None
+    gap: Signal | None = None
     column: str | None = None
     depth: float | None = Field(default=None, gt=0.0)
     depth_reason: str = ""
@@ -96,7 +92,14 @@ class ContactEntry(_Strict):
         return self
 
 
-class MapLimit(_Strict):
+class _Valued(_Strict):
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: Any) -> Any:
+        return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+class MapLimit(_Valued):
     """value: the largest with which a plan still holds; waived: the metric's default limit does not count, for a reason that must be given."""
 
     value: float | None = Field(default=None, ge=0.0)
@@ -112,7 +115,7 @@ class MapLimit(_Strict):
         return self
 
 
-class UncertaintyEntry(_Strict):
+class UncertaintyEntry(_Valued):
     """value: how far a parameter may be from what it is, both ways, in the FMU's unit; and why."""
 
     value: float = Field(ge=0.0)
@@ -140,28 +143,20 @@ class AccuracyEntry(_Strict):
     gap: float | None = Field(default=None, gt=0.0)
 
 
-def _short_limit(value: Any) -> Any:
-    return {"value": value} if isinstance(value, (int, float)) and not isinstance(value, bool) else value
-
-
-OfLimit = Annotated[MapLimit, BeforeValidator(_short_limit)]
-OfUncertainty = Annotated[UncertaintyEntry, BeforeValidator(_short_limit)]
-
-
 class MapFile(_Strict):
     """The whole file. positions may be empty: then only contacts and the run itself can be shown."""
 
     plan: PlanEntry = PlanEntry()
     task: TaskEntry = TaskEntry()
-    inputs: dict[str, OfInput] = {}
-    positions: dict[str, OfSignal] = {}
-    velocities: dict[str, OfVelocity] = {}
+    inputs: dict[str, InputSignal] = {}
+    positions: dict[str, Signal] = {}
+    velocities: dict[str, VelocitySignal] = {}
     contacts: dict[str, ContactEntry] = {}
     start: dict[str, float | str] = {}
     parameters: dict[str, float] = {}
-    uncertainty: dict[str, OfUncertainty] = {}
+    uncertainty: dict[str, UncertaintyEntry] = {}
     goal: dict[str, float] = {}
-    limits: dict[str, OfLimit] = {}
+    limits: dict[str, MapLimit] = {}
     accuracy: AccuracyEntry = AccuracyEntry()
     internal_step: str | None = None
 

@@ -21,8 +21,7 @@ from validate.fmi.description import REAL, Package
 from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
-from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.subject import Foreign, ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
@@ -49,7 +48,6 @@ class _Wiring:
         self._dimensions = Dimensions(package.description)
         self._check_names()
         self._check_limits()
-        self._velocities = [given.velocities[name] for name in given.positions if name in given.velocities]
         self._check_columns()
         self.lacks = self._lacks()
 
@@ -71,6 +69,10 @@ class _Wiring:
 
     def _reference(self, path: str, name: str) -> int:
         return int(self._variable(path, name).valueReference)
+
+    def _place(self, name: str) -> int:
+        """The reference of a variable that was checked."""
+        return int(self._by_name[name].valueReference)
 
     def _parameter(self, path: str, name: str, value: float | None = None) -> int:
         variable = self._variable(path, name)
@@ -232,11 +234,8 @@ class _Wiring:
         contacts = given.contacts.values()
         lacks = {}
         driven = {signal.variable for signal in given.inputs.values()}
-        idle = [
-            name
-            for name, variable in self._by_name.items()
-            if variable.causality == "input" and variable.type in REAL and name not in driven
-        ]
+        inputs = [name for name, variable in self._by_name.items() if variable.causality == "input" and variable.type in REAL]
+        idle = [name for name in inputs if name not in driven]
         if idle:
             lacks["inputs"] = (
                 f"the plan says nothing of inputs of the FMU, which keep their start values: {', '.join(idle[:5])}{' ...' * (len(idle) > 5)}"
@@ -245,7 +244,7 @@ class _Wiring:
             lacks["q"] = "no positions are named"
         elif not any(name in names for name in given.positions):
             lacks["plan q"] = "the plan has no positions"
-        if len(self._velocities) < len(given.positions):
+        if not given.velocities.keys() >= given.positions.keys():
             lacks["v"] = "not every position has a velocity named"
         if any(entry.gap is None for entry in contacts):
             lacks["gap"] = "not every contact has a gap named"
@@ -259,31 +258,24 @@ class _Wiring:
 
     def foreign(self) -> Foreign:
         given, lacks = self.map, self.lacks
-        read: dict[str, list[tuple[str, Signal]]] = {
-            "q": [(f"positions.{name}", signal) for name, signal in given.positions.items()],
-            "v": [(f"velocities.{name}", given.velocities[name]) for name in given.positions if "v" not in lacks],
-            "lam": [
-                (f"contacts.{name}.force", entry.force) for name, entry in given.contacts.items() if "lam" not in lacks and entry.force
-            ],
-            "gap": [(f"contacts.{name}.gap", entry.gap) for name, entry in given.contacts.items() if "gap" not in lacks and entry.gap],
+        read: dict[str, list[Signal]] = {
+            "q": list(given.positions.values()),
+            "v": [] if "v" in lacks else [given.velocities[name] for name in given.positions],
+            "lam": [] if "lam" in lacks else [entry.force for entry in given.contacts.values() if entry.force],
+            "gap": [] if "gap" in lacks else [entry.gap for entry in given.contacts.values() if entry.gap],
         }
-        driven = [(f"inputs.{name}", signal) for name, signal in given.inputs.items()]
-        references = {
-            group: tuple(self._reference(path, signal.variable) for path, signal in signals)
-            for group, signals in {**read, "u": driven}.items()
+        signals, driven = [signal for group in read.values() for signal in group], list(given.inputs.values())
+        references: dict[str, Any] = {
+            group: tuple(self._place(signal.variable) for signal in found) for group, found in {**read, "u": driven}.items()
         }
         settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
         parameters = map_schema.uncertain(given, self._named, internal, self._parameter)
-        begin = map_schema.begin_of(given, self._named, dict(settings), [signal for _, signal in [*read["q"], *read["v"]]])
+        begin = map_schema.begin_of(given, self._named, dict(settings), [*read["q"], *read["v"]])
         return Foreign(
             model=replace(self._model(), parameters=tuple(parameters), **begin),
-            parameters=tuple(self._reference(f"uncertainty.{item.name}", item.name) for item in parameters),
+            parameters=tuple(self._place(item.name) for item in parameters),
             variables=Variables(
-                q=references["q"],
-                v=references["v"],
-                lam=references["lam"],
-                gap=references["gap"],
-                u=references["u"],
+                **references,
                 energies={},
                 powers={},
                 zero=frozenset(),
@@ -291,10 +283,10 @@ class _Wiring:
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
-            scale=np.array([signal.scale for signals in read.values() for _, signal in signals]),
-            offset=np.array([signal.offset for signals in read.values() for _, signal in signals]),
-            input_scale=np.array([signal.scale for _, signal in driven]),
-            input_offset=np.array([signal.offset for _, signal in driven]),
+            scale=np.array([signal.scale for signal in signals]),
+            offset=np.array([signal.offset for signal in signals]),
+            input_scale=np.array([signal.scale for signal in driven]),
+            input_offset=np.array([signal.offset for signal in driven]),
             start=np.array([value for _, value in settings]),
         )
 
@@ -302,7 +294,7 @@ class _Wiring:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
         given, found = self.map, {}
         taken = {self._reference(f"parameters.{name}", name): f"parameters.{name}" for name in given.parameters}
-        taken |= {self._reference(f"inputs.{name}", signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
+        taken |= {self._place(signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
         for name, value in given.start.items():
             path = f"start.{name}"
             self._check_once(taken, path, name)
@@ -311,11 +303,10 @@ class _Wiring:
                     raise self._fail(path, f"the plan has no column {value!r}{map_schema.hint(value, self._table.names)}.")
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
-        signals: list[tuple[str, Signal]] = [
+        for column, signal in [
             *given.positions.items(),
             *((self._velocity_column(name), signal) for name, signal in given.velocities.items()),
-        ]
-        for column, signal in signals:
+        ]:
             variable = self._by_name[signal.variable]
             if column in self._table.names and variable.initial in ("exact", "approx") and variable.start is not None:
                 first = float(self._table.column(column, False)[0])
@@ -367,19 +358,13 @@ class _Wiring:
     def _start(self) -> tuple[float | None, ...]:
         """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit; None where the plan starts as it says."""
         given = self.map
-        numbers = {
-            int(self._by_name[name].valueReference): float(value)
-            for name, value in given.start.items()
-            if not isinstance(value, str) and name in self._by_name
-        }
+        numbers = {self._place(name): value for name, value in given.start.items() if not isinstance(value, str)}
 
         def at(signal: Signal | None) -> float | None:
-            value = None if signal is None else numbers.get(int(self._by_name[signal.variable].valueReference))
+            value = None if signal is None else numbers.get(self._place(signal.variable))
             return None if value is None or signal is None else signal.scale * value + signal.offset
 
-        return tuple(at(given.positions[name]) for name in given.positions) + tuple(
-            at(given.velocities.get(name)) for name in given.positions
-        )
+        return tuple(at(signals.get(name)) for signals in (given.positions, given.velocities) for name in given.positions)
 
     def _limits(self) -> tuple[Limit, ...]:
         """Those of the map; how near the replay must come to the goal is asked of the plan itself too, where the map has no other word for that."""
@@ -461,20 +446,13 @@ class _Wiring:
             raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
         return ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
 
-    def _groups(self) -> dict[str, list[str]]:
-        """Columns of what a plan may leave out. Velocities count where every position has one."""
-        given = self.map
-        velocities = [self._velocity_column(name) for name in given.positions] if "v" not in self.lacks else []
-        return {"q": list(given.positions), "v": velocities, "lam": [self._force_column(name) for name in given.contacts]}
-
-    def _missing(self) -> frozenset[str]:
-        """What the plan does not say; without positions in the map it says none, and no velocities unless every position has one."""
-        groups = self._groups()
-        return missing_groups(self._table, groups) | {group for group in ("q", "v") if not groups[group]}
-
     def trajectory(self, hold: str | None) -> Trajectory:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
-        given, table, groups, missing = self.map, self._table, self._groups(), self._missing()
+        given, table = self.map, self._table
+        # Without positions in the map it says none, and no velocities unless every position has one.
+        velocities = [self._velocity_column(name) for name in given.positions] if "v" not in self.lacks else []
+        groups = {"q": list(given.positions), "v": velocities, "lam": [self._force_column(name) for name in given.contacts]}
+        missing = missing_groups(table, groups) | {group for group in ("q", "v") if not groups[group]}
         who = "--hold" if hold else f"{self._where} (plan.hold)"
         held = declared_hold(table, hold or given.plan.hold, who)
         t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
@@ -485,14 +463,14 @@ class _Wiring:
             columns = groups[key]
             if key in missing or not columns:
                 return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
-            return np.column_stack([self._table.column(column, rows < nodes) for column in columns])
+            return np.column_stack([table.column(column, rows < nodes) for column in columns])
 
         try:
             return Trajectory(
                 t=t, q=group("q", nodes), v=group("v", nodes), u=u, lam=group("lam", steps), hold=held, missing=missing, u_end=u_end
             )
         except TrajectoryError as error:
-            raise TrajectoryError(f"{error} ({self._table.source})") from error
+            raise TrajectoryError(f"{error} ({table.source})") from error
 
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""

@@ -272,14 +272,8 @@ class _Integration:
         done, count = 0, self.targets.shape[1]
         while done < count:
             place = self.step * count + done
-            reason = self._loops.integration_advance(
-                self._at,
-                self._targets_at + 8 * place,
-                count - done,
-                stop,
-                self._outputs_at + 8 * place * self._outputs.shape[2],
-                self._sums_at + 8 * place * self._sums.shape[2],
-            )
+            outputs, sums = self._outputs_at + 8 * place * self._outputs.shape[2], self._sums_at + 8 * place * self._sums.shape[2]
+            reason = self._loops.integration_advance(self._at, self._targets_at + 8 * place, count - done, stop, outputs, sums)
             first, done = done, done + self._loop.reached
             self._take(first, done)
             if reason == Reason.EVENT:

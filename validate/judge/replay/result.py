@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -140,13 +140,38 @@ class ReplayError:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Replay:
+class Recorded:
+    """A motion row by row, and what belongs to it.
+
+    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
+    input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no such output.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    gap: np.ndarray
+    friction: np.ndarray
+    kinetic_energy: np.ndarray
+    potential_energy: np.ndarray
+    contact_energy: np.ndarray
+    input_work: np.ndarray | None
+    dissipated_work: np.ndarray | None
+    contact_impulse: np.ndarray | None
+
+    def rows(self, chosen: np.ndarray) -> Recorded:
+        """Some of its rows, by their numbers (m,) [-]. Raises IndexError."""
+        arrays = ((item.name, getattr(self, item.name)) for item in fields(Recorded))
+        taken: dict[str, Any] = {name: array if array is None else array[chosen] for name, array in arrays}
+        return Recorded(**taken)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replay(Recorded):
     """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
 
-    t (n,) [s]: every node of the plan, points between them, and every event; knots (nodes,): rows of t that are plan nodes.
-    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
-    input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no
-    such output. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
+    t (n,) [s]: every node of the plan, points between them, and every event, to which the rows of `Recorded` belong; knots (nodes,): rows of t that
+    are plan nodes. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
 
     growth: of an error in the open loop (None: not measured). tracked: the replay with feedback around the plan, where there is one; it has feedback
     (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that it made, and effort, which an open one has not.
@@ -157,18 +182,7 @@ class Replay:
     message: str
     method: str  # "reference" (Model Exchange, CVODE) or "everyday" (Co-Simulation)
     t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    lam: np.ndarray
-    gap: np.ndarray
-    friction: np.ndarray
     knots: np.ndarray
-    kinetic_energy: np.ndarray
-    potential_energy: np.ndarray
-    contact_energy: np.ndarray
-    input_work: np.ndarray | None
-    dissipated_work: np.ndarray | None
-    contact_impulse: np.ndarray | None
     events: tuple[Event, ...]
     event_budget: int
     error: ReplayError

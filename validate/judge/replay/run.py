@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +14,13 @@ from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Limits
 from validate.fmi.description import FmuError, Package, read_package, unpacked
-from validate.judge.replay.error_estimate import (
-    difference,
-    estimate,
-    fine_enough,
-    heeds_step,
-    local_errors,
-    overlooked,
-    step_ratio,
-    twice_the_lag,
-    with_lag_error,
-    with_max_step,
-    with_steps_of,
-    without_estimate,
-)
+from validate.judge.replay.error_estimate import error_of, overlooked, with_lag_error, with_max_step, with_steps_of, without_estimate
 from validate.judge.replay.everyday import FINENESS_OF_A_CALL
 from validate.judge.replay.job import Job, Simulated
-from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome, Run
-from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
+from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
-from validate.judge.replay.wiring import Feedback, Variables, measure_effort
+from validate.judge.replay.wiring import Feedback, measure_effort
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
@@ -47,30 +34,6 @@ _CLOSER_LOOKS = 6
 Track = bool | Callable[[Replay], bool]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class Foreign:
-    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
-
-    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
-    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
-    """
-
-    model: ForeignModel
-    variables: Variables
-    scale: np.ndarray
-    offset: np.ndarray
-    input_scale: np.ndarray
-    input_offset: np.ndarray
-    start: np.ndarray
-    parameters: tuple[int, ...] = ()
-
-    @property
-    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-        """Scale and offset of positions and velocities, and of the inputs."""
-        nx = len(self.variables.q) + len(self.variables.v)
-        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
 
 
 def replay(
@@ -98,14 +61,14 @@ def replay(
             package=package, variables=find_variables(package, scene), plan=trajectory, start=trajectory.start, limits=limits,
             tolerances=tolerances, fineness=fineness, event_budget=event_budget, ours=True,
         )  # fmt: skip
-        job, twice = fine_enough(scene, with_steps_of(scene, job)), twice_the_lag(package, scene)
+        job = with_steps_of(scene, job)
         kernel = load_kernel(scene)
         growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
         def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
             """The replay, and the inputs (steps, nu) [N or N m] that it applied. Raises FmuError, MachineError."""
             found, applied = _seeing_all(scene, kernel, job, feedback)
-            return with_lag_error(scene, job, twice, feedback, found), applied
+            return with_lag_error(scene, job, feedback, found), applied
 
         opened = replace(run(None)[0], growth=growth)
         return _with_tracked(opened, track, lambda: (design_feedback(kernel, scene, trajectory), growth), run, trajectory)
@@ -176,10 +139,7 @@ def replay_foreign(
         applied = (_applied(simulated, job.plan) - foreign.input_offset) / foreign.input_scale
         return _assemble(foreign.model, job, in_plan_units(foreign, simulated)), applied
 
-    def design() -> tuple[Feedback, Growth | None]:
-        return design_foreign(foreign.model, package, foreign.variables, trajectory, foreign.units, foreign.start, limits)
-
-    return _with_tracked(run(None)[0], track, design, run, trajectory)
+    return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
 
 
 def foreign_job(
@@ -213,45 +173,20 @@ def in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
 
 
 def _assemble(subject: Subject, job: Job, simulated: Simulated) -> Replay:
-    reference, everyday, judged = simulated.reference, simulated.everyday, simulated.judged
-    variables = job.variables
-    # A run that ended the process has no other beside it: what is compared must be there twice.
-    nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
-    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
-    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
-    error = estimate(
-        tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if is_known else None,
-        everyday=difference(fine, tight),
-        has_reference=bool(reference),
-        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
-        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
-    )
-    out = Outputs(subject, variables, judged)
+    variables, judged = job.variables, simulated.judged
+    error, is_known = error_of(subject, variables, simulated)
     names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
     names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
     # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
     named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in judged.events)
     return Replay(
+        **vars(recorded(subject, variables, judged)),
         scene=subject.name,
         outcome=judged.outcome,
         message=" ".join(_notes(subject, simulated, error, is_known, own_step=not job.tolerances)),
-        method="reference" if reference else "everyday",
+        method="reference" if simulated.reference else "everyday",
         t=np.array(judged.t, dtype=float),
-        q=out.q,
-        v=out.v,
-        lam=out.lam,
-        gap=out.gap,
-        friction=out.friction,
         knots=np.array(judged.knots, dtype=np.int64),
-        kinetic_energy=out.kinetic,
-        potential_energy=out.potential,
-        contact_energy=out.contact,
-        input_work=out.work("input_power"),
-        dissipated_work=out.work("dissipated_power"),
-        contact_impulse=out.contact_impulse,
         events=tuple(
             Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes)
             for time, index, closes in judged.events
@@ -287,20 +222,3 @@ def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known:
     if simulated.note:
         notes.append(simulated.note)
     return notes
-
-
-def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
-    if fine is None or len(run.local) != len(run.t) - 1:
-        return None
-    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
-    return local_errors(
-        fine,
-        Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)),
-        np.array(run.t),
-        carried,
-        heeds=variables.internal_step is not None or not carried,
-    )
-
-
-def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
-    return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None

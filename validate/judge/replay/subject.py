@@ -2,7 +2,7 @@
 
 A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a compiled kernel it lacks.
 
-`find_variables` finds the variables of a scene in its FMU; `Outputs` takes apart by name what a simulation recorded, and computes from the scene's
+`find_variables` finds the variables of a scene in its FMU; `recorded` takes apart by name what a simulation recorded, and computes from the scene's
 equations what the FMU does not give.
 """
 
@@ -11,19 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, load_kernel
+from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.parts import Limit
 from models.scene.scene import Counted
+from models.trajectory import grouped_names
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.result import Run
+from validate.judge.replay.result import Recorded, Run
 from validate.judge.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
 if TYPE_CHECKING:
@@ -136,74 +136,75 @@ class ForeignModel(Counted):
         return tuple(contact.depth for contact in self.contacts)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Foreign:
+    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
+
+    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
+    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's; parameters: references of the model's.
+    """
+
+    model: ForeignModel
+    variables: Variables
+    scale: np.ndarray
+    offset: np.ndarray
+    input_scale: np.ndarray
+    input_offset: np.ndarray
+    start: np.ndarray
+    parameters: tuple[int, ...] = ()
+
+    @property
+    def units(self) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Scale and offset of positions and velocities, and of the inputs."""
+        nx = len(self.variables.q) + len(self.variables.v)
+        return (self.scale[:nx], self.offset[:nx]), (self.input_scale, self.input_offset)
+
+
 Subject = Scene | ForeignModel
 
 
-class Outputs:
-    """The numbers of a run by name, at all its points or at some rows.
+def recorded(subject: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> Recorded:
+    """The numbers of a run by name, at all its points or at some rows; zero what neither the FMU nor a scene gives."""
+    scene, chosen = subject if isinstance(subject, Scene) else None, slice(None) if rows is None else rows
+    values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
+    count, nq, nc = len(values), subject.nq, subject.nc
+    widths = [nq, *map(len, (variables.v, variables.lam, variables.gap, variables.friction))]
+    q, v, lam, gap, friction, energies = (part.copy() for part in np.split(values, np.cumsum(widths), axis=1))
+    zeros = np.zeros((count, nc))  # of a foreign model, for what its `lacks` names
+    if not variables.v and nq:
+        v = np.zeros((count, nq))
+    if not variables.lam and nc:
+        lam = zeros if scene is None else load_kernel(scene).contact_force(q, v=v)
+    if not variables.gap and nc:
+        gap = zeros if scene is None else -load_kernel(scene).penetration(q)
+    if not variables.friction:
+        friction = np.zeros((count, subject.nf))
+    given = dict(zip(variables.energies, energies.T.copy(), strict=True))
+    sums = np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen] if run.accumulated else None
 
-    q, v (n, nq), lam, gap (n, nc), friction (n, nf): zero where neither the FMU nor a scene gives them; kinetic, potential, contact: energies
-    (n,) [J].
-    """
-
-    def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
-        self._scene, self._variables = scene, variables
-        known = isinstance(scene, Scene)
-        chosen = slice(None) if rows is None else rows
-        values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
-        self._count, nq, nc = len(values), scene.nq, scene.nc
-        widths = [nq, *map(len, (variables.v, variables.lam, variables.gap, variables.friction))]
-        self.q, v, lam, gap, friction, energies = (part.copy() for part in np.split(values, np.cumsum(widths), axis=1))
-        zeros = np.zeros((self._count, nc))  # of a foreign model, for what its `lacks` names
-        self.v = v if variables.v or not nq else np.zeros((self._count, nq))
-        self.lam = lam if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
-        self.gap = gap if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
-        self.friction = friction if variables.friction else np.zeros((self._count, scene.nf))
-        given = dict(zip(variables.energies, energies.T.copy(), strict=True))
-        self.kinetic, self.potential, self.contact = (self._energy(name, given) for name in ENERGIES)
-        self._accumulated = None
-        if run.accumulated:
-            self._accumulated = np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen]
-
-    @property
-    def contact_impulse(self) -> np.ndarray | None:
-        """Contact impulse since the start, (n, nc) [N s]; None where it was not integrated. Raises nothing."""
-        if self._accumulated is None or len(self._variables.lam) != self._scene.nc:
-            return None
-        return self._accumulated[:, : self._scene.nc].copy()
-
-    def work(self, power: str) -> np.ndarray | None:
-        """Work since the start of one of the powers.
-
-        Parameters
-        ----------
-        power : a name of wiring.POWERS.
-
-        Returns
-        -------
-        (n,) [J]; None where it was not integrated. Raises nothing.
-        """
-        if power in self._variables.zero:
-            return np.zeros(self._count)
-        if self._accumulated is None or power not in self._variables.powers:
-            return None
-        return self._accumulated[:, len(self._variables.lam) + list(self._variables.powers).index(power)].copy()
-
-    def _energy(self, name: str, given: dict[str, np.ndarray]) -> np.ndarray:
+    def energy(name: str) -> np.ndarray:
+        """One of the energies, (n,) [J]. Raises nothing."""
         if name in given:
             return given[name]
-        if name in self._variables.zero or not isinstance(self._scene, Scene):
-            return np.zeros(self._count)
+        if name in variables.zero or scene is None:
+            return np.zeros(count)
         if name == "contact_energy":
-            return (np.maximum(-self.gap, 0.0) ** 2 @ self._kernel.stiffness()) / 2
-        kinetic, potential = self._kernel.energy(self.q, self.v)
+            return (np.maximum(-gap, 0.0) ** 2 @ load_kernel(scene).stiffness()) / 2
+        kinetic, potential = load_kernel(scene).energy(q, v)
         return np.array(kinetic if name == "kinetic_energy" else potential)
 
-    @cached_property
-    def _kernel(self) -> Kernel:
-        if not isinstance(self._scene, Scene):
-            raise TypeError(f"{self._scene.name} is no scene: it has no equations to compute from.")
-        return load_kernel(self._scene)
+    def work(power: str) -> np.ndarray | None:
+        """Work since the start of one of the powers, (n,) [J]; None where it was not integrated. Raises nothing."""
+        if power in variables.zero:
+            return np.zeros(count)
+        if sums is None or power not in variables.powers:
+            return None
+        return sums[:, len(variables.lam) + list(variables.powers).index(power)].copy()
+
+    return Recorded(
+        q=q, v=v, lam=lam, gap=gap, friction=friction, **{name: energy(name) for name in ENERGIES}, input_work=work("input_power"),
+        dissipated_work=work("dissipated_power"), contact_impulse=None if sums is None or len(variables.lam) != nc else sums[:, :nc].copy(),
+    )  # fmt: skip
 
 
 def find_variables(package: Package, scene: Scene) -> Variables:
@@ -211,14 +212,7 @@ def find_variables(package: Package, scene: Scene) -> Variables:
 
     Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
     """
-    groups = {
-        "q": tuple(item.name for item in scene.coordinates),
-        "v": tuple(item.velocity_name for item in scene.coordinates),
-        "u": tuple(item.name for item in scene.inputs),
-        "lam": tuple(item.force_name for item in scene.contacts),
-        "gap": tuple(item.gap_name for item in scene.contacts),
-        "friction": tuple(item.force_name for item in scene.frictions),
-    }
+    groups = {**grouped_names(scene), "gap": tuple(item.gap_name for item in scene.contacts)}
     by_name = {variable.name: variable for variable in package.description.modelVariables}
 
     def reference(name: str) -> int | None:
@@ -227,7 +221,7 @@ def find_variables(package: Package, scene: Scene) -> Variables:
             raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
         return None if variable is None else int(variable.valueReference)
 
-    found: dict[str, tuple[int, ...]] = {}
+    found: dict[str, Any] = {}
     for which, group in groups.items():
         references = [reference(name) for name in group]
         missing = [name for name, item in zip(group, references, strict=True) if item is None]
@@ -263,6 +257,5 @@ def find_variables(package: Package, scene: Scene) -> Variables:
         zero=frozenset(name for name, is_absent in absent.items() if is_absent),
         parameters=tuple(parameters),
         start=found["q"] + found["v"],
-        choices=(),
         internal_step=reference(INTERNAL_STEP),
     )

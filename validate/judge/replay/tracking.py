@@ -49,7 +49,7 @@ from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import faults_of
 from validate.judge.replay.reference import ExchangeModel
 from validate.judge.replay.result import Growth
-from validate.judge.replay.subject import ForeignModel, Subject
+from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.replay.wiring import Feedback, Variables
 
 
@@ -58,7 +58,7 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     exchange = package.exchange
     if exchange is None:
         return "it offers no Model Exchange, whose states feedback needs"
-    if not _provides_derivatives(package):
+    if not package.can("ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}"):
         return "it provides no directional derivatives"
     if not variables.u:
         return "it has no inputs"
@@ -72,23 +72,12 @@ def tracking_refusal(package: Package, variables: Variables) -> str | None:
     return None
 
 
-def design_foreign(
-    model: ForeignModel,
-    package: Package,
-    variables: Variables,
-    plan: Trajectory,
-    units: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    start: np.ndarray,
-    limits: Limits | None,
-) -> tuple[Feedback, Growth | None]:
+def design_foreign(foreign: Foreign, package: Package, plan: Trajectory, limits: Limits | None) -> tuple[Feedback, Growth | None]:
     """The feedback around a plan for an FMU without a scene, and how much errors grow along it.
 
     Parameters
     ----------
     plan : in its own units.
-    units : scale and offset (2*nq,) of the state, plan's value [unit of the column] = scale * FMU's + offset; and (nu,) of the inputs, FMU's =
-        scale * plan's + offset.
-    start : (n,) start values in the FMU's units, in the order of Variables.start.
     limits : of the child; None: in this process.
 
     Returns
@@ -101,10 +90,11 @@ def design_foreign(
     """
     if "q" in plan.missing:
         raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
-    (a, b), (c, d) = units
-    A, B = linearised(package, variables, plan.with_inputs_in(c, d), start, (np.hstack([plan.q, plan.v]) - b) / a, limits)
+    (a, b), (c, d) = foreign.units
+    states = (np.hstack([plan.q, plan.v]) - b) / a
+    A, B = linearised(package, foreign.variables, plan.with_inputs_in(c, d), foreign.start, states, limits)
     A, B = A * (a[:, None] / a[None, :]), B * (a[:, None] * c[None, :])
-    return feedback_from(model, plan, A, B), largest_growth(A, plan.t, nominals(model))
+    return feedback_from(foreign.model, plan, A, B), largest_growth(A, plan.t, nominals(foreign.model))
 
 
 def linearised(
@@ -184,10 +174,6 @@ def jacobians(path: str, arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[s
                     model.event(float(t[node]), x, u[step])
                     found[name][step] = model.jacobian(float(t[node]), x, unknowns, knowns)
     return None, found
-
-
-def _provides_derivatives(package: Package) -> bool:
-    return package.can("ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}")
 
 
 def _states(package: Package) -> list[Any]:

@@ -239,18 +239,16 @@ def robustness(
     if not isinstance(seed, int) or seed < 0:
         raise TrajectoryError(f"seed: {seed} must be a whole number of at least 0.")
     if isinstance(scene, WiredFmu):
-        causes, judgement, arena_of = perturbations(scene.foreign.model, scene.plan, kinds), scene.judge(), partial(FmuArena.of, scene)
+        causes, judgement = perturbations(scene.foreign.model, scene.plan, kinds), scene.judge()
+        arena_of = partial(FmuArena.of, scene)
     else:
         subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
         trajectory = as_trajectory(plan, subject)
         if trajectory is None:
             raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
         trajectory = trajectory.from_zero()
-        causes, judgement, arena_of = (
-            perturbations(subject, trajectory, kinds),
-            judge(subject, trajectory),
-            partial(SceneArena.of, subject, trajectory),
-        )
+        causes, judgement = perturbations(subject, trajectory, kinds), judge(subject, trajectory)
+        arena_of = partial(SceneArena.of, subject, trajectory)
     # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
     holds = judgement.holds or (isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT)
     if not holds and not anyway:

@@ -39,10 +39,9 @@ from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.run import EVENT_BUDGET, OWN_STEP, foreign_job, in_plan_units
 from validate.judge.replay.run import FINENESS as JUDGED
-from validate.judge.replay.subject import Outputs, Subject, find_variables
+from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
-from validate.judge.replay.wiring import Feedback
-from validate.judge.replay.world import World, WorldInputs
+from validate.judge.replay.wiring import Feedback, World, WorldInputs
 from validate.judge.robustness.worlds import nominal_world
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
@@ -341,7 +340,7 @@ class FmuArena(Arena):
             return ReplayOutcome.FMU_FAILED, np.empty((0, nx)), np.empty((0, self.scene.nc)), inputs.commands
         self.seconds += simulated.seconds_reference + simulated.seconds_everyday
         run = simulated.judged
-        found = Outputs(foreign.model, foreign.variables, run, run.knots)
+        found = recorded(foreign.model, foreign.variables, run, run.knots)
         rows = inputs.rows[inputs.rows < len(found.q)]
         return run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], inputs.commands
 
@@ -368,8 +367,7 @@ class FmuArena(Arena):
 
 def _feedback(wired: WiredFmu) -> Feedback | None:
     """The judge's, where the FMU tells derivatives of its states."""
-    foreign = wired.foreign
     try:
-        return design_foreign(foreign.model, wired.package, foreign.variables, wired.plan, foreign.units, foreign.start, wired.limits)[0]
+        return design_foreign(wired.foreign, wired.package, wired.plan, wired.limits)[0]
     except TrackingError:
         return None

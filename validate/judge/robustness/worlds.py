@@ -23,7 +23,7 @@ from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START
 from models.trajectory import Trajectory
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
-from validate.judge.replay.world import World
+from validate.judge.replay.wiring import World
 
 
 class PerturbationKind(Enum):

@@ -21,28 +21,10 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
-from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries
-from validate.judge.score.verdict import (
-    EFFORT,
-    MARGIN,
-    SHARE,
-    TRACKED,
-    Contradicted,
-    LeavesBounds,
-    Metric,
-    Question,
-    Score,
-    Unmeasured,
-    Verdict,
-    answers,
-    answers_with_feedback,
-    compare,
-    verdict_of,
-    verdict_with_feedback,
-    wants_feedback,
-)
+from validate.judge.score.measures import MEASURES
+from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, Measured, MetricEntry, feedback_entries
+from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict, decide, wants_feedback
 
 __all__ = ["Metric", "Question", "Score", "Verdict", "check_limits", "metric_names", "score", "wants_feedback"]
 
@@ -67,7 +49,7 @@ _INSTEAD = {
 
 def metric_names() -> tuple[str, ...]:
     """Every metric a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
-    return (*(entry.name for entry in TABLE), EFFORT, SHARE)
+    return tuple(entry.name for entry in TABLE) + tuple(entry.name for entry in FEEDBACK if entry.default is not None)
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
@@ -107,13 +89,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
     rows += GROWTH if replay is not None and replay.growth is not None else ()
     rows += [entry for entry in feedback_entries(effort) if entry.applies(scene)]
     metrics = tuple(_metric(entry, case) for entry in rows)
-    alone = answers(metrics)
-    verdict, found, judged = verdict_of(alone), alone, "open"
-    if effort is not None and wants_feedback(metrics):
-        followed = answers_with_feedback(metrics)
-        verdict = verdict_with_feedback(verdict, followed)
-        if verdict is Verdict.HOLDS_WITH_FEEDBACK:
-            found, judged = followed, "feedback"
+    verdict, found, judged = decide(metrics, effort is not None)
     verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
     waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
     scored = ScoredPlan(
@@ -202,7 +178,7 @@ def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> t
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
-    own = case.scene.limit(entry.name.removeprefix(TRACKED))
+    own = case.scene.limit(entry.limited_by)
     empty = Metric(name=entry.name, question=entry.question, value=None, unit=entry.unit(case.scene), meaning=entry.meaning)
     if absent := _why_not_asked(entry, case):
         return replace(empty, reason=absent)
@@ -227,8 +203,7 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     bound = (stated if own is not None else stated * scale) + allowed
     if not math.isfinite(bound):
         return found
-    margin = 1.0 if entry.question is Question.JUDGE else MARGIN
-    return replace(found, limit=bound, reason=reason, ok=compare(value, error, bound, margin), default=own is None)
+    return found.held_to(bound, reason, default=own is None)
 
 
 def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:

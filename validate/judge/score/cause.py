@@ -26,6 +26,12 @@ _UNSTABLE = 100.0
 # A step that the order of the scheme predicts is taken a little smaller.
 _SAFETY = 0.8
 _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
+# What a metric says of itself where it fails first.
+_CAUSES = {
+    "physics_scaled": f": a relaxed contact law; {_ADVICE_EXACT}",
+    "contact_law_error": ": a relaxed contact law, or forces of another motion",
+    "defect": "; if another integrator made it, leave the declaration of the scheme out",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,9 +112,13 @@ def _unwell(scored: ScoredPlan) -> list[Metric]:
 
 def _judged(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
     """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
-    order = list(Question)
     found = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)]
-    return sorted(found, key=lambda metric: order.index(metric.question))
+    return sorted(found, key=lambda metric: list(Question).index(metric.question))
+
+
+def _of_feedback(scored: ScoredPlan, ok: bool | None) -> list[Metric]:
+    """Judged metrics of the replay with feedback, and of that, that are so."""
+    return [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is ok and is_of_feedback(metric.name)]
 
 
 def _violates(scored: ScoredPlan) -> str:
@@ -124,13 +134,9 @@ def _violates(scored: ScoredPlan) -> str:
         text += f"; also above their limits: {', '.join(others)}"
     text += "."
     if scored.questions.get(Question.MOTION) != "yes" and scored.replay is not None and scored.replay.tracked is not None:
-        text += _why_feedback_fails(scored)
+        missed = _of_feedback(scored, False)
+        text += f" With feedback too: {_quote(missed[0])}." if missed else ""
     return text
-
-
-def _why_feedback_fails(scored: ScoredPlan) -> str:
-    missed = [metric for metric in scored.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is False]
-    return f" With feedback too: {_quote(missed[0])}." if missed else ""
 
 
 def _undecided(scored: ScoredPlan) -> str:
@@ -141,7 +147,7 @@ def _undecided(scored: ScoredPlan) -> str:
     unsure = _judged(scored, None)
     if not unsure:
         alone = _judged(scored, False)
-        open_with = [metric for metric in scored.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is None]
+        open_with = _of_feedback(scored, None)
         why = f": {_what_is_unknown(open_with[0])}" if open_with else ""
         return f"{_quote(alone[0])}; whether feedback would help could not be decided{why}." if alone else "no question could be decided."
     first, text = unsure[0], _what_is_unknown(unsure[0])
@@ -215,18 +221,14 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
-    if first.name == "physics_scaled":
-        return f": a relaxed contact law; {_ADVICE_EXACT}"
-    if first.name == "contact_law_error":
-        return ": a relaxed contact law, or forces of another motion"
+    if first.name in _CAUSES:
+        return _CAUSES[first.name]
     if first.name == "max_penetration":
         return _of_depth(scored)
-    if first.name == "defect":
-        return "; if another integrator made it, leave the declaration of the scheme out"
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
         if scored.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
             return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
-        return f": a relaxed contact law; {_ADVICE_EXACT}"
+        return _CAUSES["physics_scaled"]
     if first.question is Question.MOTION:
         return _of_motion(first, scored)
     grid = scored.metrics.get("grid_error")

@@ -3,20 +3,15 @@
 Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step, where the plan's lam (steps, nc)
 belongs.
 
-`answer_error` holds the replay against closed forms that the scene states (models.scene.parts.Answer.measure). Each measure gives a value and how
-wrong the replay may make it, and speaks of the first contact: the first that closes, and the time until that one opens again.
+`half_unit` tells how finely numbers are printed: what a plan may be off by without being wrong.
+
+    half_unit(np.round(motion, 4), most=1.0)     # 5e-05: four decimals
+    half_unit(motion, most=1.0)                  # 0.0: all the digits of float64
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-
-from models.dynamics import derive
-from validate.judge.replay.result import Event
-from validate.judge.score.evidence import Evidence
-from validate.judge.score.verdict import Unmeasured
 
 
 def physics(lam: np.ndarray, push: np.ndarray) -> float:
@@ -284,75 +279,50 @@ def energy_turnover(
     return float(max(kinetic.max(), contact.max(), np.ptp(potential), np.abs(input_work).max(), np.abs(dissipated_work).max()))
 
 
-def _first_contact(case: Evidence) -> tuple[Event, Event]:
-    """The events at which the first contact closes and opens."""
-    events = case.replay.events
-    closing = next((event for event in events if event.closes), None)
-    if closing is None:
-        raise Unmeasured("no contact closes in the replay.")
-    opening = next((event for event in events if not event.closes and event.contact == closing.contact and event.time > closing.time), None)
-    if opening is None:
-        raise Unmeasured(f"contact {closing.contact} does not open again in the replay.")
-    return closing, opening
+# More digits than these are as good as all.
+_DIGITS = 12
+# A unit of so many decimals at most is taken for one that was chosen.
+_FEW = 1e-6
+# Rounding of numbers that were read from text or came of a product.
+_ROUNDING = 1e-13
+# Numbers that would be printed coarser than this share of what counts as large are taken as they stand: 2.5 is 2.5, not something near it.
+_MOST = 5e-4
 
 
-def _gap_rate(case: Evidence, event: Event) -> float:
-    """Rate of the gap of an event's contact at the event [m/s]."""
-    row = int(np.argmin(np.abs(case.replay.t - event.time)))
-    return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
+def half_unit(values: np.ndarray, most: float) -> float:
+    """Half a unit of the last printed digit of some numbers.
+
+    Decimals are looked for over all numbers of a group (the positions, the forces, ..); where there are more than six, significant digits: small numbers
+    that are printed with a few of those have many decimals.
+
+    Parameters
+    ----------
+    values : (n,) or (rows, columns) numbers of one kind [any unit].
+    most : what counts as large here, in the same unit.
+
+    Returns
+    -------
+    0 where all digits are given, or so few that they are the number: half a unit would be more than 5e-4 of `most`.
+    """
+    sizes = np.abs(values[values != 0.0])
+    if not sizes.size:
+        return 0.0
+    unit = _decimals(sizes)
+    half = (unit if unit >= _FEW else max(unit, _significant(sizes))) / 2.0
+    return half if half <= _MOST * most else 0.0
 
 
-def _rate(case: Evidence, row: int, contact: int) -> float:
-    dynamics, replay = derive(case.equations), case.replay
-    return float(dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row])
+def _decimals(sizes: np.ndarray) -> float:
+    for digits in range(_DIGITS + 1):
+        if (np.abs(sizes - np.round(sizes, digits)) <= _ROUNDING * np.maximum(sizes, 1.0)).all():
+            return 10.0**-digits
+    return 0.0
 
 
-def _closing_time(case: Evidence) -> tuple[float, float]:
-    closing, _ = _first_contact(case)
-    return closing.time, case.error.gap / abs(_gap_rate(case, closing))
-
-
-def _duration(case: Evidence) -> tuple[float, float]:
-    closing, opening = _first_contact(case)
-    return opening.time - closing.time, sum(case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening))
-
-
-def _restitution(case: Evidence) -> tuple[float, float]:
-    before, after = (_gap_rate(case, event) for event in _first_contact(case))
-    return -after / before, 2.0 * case.error.state / abs(before)
-
-
-def _depth(case: Evidence) -> tuple[float, float]:
-    """Between the rows of the replay too: the gap there is the cubic with the gaps and their rates at both ends."""
-    t, gap = case.replay.t, case.replay.gap
-    deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
-    rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
-    s = np.linspace(0.0, 1.0, 2001)  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
-    lowest = 0.0
-    for row in rows:
-        h = t[row + 1] - t[row]
-        ends, rates = gap[row : row + 2, contact], [h * _rate(case, at, int(contact)) for at in (row, row + 1)]
-        cubic = (
-            (1 + 2 * s) * (1 - s) ** 2 * ends[0] + s * (1 - s) ** 2 * rates[0] + s**2 * (3 - 2 * s) * ends[1] - s**2 * (1 - s) * rates[1]
-        )
-        lowest = min(lowest, float(cubic.min()))
-    return -lowest, case.error.gap
-
-
-MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
-    "closing time": _closing_time,
-    "contact time": _duration,
-    "restitution": _restitution,
-    "depth": _depth,
-}
-
-
-def answer_error(case: Evidence) -> tuple[float, float]:
-    """Largest distance of the replay from a measured answer of the scene, in that answer's tolerance, and its own error in the same unit."""
-    distances, errors = [], []
-    for answer in case.scene.answers:
-        if answer.measure:
-            value, error = MEASURES[answer.measure](case)
-            distances.append(abs(value - answer.value) / answer.tolerance)
-            errors.append(error / answer.tolerance)
-    return max(distances), max(errors)
+def _significant(sizes: np.ndarray) -> float:
+    exponents = np.floor(np.log10(sizes))
+    for digits in range(1, _DIGITS + 1):
+        scaled = sizes * 10.0 ** (digits - 1 - exponents)
+        if (np.abs(scaled - np.round(scaled)) <= _ROUNDING * scaled).all():
+            return float(10.0 ** (exponents.max() + 1 - digits))
+    return 0.0

@@ -21,8 +21,8 @@ from models.trajectory import Trajectory
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
-from validate.judge.score.printing import half_unit
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
 
@@ -445,21 +445,14 @@ class Evidence:
         self.need("gap")
         return self.replay.gap
 
-    @cached_property
-    def gap_rate(self) -> np.ndarray | None:
-        """Rates of the replay's gaps, (n, nc) [m/s]; None of somebody's FMU. Raises Unmeasured without a whole replay."""
-        if not isinstance(self.scene, Scene):
-            return None
-        return -self.kernel_rates(self.replay.q, self.replay.v)
-
     @property
     def deepest(self) -> np.ndarray:
         """Largest penetration of the replay, (nc,) [m]; of a scene between its rows too. Raises Unmeasured without a whole replay."""
-        gap, rate = self.replay_gap, self.gap_rate
+        gap, replay = self.replay_gap, self.replay
         lowest = gap.min(axis=0, initial=0.0)
-        if rate is None or len(gap) < 2:
+        if not isinstance(self.scene, Scene) or len(gap) < 2:
             return np.maximum(-lowest, 0.0)
-        between, _ = collocation.lowest_between(self.replay.t, gap, rate)
+        between, _ = collocation.lowest_between(replay.t, gap, -collocation.penetration_rates(self.kernel, replay.q, replay.v))
         for contact in range(self.scene.nc):
             looked_at: set[int] = set()  # a cubic is a guess: where it goes deepest the motion is run once more
             while between[:, contact].min() < lowest[contact] and (piece := int(between[:, contact].argmin())) not in looked_at:
@@ -476,10 +469,6 @@ class Evidence:
         late = replay.t[piece] - self.trajectory.t[step] + h * (np.arange(parts) + 0.5)
         run = self.kernel.rollout(np.concatenate([replay.q[piece], replay.v[piece]]), u + held.slopes[step] * late[:, None], h)
         return self.kernel.penetration(run.q)
-
-    def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Penetration rates phi' = d phi/dq v, (n, nc) [m/s], at states q, v (n, nq). Raises Unmeasured for somebody's FMU."""
-        return collocation.penetration_rates(self.kernel, q, v)
 
     @property
     def opened_q(self) -> np.ndarray:
@@ -498,13 +487,9 @@ class Evidence:
         Their means over steps are among them: of a bounce between two rows no row tells. Raises Unmeasured without a whole replay.
         """
         self.need("lam")
-        replay, steps = self.replay, self.trajectory.steps
-        mean = (
-            None
-            if replay.contact_impulse is None
-            else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
-        )
-        return force_window(replay.lam, self.step_of, steps, mean)
+        impulse, knots = self.replay.contact_impulse, self.replay.knots
+        mean = None if impulse is None else np.diff(impulse[knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        return force_window(self.replay.lam, self.step_of, self.trajectory.steps, mean)
 
     @cached_property
     def step_of(self) -> np.ndarray:

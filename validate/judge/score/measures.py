@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.dynamics import derive
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Hold
+from validate.judge.replay.result import Event
 from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
 from validate.judge.score.evidence import Evidence
@@ -96,13 +98,9 @@ def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
 
 def velocity_bound_violation(case: Evidence) -> Measured:
     """At the starts of the steps: the end belongs to the goal."""
-    lower, upper = _velocity_bounds(case)
-    return Measured(
-        values=eq.outside(case.v[:-1], lower, upper),
-        scales=_ranges(lower, upper),
-        allowed=case.printing("v"),
-        units=_velocity_units(case.scene),
-    )
+    bounds = _velocity_bounds(case)
+    values = eq.outside(case.v[:-1], *bounds)
+    return Measured(values=values, scales=_ranges(*bounds), allowed=case.printing("v"), units=_velocity_units(case.scene))
 
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -204,13 +202,9 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
-    values = np.abs(case.q - case.replay_q).max(axis=0)
+    values, nominals = np.abs(case.q - case.replay_q).max(axis=0), _nominals(case.scene)
     return Measured(
-        values=values,
-        error=case.error.position,
-        scales=_nominals(case.scene),
-        allowed=case.printing("q"),
-        units=_position_units(case.scene),
+        values=values, error=case.error.position, scales=nominals, allowed=case.printing("q"), units=_position_units(case.scene)
     )
 
 
@@ -337,13 +331,8 @@ def _impulse_error(case: Evidence) -> float:
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
     """How far the replay's velocities leave their bounds, of each velocity."""
-    lower, upper = _velocity_bounds(case)
-    return Measured(
-        values=eq.outside(case.all_replay_v[:-1], lower, upper),
-        error=case.error.state,
-        scales=_nominals(case.scene),
-        units=_velocity_units(case.scene),
-    )
+    values = eq.outside(case.all_replay_v[:-1], *_velocity_bounds(case))
+    return Measured(values=values, error=case.error.state, scales=_nominals(case.scene), units=_velocity_units(case.scene))
 
 
 # Question 6
@@ -431,3 +420,81 @@ def energy_residual_relative(case: Evidence) -> float:
 def friction_impulse_error(case: Evidence) -> float:
     """Integral over time of the difference of planned and replayed friction [N s]."""
     return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)
+
+
+# Closed forms that the scene states (models.scene.parts.Answer.measure): each measure gives a value and how wrong the replay may make it, and speaks of the
+# first contact: the first that closes, and the time until that one opens again.
+
+
+def _first_contact(case: Evidence) -> tuple[Event, Event]:
+    """The events at which the first contact closes and opens."""
+    events = case.replay.events
+    closing = next((event for event in events if event.closes), None)
+    if closing is None:
+        raise Unmeasured("no contact closes in the replay.")
+    opening = next((event for event in events if not event.closes and event.contact == closing.contact and event.time > closing.time), None)
+    if opening is None:
+        raise Unmeasured(f"contact {closing.contact} does not open again in the replay.")
+    return closing, opening
+
+
+def _gap_rate(case: Evidence, event: Event) -> float:
+    """Rate of the gap of an event's contact at the event [m/s]."""
+    row = int(np.argmin(np.abs(case.replay.t - event.time)))
+    return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
+
+
+def _rate(case: Evidence, row: int, contact: int) -> float:
+    dynamics, replay = derive(case.equations), case.replay
+    return float(dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row])
+
+
+def _closing_time(case: Evidence) -> tuple[float, float]:
+    closing, _ = _first_contact(case)
+    return closing.time, case.error.gap / abs(_gap_rate(case, closing))
+
+
+def _duration(case: Evidence) -> tuple[float, float]:
+    closing, opening = _first_contact(case)
+    return opening.time - closing.time, sum(case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening))
+
+
+def _restitution(case: Evidence) -> tuple[float, float]:
+    before, after = (_gap_rate(case, event) for event in _first_contact(case))
+    return -after / before, 2.0 * case.error.state / abs(before)
+
+
+def _depth(case: Evidence) -> tuple[float, float]:
+    """Between the rows of the replay too: the gap there is the cubic with the gaps and their rates at both ends."""
+    t, gap = case.replay.t, case.replay.gap
+    deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
+    rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
+    s = np.linspace(0.0, 1.0, 2001)  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
+    lowest = 0.0
+    for row in rows:
+        h = t[row + 1] - t[row]
+        ends, rates = gap[row : row + 2, contact], [h * _rate(case, at, int(contact)) for at in (row, row + 1)]
+        cubic = (
+            (1 + 2 * s) * (1 - s) ** 2 * ends[0] + s * (1 - s) ** 2 * rates[0] + s**2 * (3 - 2 * s) * ends[1] - s**2 * (1 - s) * rates[1]
+        )
+        lowest = min(lowest, float(cubic.min()))
+    return -lowest, case.error.gap
+
+
+MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
+    "closing time": _closing_time,
+    "contact time": _duration,
+    "restitution": _restitution,
+    "depth": _depth,
+}
+
+
+def answer_error(case: Evidence) -> tuple[float, float]:
+    """Largest distance of the replay from a measured answer of the scene, in that answer's tolerance, and its own error in the same unit."""
+    distances, errors = [], []
+    for answer in case.scene.answers:
+        if answer.measure:
+            value, error = MEASURES[answer.measure](case)
+            distances.append(abs(value - answer.value) / answer.tolerance)
+            errors.append(error / answer.tolerance)
+    return max(distances), max(errors)

@@ -20,7 +20,6 @@ from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import measures
-from validate.judge.score.equations import answer_error
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import DEFECT, Measured
 from validate.judge.score.unexplained import LIMIT, unexplained_force
@@ -47,6 +46,11 @@ class MetricEntry:
     default: tuple[float, str] | None = None
     of_replay: bool = False
     quoted: str = ""
+
+    @property
+    def limited_by(self) -> str:
+        """By which metric a scene limits this one."""
+        return self.name.removeprefix(TRACKED)
 
     def quote(self, value: str) -> str:
         """How the sentence of a verdict says this metric; value: with its unit."""
@@ -265,7 +269,7 @@ TABLE = (
         quoted="with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="answer_error", question=Question.JUDGE, unit=_unit("1"), measure=answer_error, of_replay=False,
+        name="answer_error", question=Question.JUDGE, unit=_unit("1"), measure=measures.answer_error, of_replay=False,
         applies=lambda scene: any(answer.measure for answer in scene.answers), default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
         quoted="the replay is {} tolerances off a closed form of the scene",

@@ -19,7 +19,7 @@ What the judge says: metrics, the answers to its questions, and a verdict with t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Literal, TypeAlias
 
@@ -102,6 +102,11 @@ class Metric:
         """Whether a question was asked by it."""
         return self.limit is not None
 
+    def held_to(self, limit: float, reason: str, *, default: bool) -> Metric:
+        """The same, judged by a limit; of what is asked of the judge itself the error counts once. Raises TypeError where there is no value."""
+        margin = 1.0 if self.question is Question.JUDGE else MARGIN
+        return replace(self, limit=limit, reason=reason, ok=compare(self.value, self.error, limit, margin), default=default)  # type: ignore[arg-type]
+
 
 Answer: TypeAlias = Literal["yes", "no", "undecided", "not asked"]
 
@@ -154,6 +159,8 @@ UNDECIDED: Final = "undecided"
 NOT_ASKED: Final = "not asked"
 # Of the replay, and so only as sure as the judge is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
+# Of the plan alone, which feedback cannot mend.
+_NOT_MENDED = (Question.TASK, Question.GOAL, Question.FORCES, Question.SCHEME)
 # Whether a plan's own motion is consistent, so that it can be followed: the one that was asked.
 _CONSISTENCY = ("unexplained_force", "defect")
 
@@ -177,8 +184,7 @@ def answer(metrics: Iterable[Metric]) -> Answer:
 
 def answers(metrics: Sequence[Metric]) -> dict[Question, Answer]:
     """Of every question, by metrics of the plan and of the replay of its inputs alone; what feedback did is left out."""
-    own = [metric for metric in metrics if not is_of_feedback(metric.name)]
-    return _by_question(own)
+    return _by_question([metric for metric in metrics if not is_of_feedback(metric.name)])
 
 
 def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, Answer]:
@@ -212,12 +218,7 @@ def wants_feedback(metrics: Sequence[Metric]) -> bool:
     fails.
     """
     found = answers(metrics)
-    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in (
-        found[Question.TASK],
-        found[Question.GOAL],
-        found[Question.FORCES],
-        found[Question.SCHEME],
-    ):
+    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in [found[question] for question in _NOT_MENDED]:
         return False
     consistency = [metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged]
     return bool(consistency) and all(ok is True for ok in consistency)
@@ -242,3 +243,15 @@ def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> V
         return alone
     # One of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
     return Verdict.UNDECIDED
+
+
+def decide(metrics: Sequence[Metric], has_feedback: bool) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:
+    """The verdict, the answers that it stands on, and of which replay they are: with feedback where that was tried, is wanted and helps."""
+    alone = answers(metrics)
+    verdict = verdict_of(alone)
+    if has_feedback and wants_feedback(metrics):
+        followed = answers_with_feedback(metrics)
+        verdict = verdict_with_feedback(verdict, followed)
+        if verdict is Verdict.HOLDS_WITH_FEEDBACK:
+            return verdict, followed, "feedback"
+    return verdict, alone, "open"

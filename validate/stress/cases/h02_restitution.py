@@ -56,28 +56,22 @@ def measure() -> Found:
             )
         )
     exact = np.abs(_restitutions(kernel, 1.0) - 1.0).max()
-    figures.append(
-        at_most("restitution - 1 at h w = 1, any phase", exact, 1e-9, reason="six steps are a period there: the collision is exact")
-    )
     plan = rolled(scene)
     answer = score(scene, plan, replayed(scene, plan)).value("answer_error")
     value = math.nan if answer is None else answer
-    figures.append(
-        at_most("the replay, in tolerances of the closed forms", value, 1.0, reason="restitution 1, contact time and depth to 1e-9 each")
-    )
     swept = [_restitutions(kernel, hw) for hw in SWEEP]
     bound = [1.0 / math.sqrt(1.0 - hw**2 / 4.0) for hw in SWEEP]
     outside = max(max(found.max() / most, 1.0 / (found.min() * most)) for found, most in zip(swept, bound, strict=True))
-    figures.append(
-        at_most(
-            "largest restitution (or 1/smallest) over the bound 1/sqrt(1 - (h w)^2/4)", outside, 1.0 + 1e-9, reason="see the case's file"
-        )
-    )
     worst = _restitutions(kernel, 1.5)
     return finding(
         f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
         "the replay gives 1.",
         *figures,
+        at_most("restitution - 1 at h w = 1, any phase", exact, 1e-9, reason="six steps are a period there: the collision is exact"),
+        at_most("the replay, in tolerances of the closed forms", value, 1.0, reason="restitution 1, contact time and depth to 1e-9 each"),
+        at_most(
+            "largest restitution (or 1/smallest) over the bound 1/sqrt(1 - (h w)^2/4)", outside, 1.0 + 1e-9, reason="see the case's file"
+        ),
         charts=(
             chart(
                 f"Restitution of one collision, {PHASES} phases",

@@ -53,6 +53,10 @@ def simulated() -> tuple[np.ndarray, list[str]]:
     found : (4, ratios) of the replays that reached the end: what the contact's length may be wrong by for the end to be where it is, as its share [-];
         the momentum of the replay, and of the plan [-]; seconds [s]
     wrong : which did not
+
+    Raises
+    ------
+    KernelError, FmuError : if the collision cannot be compiled or simulated at all
     """
     found, wrong, base = [], [], mass_ratio(1.0).scene
     for ratio in RATIOS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -28,23 +27,15 @@ def measure() -> Found:
     scene = load_scene("three_cart").with_task(steps=STEPS)
     good = rolled(scene)
     found: list[list[str]] = []
-
-    def must_refuse(what: str, word: str, act: Callable[[], object]) -> None:
-        found.append(refusal(what, [word], act))
-
     for field in ("t", "q", "v", "u", "lam"):
-        if field != "t":
-            must_refuse(f"NaN in {field}", f"{field}[3, 0]", lambda field=field: _spoiled(good, field, np.nan))
-            must_refuse(f"infinity in {field}", f"{field}[3, 0]", lambda field=field: _spoiled(good, field, np.inf))
-        must_refuse(
-            f"too short a {field}",
-            "rows" if field != "t" else "q has shape",
-            lambda field=field: replace(good, **{field: getattr(good, field)[:-1]}),
-        )
+        for what, value in (("NaN", np.nan), ("infinity", np.inf)) if field != "t" else ():
+            found.append(refusal(f"{what} in {field}", [f"{field}[3, 0]"], partial(_spoiled, good, field, value)))
+        short, word = {field: getattr(good, field)[:-1]}, "rows" if field != "t" else "q has shape"
+        found.append(refusal(f"too short a {field}", [word], partial(replace, good, **short)))
     other_length, other_scene = rolled(scene, steps=STEPS + 7), rolled(load_scene("cart_pole_walls"), step=scene.task.step, steps=STEPS)
     for name, eps in METHODS.items():
         for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
-            must_refuse(f"{name}, {what}", word, partial(solved, scene, name, eps, plan, seconds=5.0))
+            found.append(refusal(f"{name}, {what}", [word], partial(solved, scene, name, eps, plan, seconds=5.0)))
     wrong = [sentence for sentences in found for sentence in sentences]
     refused = sum(not sentences for sentences in found)
     return finding(

@@ -15,11 +15,11 @@ from models.trajectory import Hold, Trajectory
 from tests.validate.judge.replay.test_replay_job import JOB, NO_FMU, PLAN, START, VARIABLES
 from validate.execution.isolated import Limits
 from validate.judge.replay import Difference, ReplayError, ReplayOutcome
+from validate.judge.replay import error_estimate as estimate_module
 from validate.judge.replay import run as run_module
 from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Run
-from validate.judge.replay.run import Foreign
-from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, Outputs
+from validate.judge.replay.subject import Foreign, ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask, recorded
 from validate.judge.replay.wiring import Feedback
 
 MODEL = ForeignModel(
@@ -49,28 +49,28 @@ def test_numbers_of_an_fmu_become_those_of_the_plan():
 
 def test_what_a_run_recorded_is_taken_apart_by_name():
     run = Run(t=[0.0, 0.5], outputs=[np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0, 7.0, 8.0])], accumulated=[np.array([0.0, 0.0, 0.0]), np.array([9.0, 10.0, 11.0])])  # fmt: skip
-    out = Outputs(MODEL, VARIABLES, run)
+    out = recorded(MODEL, VARIABLES, run)
     assert [array.ravel().tolist() for array in (out.q, out.v, out.lam, out.gap)] == [[1.0, 5.0], [2.0, 6.0], [3.0, 7.0], [4.0, 8.0]]
-    assert (out.friction.shape, out.kinetic.tolist()) == ((2, 0), [0.0, 0.0])
-    assert (out.contact_impulse.ravel().tolist(), out.work("input_power").tolist(), out.work("dissipated_power").tolist()) == (
+    assert (out.friction.shape, out.kinetic_energy.tolist()) == ((2, 0), [0.0, 0.0])
+    assert (out.contact_impulse.ravel().tolist(), out.input_work.tolist(), out.dissipated_work.tolist()) == (
         [0.0, 9.0],
         [0.0, 10.0],
         [0.0, 11.0],
     )  # type: ignore[union-attr]
-    last = Outputs(MODEL, VARIABLES, run, [1])
-    assert (last.q.tolist(), last.work("input_power").tolist()) == ([[5.0]], [10.0])  # type: ignore[union-attr]
-    known = Outputs(MODEL, replace(VARIABLES, zero=frozenset({"input_power"}), powers={"dissipated_power": 7}), Run(t=[0.0], outputs=run.outputs[:1], accumulated=[np.array([1.0, 2.0])]))  # fmt: skip
-    assert (known.work("input_power").tolist(), known.work("dissipated_power").tolist()) == ([0.0], [2.0])  # type: ignore[union-attr]
-    bare = Outputs(MODEL, replace(VARIABLES, lam=(), gap=(), v=()), Run(t=[0.0], outputs=[np.array([1.0])]))
-    assert (bare.v.tolist(), bare.lam.tolist(), bare.gap.tolist(), bare.contact_impulse, bare.work("input_power")) == (
+    last = recorded(MODEL, VARIABLES, run, [1])
+    assert (last.q.tolist(), last.input_work.tolist()) == ([[5.0]], [10.0])  # type: ignore[union-attr]
+    known = recorded(MODEL, replace(VARIABLES, zero=frozenset({"input_power"}), powers={"dissipated_power": 7}), Run(t=[0.0], outputs=run.outputs[:1], accumulated=[np.array([1.0, 2.0])]))  # fmt: skip
+    assert (known.input_work.tolist(), known.dissipated_work.tolist()) == ([0.0], [2.0])  # type: ignore[union-attr]
+    bare = recorded(MODEL, replace(VARIABLES, lam=(), gap=(), v=()), Run(t=[0.0], outputs=[np.array([1.0])]))
+    assert (bare.v.tolist(), bare.lam.tolist(), bare.gap.tolist(), bare.contact_impulse, bare.input_work) == (
         [[0.0]], [[0.0]], [[0.0]], None, None,
     )  # fmt: skip
-    partly = Outputs(
+    partly = recorded(
         MODEL,
         replace(VARIABLES, lam=(), powers={"input_power": 6}),
         Run(t=[0.0], outputs=[np.array([1.0, 2.0, 4.0])], accumulated=[np.array([5.0])]),
     )
-    assert (partly.gap.tolist(), partly.contact_impulse, partly.work("input_power").tolist(), partly.work("dissipated_power")) == (
+    assert (partly.gap.tolist(), partly.contact_impulse, partly.input_work.tolist(), partly.dissipated_work) == (
         [[4.0]],
         None,
         [5.0],
@@ -148,15 +148,15 @@ def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
     outputs = [np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 1.0])]
     local = [np.array([0.125, 0.0, 0.0, 0.0]), np.array([-0.25, 0.5, 0.0, 0.0])]
     run = Run(t=[0.0, 0.5, 1.0], outputs=outputs, local=local, knots=[0, 1, 2])
-    fine = Outputs(MODEL, VARIABLES, run, run.knots)
-    found = run_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
+    fine = recorded(MODEL, VARIABLES, run, run.knots)
+    found = estimate_module._local_errors(MODEL, VARIABLES, run, fine, carried=False)
     assert found == Difference(position=pytest.approx(0.375), state=pytest.approx(math.hypot(0.375, 0.5)), gap=0.0)
-    assert run_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
-    assert run_module._local_errors(MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False) is None
+    assert estimate_module._local_errors(MODEL, VARIABLES, run, None, carried=False) is None
+    assert estimate_module._local_errors(MODEL, VARIABLES, replace(run, local=local[:1]), fine, carried=False) is None
     still = replace(run, local=[np.zeros(4)] * 2)
-    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, "nobody knows whether it heeds its step"
-    assert run_module._local_errors(MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True) is not None
-    assert run_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
+    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=True) is None, "nobody knows whether it heeds its step"
+    assert estimate_module._local_errors(MODEL, replace(VARIABLES, internal_step=5), still, fine, carried=True) is not None
+    assert estimate_module._local_errors(MODEL, VARIABLES, still, fine, carried=False) is not None
 
 
 def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):
@@ -184,9 +184,9 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
         assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
         assert found.tracked.effort.peak == (2.0,)
     assert jobs[-1][3].lower.tolist() == [-89.0]
-    (model, _, variables, given, units, start, _) = designed[0]
-    assert (model, variables, given, start) == (MODEL, VARIABLES, plan, START)
-    assert [[part.tolist() for part in pair] for pair in units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
+    (wired, _, given, _) = designed[0]
+    assert (wired.model, wired.variables, given, wired.start) == (MODEL, VARIABLES, plan, START)
+    assert [[part.tolist() for part in pair] for pair in wired.units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
     assert run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: False).tracked is None
 
     def refuses(*given: Any) -> Any:

@@ -337,7 +337,8 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Job, "run", simulate)
-        found = module.with_lag_error(model, job_of([0.0, 1.0]), twice, "feedback", replayed)  # type: ignore[arg-type]
+        patch.setattr(module, "twice_the_lag", lambda package, scene: twice if (package, scene) == ("package", model) else None)
+        found = module.with_lag_error(model, job_of([0.0, 1.0]), "feedback", replayed)  # type: ignore[arg-type]
     assert asked[0][:3] == ("package", twice, "start")
     assert asked[0][5:] == ("limits", "feedback")
     return found, asked[0][3:5]
@@ -357,9 +358,9 @@ def test_the_error_of_the_lag_is_added_to_the_replays_own(method: str, asked: An
 
 def test_what_has_no_lag_is_as_it_is():
     given: Any = SimpleNamespace(ok=False)
-    assert module.with_lag_error(None, None, "twice", None, given) is given  # type: ignore[arg-type]
-    given.ok = True
-    assert module.with_lag_error(None, None, None, None, given) is given  # type: ignore[arg-type]
+    scene: Any = SimpleNamespace(lag=None)
+    for given.ok in (False, True):
+        assert module.with_lag_error(scene, job_of([0.0, 1.0]), None, given) is given
     assert module.twice_the_lag(None, SimpleNamespace(lag=None)) is None  # type: ignore[arg-type]
 
 

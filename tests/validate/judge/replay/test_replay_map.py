@@ -22,7 +22,8 @@ from validate.judge.replay import Replay
 from validate.judge.replay.map_schema import hint, read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.netcdf import write_replay
-from validate.judge.replay.run import Foreign, replay_foreign
+from validate.judge.replay.run import replay_foreign
+from validate.judge.replay.subject import Foreign
 
 Wire = Callable[..., tuple[Foreign, Trajectory]]
 # Free flight: no contact, and nothing of the goal or the limits of FULL_MAP.

@@ -17,7 +17,7 @@ from models.trajectory import Trajectory
 from validate.fmi.description import read_package
 from validate.judge.replay.map_schema import Dimensions, MapError, Named, by_equal_names, hint, may_be_rate, read_map
 from validate.judge.replay.mapping import wire
-from validate.judge.replay.run import Foreign
+from validate.judge.replay.subject import Foreign
 
 MORE = "".join(
     f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}"{initial}><Real {unit}{rest}/></ScalarVariable>\n'

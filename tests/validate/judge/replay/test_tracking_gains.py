@@ -261,14 +261,13 @@ def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: py
     )
     model: Any = SimpleNamespace(coordinates=[SimpleNamespace(nominal=0.25)])
     units = (np.array([2.0, 4.0]), np.array([1.0, -1.0])), (np.array([10.0]), np.array([5.0]))
-    (given_model, given_plan, a, b), (steps, t, sizes) = module.design_foreign(
-        model, "package", "variables", plan, units, "start", "limits"
-    )  # type: ignore[arg-type,misc]
+    foreign: Any = SimpleNamespace(model=model, variables="variables", units=units, start="start")
+    (given_model, given_plan, a, b), (steps, t, sizes) = module.design_foreign(foreign, "package", plan, "limits")  # type: ignore[arg-type,misc]
     assert asked == [("package", "variables", [[25.0]], "start", [[1.0, 2.0], [2.0, 1.0]], "limits")]
     assert (given_model, given_plan, a.tolist(), b.tolist()) == (model, plan, [[[1.0, 1.0], [6.0, 4.0]]], [[[100.0], [240.0]]])
     assert (steps is a, t is plan.t, sizes.tolist()) == (True, True, [0.25, 0.25])
     with pytest.raises(TrackingError, match="does not say its positions"):
-        module.design_foreign(model, "package", "variables", replace(plan, missing=frozenset({"q", "v"})), units, "start", None)  # type: ignore[arg-type]
+        module.design_foreign(foreign, "package", replace(plan, missing=frozenset({"q", "v"})), None)  # type: ignore[arg-type]
 
 
 def test_a_step_of_an_fmu_is_the_exponential_of_the_mean_of_its_ends(monkeypatch: pytest.MonkeyPatch):

@@ -12,7 +12,7 @@ from models.scene import Limit
 from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, judge
 from validate.judge.replay.result import ReplayOutcome
-from validate.judge.replay.world import World
+from validate.judge.replay.wiring import World
 from validate.judge.robustness.trials import Asked, SceneArena, WorldTrial, asked_limits
 from validate.judge.robustness.worlds import draw, moved, perturbations
 

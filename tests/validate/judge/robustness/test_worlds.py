@@ -11,8 +11,7 @@ from models.catalog import load_scene
 from models.errors import SceneError
 from models.scene import Parameter
 from models.trajectory import Hold, Trajectory
-from validate.judge.replay.wiring import Feedback
-from validate.judge.replay.world import World, WorldInputs
+from validate.judge.replay.wiring import Feedback, World, WorldInputs
 from validate.judge.robustness.worlds import PerturbationKind, draw, moved, nominal_world, perturbations
 
 SCENE = load_scene("three_cart")

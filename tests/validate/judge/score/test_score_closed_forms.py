@@ -13,8 +13,8 @@ from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, Verdict, score
-from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
+from validate.judge.score.measures import MEASURES
 
 
 def judged(scene: Scene, *others: Scene) -> list[Score]:

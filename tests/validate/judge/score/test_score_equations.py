@@ -10,8 +10,9 @@ from models.catalog import load_scene
 from models.scene.goal import distance
 from validate.judge.replay.result import Difference, Event
 from validate.judge.score import equations as eq
+from validate.judge.score import measures
+from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import force_window
-from validate.judge.score.printing import half_unit
 from validate.judge.score.verdict import Unmeasured
 
 
@@ -193,15 +194,15 @@ EVENTS = [
 
 def test_the_first_contact_is_measured_from_where_it_closes_to_where_the_same_one_opens():
     case = contacts_of_carts(EVENTS)
-    measured = {name: eq.MEASURES[name](case) for name in ("closing time", "contact time", "restitution")}
+    measured = {name: measures.MEASURES[name](case) for name in ("closing time", "contact time", "restitution")}
     # Its gap closes at 2 m/s and opens at 1.5 m/s.
     assert measured["closing time"] == pytest.approx((0.2, 0.01 / 2))
     assert measured["contact time"] == pytest.approx((0.2, 0.01 / 2 + 0.01 / 1.5))
     assert measured["restitution"] == pytest.approx((0.75, 2 * 0.02 / 2))
     with pytest.raises(Unmeasured, match="no contact closes"):
-        eq.MEASURES["closing time"](contacts_of_carts(EVENTS[:1]))
+        measures.MEASURES["closing time"](contacts_of_carts(EVENTS[:1]))
     with pytest.raises(Unmeasured, match="contact right does not open again"):
-        eq.MEASURES["contact time"](contacts_of_carts(EVENTS[:4]))
+        measures.MEASURES["contact time"](contacts_of_carts(EVENTS[:4]))
 
 
 @pytest.mark.parametrize("contact", [0, 1])
@@ -214,9 +215,9 @@ def test_a_depth_is_found_between_the_rows(contact: int, deepest: float):
     v[:, contact + 1] = 16.0 * (t - deepest)
     if contact == 0:
         v[:, 2] = v[:, 1]
-    found = eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v))
+    found = measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v))
     assert found == pytest.approx((0.1, 0.01), abs=1e-6)
-    open_gap = eq.MEASURES["depth"](contacts_of_carts([], gap=gap + 1.0, v=v))
+    open_gap = measures.MEASURES["depth"](contacts_of_carts([], gap=gap + 1.0, v=v))
     assert open_gap[0] == 0.0
 
 
@@ -227,9 +228,9 @@ def test_an_answer_is_off_by_so_many_of_its_own_tolerances():
         contacts=case.scene.contacts,
         answers=[SimpleNamespace(measure=measure, value=value, tolerance=tolerance) for measure, value, tolerance in answers],
     )
-    assert eq.answer_error(case) == pytest.approx((3.0, 0.5))
+    assert measures.answer_error(case) == pytest.approx((3.0, 0.5))
     case.scene.answers[1].tolerance = 0.005
-    assert eq.answer_error(case) == pytest.approx((10.0, 4.0))
+    assert measures.answer_error(case) == pytest.approx((10.0, 4.0))
 
 
 def test_a_depth_is_looked_for_within_the_replay_alone():
@@ -237,6 +238,6 @@ def test_a_depth_is_looked_for_within_the_replay_alone():
     t = 0.1 * np.arange(6)
     gap, v = np.full((6, 2), 0.3), np.zeros((6, 3))
     gap[:, 1], v[:, 2] = 0.4 - t, -1.0
-    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
     gap[:, 1], v[:, 2] = t - 0.1, 1.0
-    assert eq.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
+    assert measures.MEASURES["depth"](contacts_of_carts([], gap=gap, v=v)) == pytest.approx((0.1, 0.01), abs=1e-12)
