@@ -176,6 +176,7 @@ def print_metrics(rows: Iterable[Row], *, followed: bool, tracked: bool) -> None
         found = [None if metric is None else metric.value for metric in (alone, with_feedback)[: len(values)]]
         known, asked = judged.value is not None, number is not None
         limit = "waived" if known and asked and judged.limit is None and judged.reason else short(judged.limit, ".3g")
+        limit = "" if not known and judged.default else limit  # in nominal sizes, which nobody knows where nothing could be measured
         unknown = judged.error is None or math.isinf(judged.error)
         own = "unknown" if unknown else short(judged.error, ".1e") if judged.error else ""
         cells = [*(short(value, ".5g") for value in found), own, judged.unit, limit, _against(judged)]

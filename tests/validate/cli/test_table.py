@@ -10,9 +10,10 @@ import rich.console
 from wording import unsaid
 
 from models.errors import MachineError
+from reports.records.record import MetricRecord
 from tests.reports import record_factory as factory
 from validate.cli import narrator
-from validate.cli.table import say, short, table, terminal_width, use_colour, wide_option, wrapped
+from validate.cli.table import print_metrics, say, short, table, terminal_width, use_colour, wide_option, wrapped
 from validate.store.disk import write_durably
 
 TITLES = ["scene", "cost", "eps", "why"]
@@ -86,6 +87,18 @@ def test_a_verdict_has_its_colour_in_its_own_cell_alone(monkeypatch):
     text = table(["verdict", "why"], [["violates", "violates its limit"]])
     assert re.findall(r"\x1b\[31m(.*?)\x1b\[0m", text) == ["violates"]
     assert text.splitlines()[-1].endswith("  violates its limit")
+
+
+@pytest.mark.parametrize(("value", "default", "limit"), [(None, True, ""), (None, False, "0.25"), (0.5, True, "0.25")])
+def test_the_default_limit_of_what_could_not_be_measured_is_not_known(monkeypatch, capsys, value, default, limit):
+    """It is made of what could not be measured; a limit that the scene set is told."""
+    monkeypatch.setenv("COLUMNS", "300")
+    metric = MetricRecord(name="max_penetration", value=value, unit="m", meaning="depth", question=5, limit=0.25, default=default)
+    print_metrics([(5, metric.name, metric, None)], followed=False, tracked=False)
+    heads, _, row = capsys.readouterr().out.splitlines()
+    place = re.search(r"\blimit\b", heads)
+    assert place is not None
+    assert row[place.start() - 2 : place.end() + 1].strip() == limit
 
 
 def test_a_zero_has_no_sign():
