@@ -32,7 +32,7 @@ ROOMS = {
               ("tests/validate/judge/**/*.py", "tests/validate/fmi/*.py", "tests/validate/tasks/test_stage.py", "tests/validate/tasks/test_campaign_violation.py")),
     "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/records/*.py"),
                ("tests/validate/store/*.py", "tests/validate/tasks/*.py", "tests/validate/plan/test_campaign*.py", "tests/validate/test_campaign_end_to_end.py",
-                "tests/validate/execution/test_same*.py", "tests/reports/records/*.py", "tests/reports/test_re*_[!b]*.py")),
+                "tests/validate/execution/test_campaign_rel*.py", "tests/reports/records/*.py", "tests/reports/test_re*_[!b]*.py")),
     "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
     "proof": (("formulations/proof/*.py",), ("tests/formulations/proof/*.py",)),
     "store": (("validate/store/[!r]*.py", "validate/plan/selection.py"),

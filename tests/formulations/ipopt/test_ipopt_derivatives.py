@@ -126,6 +126,8 @@ def test_every_intrinsic_function_to_twelve_digits(name):
         _, problem, x = one_expression(lambda m: getattr(pyo, name)(m.x[0]), [point])
         with mpmath.workdps(40):
             value, first, second = (float(mpmath.diff(exact, mpmath.mpf(point), n)) for n in range(3))
+        graph = Graph()
+        assert graph.constant_value(graph.call(name, graph.constant(point))) == pytest.approx(value, rel=1e-12, abs=1e-15)
         assert problem.objective(x) == pytest.approx(value, rel=1e-12, abs=1e-15)
         assert problem.gradient(x)[0] == pytest.approx(first, rel=1e-12, abs=1e-15)
         assert dense(problem, x)[0, 0] == pytest.approx(second, rel=1e-12, abs=1e-15)

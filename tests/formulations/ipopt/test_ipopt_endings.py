@@ -352,7 +352,9 @@ def test_a_primal_dual_start_at_the_solution_ends_at_once():
 def test_history_has_one_line_an_iteration_and_seconds_add_up():
     m = quadratic(bounds=(-1, 1.5))
     m.c = pyo.Constraint(expr=pyo.exp(m.x[1]) + m.x[2] <= 3)
+    began = time.process_time()
     result = solve(compile_model(m))
+    assert 0.0 < result.seconds.cpu <= time.process_time() - began
     assert [line.iteration for line in result.history] == list(range(result.iterations + 1))
     assert result.history[-1].objective == pytest.approx(result.objective, rel=1e-6)
     assert (result.history[0].mu, result.history[0].alpha_pr) == (0.1, 0.0)  # Ipopt's first barrier parameter, and no step yet
