@@ -16,7 +16,6 @@ and x = 1 - d v_out, x = -W(-y exp(-y)) with Lambert's W, whatever b and m are.
 import math
 
 import sympy as sp
-from scipy.special import lambertw
 
 from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
 from models.scene.contacts import DampingLaw
@@ -40,7 +39,7 @@ MEAN = (MASS_1 * START[2] + MASS_2 * START[3]) / (MASS_1 + MASS_2)
 V1_BETWEEN = MEAN - REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_1
 V2_AFTER = MEAN + REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_2
 _Y = 1 - BUMPER_DAMPING * V1_BETWEEN
-V1_AFTER = (1 + float(lambertw(-_Y * math.exp(-_Y), 0).real)) / BUMPER_DAMPING
+V1_AFTER = (1 + float(sp.LambertW(-_Y * math.exp(-_Y)))) / BUMPER_DAMPING
 _SWING = "damped swing of the reduced mass until its force is gone, then free flight"
 
 SCENE = Scene(
