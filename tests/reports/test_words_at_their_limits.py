@@ -120,8 +120,8 @@ def test_a_cause_of_the_goal_and_one_that_is_open():
     )
 
 
-def answers(**said: str) -> dict:
-    return {"questions": factory.questions(**said), "verdict": "violates", "why": "it is off."}
+def answers(verdict: str = "violates", **said: str) -> dict:
+    return {"questions": factory.questions(**said), "verdict": verdict, "why": "it is off."}
 
 
 @pytest.mark.parametrize(
@@ -131,14 +131,16 @@ def answers(**said: str) -> dict:
         (answers(q4="no", q1="no"), 1.0, False), (answers(q4="no", q2="no"), 1.0, False), (answers(q4="no", q3="no"), 1.0, False), (answers(q4="no", q6="no"), 1.0, False),
         (answers(q4="no", q3="not asked"), 1.0, True), (answers(q4="no", q6="undecided"), 1.0, False), (answers(q4="undecided"), 1.0, False),
         ({**answers(q4="no"), "questions": ()}, 1.0, False), ({**answers(q4="no"), "paper": {"cost": 1.0}}, 1.0, False),
+        (answers("holds with feedback"), 0.5, True), (answers("holds with feedback"), 0.49, False), (answers("holds with feedback"), None, False),
+        (answers("holds with feedback", q6="no"), 1.0, False),
     ],
 )  # fmt: skip
 def test_a_plan_that_fails_by_its_time_step_alone_is_a_finding(changes: dict, order: float | None, is_finding: bool):
     run = ran("a", *(() if order is None else (metric("grid_order", order),)), **changes)
     assert rule.findings([run]) == (("three_cart x a: it is off.",) if is_finding else ())
-    assert rule.failures([run])[:1] == (
-        ("three_cart: no run holds (a solved, violates)",) if is_finding else ("three_cart x a: violates - it is off.",)
-    )
+    verdict = changes["verdict"]
+    none = ("three_cart: no run holds (a solved, violates)",) if verdict == "violates" else ()
+    assert rule.failures([run])[:1] == (none if is_finding else (f"three_cart x a: {verdict} - it is off.",))
     for other in ({"must_hold": False}, {"outcome": "stalled"}, {"stages": ()}):
         assert rule.findings([run.model_copy(update=other)]) == ()
 
