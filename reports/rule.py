@@ -52,7 +52,7 @@ def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
 
 def _is_finding(run: RunRecord) -> bool:
     asked = run.must_hold and run.outcome == "solved" and run.last is not None
-    return asked and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
+    return asked and not _is_as_it_must_be(run) and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
 
 
 def _is_of_the_time_step(stage: StageRecord) -> bool:

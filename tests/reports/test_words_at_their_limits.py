@@ -141,6 +141,8 @@ def test_a_plan_that_fails_by_its_time_step_alone_is_a_finding(changes: dict, or
     verdict = changes["verdict"]
     none = ("three_cart: no run holds (a solved, violates)",) if verdict == "violates" else ()
     assert rule.failures([run])[:1] == (none if is_finding else (f"three_cart x a: {verdict} - it is off.",))
+    unstable = run.model_copy(update={"scene": run.scene.model_copy(update={"unstable": "It falls over."})})
+    assert not (verdict == "holds with feedback" and rule.findings([unstable])), "there it is as it must be"
     for other in ({"must_hold": False}, {"outcome": "stalled"}, {"stages": ()}):
         assert rule.findings([run.model_copy(update=other)]) == ()
 
