@@ -11,7 +11,7 @@ import tempfile
 import time as clock
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -77,7 +77,7 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
     Parameters
     ----------
     request : path of the FMU; loops, the compiled ones, where they are not to be looked for.
-    arrays : a Job without its FMU, and its feedback or None, packed.
+    arrays : Simulations, and their feedback or None, packed.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def _told(
     return value, {f"{number}_{name}": np.array(getattr(run, name)) for number, (_, run) in enumerate(runs) for name in _RECORDED}
 
 
-def _simulate(job: Job, package: Package, feedback: Feedback | None, before: dict[str, Any] | None = None) -> Simulated:
+def _simulate(job: Simulations, package: Package, feedback: Feedback | None, before: dict[str, Any] | None = None) -> Simulated:
     """All simulations of a job in this process. before: what it was like before the FMU was there, where changes of that are to be told."""
     inputs = HeldInputs(job.plan, feedback) if job.world is None else WorldInputs(job.plan, job.world, feedback)
     variables, start, note = job.variables, job.start, ""
@@ -164,29 +164,37 @@ def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inpu
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """What is simulated, and with what.
+class Simulations:
+    """What is simulated of an FMU.
 
-    start: (n,) start values [unit of each variable], in the order of Variables.start; limits: of the child, None: in this process; ours: whether the FMU
-    is one that we made.
-    tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first;
-    parts, max_step: of the reference (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves its steps, where
-    the FMU can; world: a perturbed one, whose start and inputs are in the FMU's units; child: one for many jobs, None: every job has its own.
+    start: (n,) start values [unit of each variable], in the order of Variables.start; tolerances: relative, of the reference, the looser first;
+    fineness: internal steps a plan step of the everyday replay, the coarser first; parts, max_step: of the reference
+    (validate.judge.replay.reference.integrate); rolls_back: whether the last everyday run halves its steps, where the FMU can; world: a perturbed one,
+    whose start and inputs are in the FMU's units.
     """
 
-    package: Package
     variables: Variables
     plan: Trajectory
     start: np.ndarray
-    limits: Limits | None
     tolerances: tuple[float, ...]
     fineness: tuple[int, ...]
     event_budget: int
-    ours: bool = False
     parts: int = PARTS
     max_step: float = math.inf
     rolls_back: bool = True
     world: World | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Job(Simulations):
+    """The simulations of one FMU, and where they run.
+
+    limits: of the child, None: in this process; ours: whether the FMU is one that we made; child: one for many jobs, None: every job has its own.
+    """
+
+    package: Package
+    limits: Limits | None
+    ours: bool = False
     child: IsolatedCalls | None = None
 
     def run(self, feedback: Feedback | None = None) -> Simulated:
@@ -217,8 +225,8 @@ class Job:
             call = partial(self.child, "validate.judge.replay.job:simulate_again")
 
         def ask(rolls_back: bool) -> Isolated:
-            job: Any = replace(self, package=None, limits=None, child=None, rolls_back=rolls_back)  # type: ignore[arg-type] - it has its own FMU there
-            return call(request, arrays=packed(job, feedback))
+            asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
+            return call(request, arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback))
 
         done, retried = ask(self.rolls_back), ""
         if done.ending in _RETRIED and self.rolls_back and offers_rollback(package, self.variables):

@@ -18,7 +18,7 @@ from validate.judge.replay import ReplayOutcome
 from validate.judge.replay import everyday as everyday_module
 from validate.judge.replay import job as module
 from validate.judge.replay.everyday import RollbackError, base_step, everyday_refusal, offers_rollback, require_some_method
-from validate.judge.replay.job import Job
+from validate.judge.replay.job import Job, Simulations
 from validate.judge.replay.result import Run
 from validate.judge.replay.tracking import tracking_refusal
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
@@ -80,20 +80,9 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     ((function, request, job, feedback, limits, what),) = requests
     assert (function, limits.seconds, what, feedback) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu", None)
     assert request == {"path": str(Path("some.fmu").resolve()), "loops": "loops.so"}
-    names = (
-        "package",
-        "limits",
-        "child",
-        "variables",
-        "tolerances",
-        "fineness",
-        "event_budget",
-        "parts",
-        "max_step",
-        "rolls_back",
-        "world",
-    )
-    assert [getattr(job, name) for name in names] == [None, None, None, VARIABLES, (1e-11, 1e-13), (50, 100), 7, 4, 0.25, True, None]
+    assert type(job) is Simulations, "the child has its own FMU, and no limits of its own to set"
+    names = ("variables", "tolerances", "fineness", "event_budget", "parts", "max_step", "rolls_back", "world")
+    assert [getattr(job, name) for name in names] == [VARIABLES, (1e-11, 1e-13), (50, 100), 7, 4, 0.25, True, None]
     assert [array.tolist() for array in (job.plan.t, job.plan.u, job.start, job.plan.u_end)] == [
         [0.0, 0.5, 1.0],
         [[1.0], [2.0]],
