@@ -53,7 +53,14 @@ class PlainNarrator:
         self._line(sentence)
 
     def found(self, runs: Sequence[RunRecord]) -> None:
-        """All runs of a scene have ended: how many hold, and the cheapest plan."""
+        """All runs of a scene have ended: what does not apply to it and why, how many hold, and the cheapest plan."""
+        refused: dict[str, list[str]] = {}
+        for run in runs:
+            if run.verdict == "not applicable":
+                method, _, why = run.message.partition(": ")
+                refused.setdefault(why if method.isidentifier() else run.message, []).append(run.pipeline)
+        for why, pipelines in refused.items():
+            self._line(f"not applicable: {', '.join(pipelines)}: {why}")
         self._line(f"so far: {_on_scene(runs)}")
 
     def warns(self, sentence: str) -> None:
@@ -64,9 +71,10 @@ class PlainNarrator:
         """Called many times a second with the running workers."""
 
     def finished(self, record: RunRecord | CheckRecord) -> None:
-        """A run or check ended with this record."""
+        """A run or check ended with this record; runs that do not apply to their scene are told together (`found`)."""
         self.done += 1
-        self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
+        if record.outcome != "refused":
+            self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
 
     def ends(self) -> None:
         """The last run finished, or the campaign was interrupted."""

@@ -142,6 +142,26 @@ def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
     assert narrator.in_words(seconds) == words
 
 
+def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(capsys):
+    def refused(pipeline: str, why: str):
+        return factory.run(pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(update={"message": why})
+
+    runs = [
+        refused("mpcc", "mpcc: it has friction: none."),
+        refused("front", "mpcc_front: it has friction: none."),
+        refused("own", "a reason: so."),
+    ]
+    plain = narrator.PlainNarrator()
+    plain.begins(4, 0, 0)
+    for run in (*runs, factory.run("strict", None, "strict_lcp")):
+        plain.finished(run)
+    assert plain.done == 4
+    plain.found(runs)
+    first, ended, *told = capsys.readouterr().err.splitlines()
+    assert (first, ended[:30]) == ("0 stored, 4 to run", "[4/4] three_cart x strict: sol")
+    assert told[:2] == ["not applicable: mpcc, front: it has friction: none.", "not applicable: own: a reason: so."]
+
+
 def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     plain = narrator.PlainNarrator()
     plain.begins(3, 1, 0)
