@@ -109,7 +109,10 @@ def test_a_robust_plan_meets_the_goal_and_arrives_in_more_worlds_it_was_not_made
     assert alone.cost < found.cost < 1.5 * alone.cost
     before, after = missed(alone.trajectory, seed=77), missed(found.trajectory, seed=77)
     assert (after <= 1.0).sum() >= (before <= 1.0).sum() + 5
-    assert after.mean() < 0.8 * before.mean()
+    nearer = (
+        before - after
+    )  # in each world; which optimum the descent ends in depends on the processor's rounding, that it is nearer must not
+    assert nearer.mean() > 3.0 * nearer.std(ddof=1) / np.sqrt(nearer.size), "beyond what the draw of the worlds explains"
 
 
 def test_a_plan_on_finer_steps_is_kept_on_them():
