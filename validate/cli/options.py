@@ -40,6 +40,9 @@ class FiniteRange(click.FloatRange):
             self.fail(f"{number} is not a finite number.", param, ctx)
         return number
 
+    def _describe_range(self) -> str:  # click writes [x<=None] of a range without bounds
+        return super()._describe_range() if (self.min, self.max) != (None, None) else ""
+
 
 def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Command], Command]:
     """An option for a file that a command writes. name: of the command's parameter; what: is written."""

@@ -48,6 +48,7 @@ def test_help_shows_examples_and_exit_codes(cli):
     for name in _COMMANDS:
         with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
             text = context.get_help()
+            assert "None" not in text
         assert "xample" in text, name
         assert "Exit codes:" in text, name
     words = " ".join(cli("all", "--help").stdout.split())
