@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,8 +107,8 @@ def scenes() -> tuple[str, ...]:
     return tuple(scene_names())
 
 
-def scene(name: str | Path) -> Scene:
-    """A scene by its name, or from a scene file of one's own (docs/extending.md).
+def scene(name: Scene | str | Path) -> Scene:
+    """A scene by its name, or from a scene file of one's own (docs/extending.md); a scene itself comes back.
 
     Raises
     ------
@@ -117,13 +117,33 @@ def scene(name: str | Path) -> Scene:
     >>> ts.scene("three_cart").nq
     3
     """
-    from models.catalog import load_scene
+    from models.catalog import as_scene
 
-    return load_scene(str(name))
+    return as_scene(name)
 
 
-def _loaded(given: Scene | str | Path) -> Scene:
-    return scene(given) if isinstance(given, (str, Path)) else given
+_scene = scene  # where a parameter has its name
+
+
+def _listed(given: Any) -> tuple[Any, ...]:
+    """Names: one by itself is one, and not its letters."""
+    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+
+
+def _text(name: str, given: str | Path, *, empty: bool = False) -> None:
+    """Raise TouchstoneError for what is neither text nor a path."""
+    from models.errors import TouchstoneError
+
+    if not isinstance(given, (str, Path)) or not (empty or str(given)):
+        raise TouchstoneError(f"{name}: {given!r} must be a name, as text or Path.")
+
+
+def _positive(name: str, given: float, kind: type | tuple[type, ...] = (int, float)) -> None:
+    """Raise TouchstoneError for what is not a positive number."""
+    from models.errors import TouchstoneError
+
+    if isinstance(given, bool) or not isinstance(given, kind) or not 0 < given < float("inf"):
+        raise TouchstoneError(f"{name}: {given!r} must be a positive {'whole number' if kind is int else 'number of seconds'}.")
 
 
 def methods() -> tuple[str, ...]:
@@ -183,7 +203,8 @@ def solve(
     from validate.judge.judgement import as_trajectory
     from validate.tasks.shown import SolvedPlan
 
-    wanted = _loaded(scene)
+    _positive("time_limit", time_limit)
+    wanted = _scene(scene)
     first = None if start is None else as_trajectory(start, wanted)
     found = solve_scene(wanted, name, eps=eps, warm_start=first, time_limit=time_limit, options=options)
     return SolvedPlan.of(found, wanted, name, eps)
@@ -198,7 +219,7 @@ def read_plan(path: str | Path, scene: Scene | str | Path) -> Trajectory:
     """
     from validate.judge.judgement import as_trajectory
 
-    wanted = _loaded(scene)
+    wanted = _scene(scene)
     plan = as_trajectory(path, wanted)
     assert plan is not None, "a file is a plan"
     return plan
@@ -285,7 +306,8 @@ def robustness(
     from validate.judge.robustness import robustness as measured
 
     wired = _wired(scene, plan, map, hold)
-    return measured(scene if wired is None else wired, plan, samples=samples, seed=seed, kinds=kinds, anyway=anyway)
+    subject = scene if wired is None else wired
+    return measured(subject, plan, samples=samples, seed=seed, kinds=_listed(kinds), anyway=anyway, hold=hold)
 
 
 def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float = 60.0) -> CheckReport:
@@ -299,7 +321,9 @@ def check(fmu: str | Path, *, only: Sequence[str] | None = None, seconds: float 
     """
     from validate.fmu_check import check_fmu
 
-    return check_fmu(Path(fmu), names=None if only is None else tuple(only), seconds=seconds)
+    _text("fmu", fmu)
+    _positive("seconds", seconds)
+    return check_fmu(Path(fmu), names=None if only is None else _listed(only), seconds=seconds)
 
 
 def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2.0") -> Path:
@@ -314,9 +338,9 @@ def export_fmu(scene: Scene | str | Path, path: str | Path, *, version: str = "2
     from models.errors import MachineError
     from models.fmu import build_fmu
 
-    wanted = _loaded(scene)
+    _text("path", path)
     try:
-        return Path(shutil.copyfile(build_fmu(wanted, version=version), path))
+        return Path(shutil.copyfile(build_fmu(_scene(scene), version=str(version)), path))
     except OSError as error:
         raise MachineError(f"{path}: it cannot be written ({error.strerror or error}).") from error
 
@@ -349,7 +373,12 @@ def campaign(
     from validate.execution.campaign import run_campaign
     from validate.plan.runs import CampaignSettings
 
-    named = tuple(str(name) for name in scenes)
+    _text("out", out)
+    _text("select", select, empty=True)
+    _positive("time_limit", time_limit)
+    if jobs is not None:
+        _positive("jobs", jobs, int)
+    named = tuple(map(str, _listed(scenes)))
     settings = CampaignSettings(out=Path(out), scenes=named, expression=select, quick=quick, jobs=jobs, time_limit=time_limit)
     return run_campaign(settings, narrator())
 

@@ -251,7 +251,7 @@ def _read(pipeline: Pipeline):
 
 
 def _pipeline(name: str, eps: float | None, options: Mapping[str, object]) -> Pipeline:
-    known = {pipeline.name: pipeline for pipeline in PIPELINES}
+    known, name = {pipeline.name: pipeline for pipeline in PIPELINES}, str(name)
     if name in known and eps is None and not options:
         return known[name]
     if name in known and name not in method_names():

@@ -40,6 +40,17 @@ def scene_path(reference: str) -> Path:
     raise UnknownNameError(f"there is no scene {reference!r}; {did_you_mean(reference, scene_names(), what)}")
 
 
+def as_scene(given: Scene | str | Path) -> Scene:
+    """A scene itself, or that of a name or file. Raises UnknownNameError or SceneError, for what is none of them too."""
+    from models.scene import Scene
+
+    if isinstance(given, (str, Path)):
+        return load_scene(str(given))
+    if not isinstance(given, Scene):
+        raise SceneError(f"scene: a {type(given).__name__} is no scene; give the name of one, the path of its file or a Scene.")
+    return given
+
+
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
     from models.loading import Afresh, loading

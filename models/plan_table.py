@@ -10,6 +10,7 @@ import csv
 import math
 import numbers
 import re
+import reprlib
 import sys
 import unicodedata
 from decimal import Decimal
@@ -228,7 +229,7 @@ def _real(what: str, cell: Any) -> float:
         return math.nan
     if isinstance(text, (numbers.Real, np.bool_, Decimal)) or (isinstance(text, str) and _is_number(text)):
         return float(text)
-    raise TrajectoryError(f"plan: {what} must be real numbers, but holds {text!r}.")
+    raise TrajectoryError(f"plan: {what} must be real numbers, but holds {reprlib.repr(text)}.")
 
 
 class ArrayTable:

@@ -146,6 +146,8 @@ class Trajectory:
 
     def check_fits(self, scene: Scene) -> None:
         """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene, or the scene does not have the scheme."""
+        if not hasattr(scene, "task"):
+            raise TrajectoryError(f"scene: a {type(scene).__name__} is no scene; give a Scene, as touchstone.scene(name) does.")
         for field, found, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),

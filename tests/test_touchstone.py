@@ -13,6 +13,8 @@ from wording import unsaid
 import touchstone as ts
 from formulations.method import OptionError
 from models.errors import SceneError, TouchstoneError, UnknownNameError
+from models.plan_table import ArrayTable
+from models.trajectory import Trajectory, trajectory_from
 from validate.tasks import shown
 
 ROOT = Path(__file__).parents[1]
@@ -95,6 +97,30 @@ def test_a_warm_start_and_options_reach_the_method(plan: ts.Solution):
     assert short.cost == pytest.approx(plan.cost, rel=0.05), "one step from the plan it was given"
 
 
+def columns(unit: float = 1.0) -> dict[str, np.ndarray]:
+    """Of a plan of three_cart at rest, its times in this unit [s]."""
+    start, t = ts.scene("three_cart").task.start, np.linspace(0.0, 5.0 / unit, 501)
+    still = dict(zip(("q1", "q2", "q3", "v1", "v2", "v3"), np.tile(start, (501, 1)).T, strict=True))
+    return {"t": t, **still, "u1": np.zeros(501), "u3": np.zeros(501)}
+
+
+def resting() -> Trajectory:
+    scene = ts.scene("three_cart")
+    return trajectory_from(ArrayTable(columns()), scene)
+
+
+@pytest.mark.parametrize("ask", [ts.judge, ts.robustness])
+def test_a_plan_whose_times_are_in_another_unit_is_refused_before_it_is_replayed(ask):
+    with pytest.raises(TouchstoneError) as caught:
+        ask("three_cart", columns(1e-9))
+    assert not unsaid(str(caught.value), "plan", "5e+09 s", "three_cart 5 s", "give its t in s")
+
+
+def test_a_scene_is_itself():
+    scene = ts.scene("three_cart")
+    assert ts.scene(scene) is scene
+
+
 @pytest.mark.parametrize(
     ("call", "kind", "parts"),
     [
@@ -111,6 +137,23 @@ def test_a_warm_start_and_options_reach_the_method(plan: ts.Solution):
         (lambda: ts.check("no_such.fmu"), TouchstoneError, ("no_such.fmu",)),
         (lambda: ts.judge("no_such.fmu", "plan.csv"), TouchstoneError, ("no_such.fmu",)),
         (lambda: ts.campaign("out", scenes=["three_carts"]), TouchstoneError, ("three_carts",)),
+        (lambda: ts.campaign("out", scenes="three_carts"), TouchstoneError, ("'three_carts'",)),
+        (lambda: ts.campaign(""), TouchstoneError, ("out: '' must be a name",)),
+        (lambda: ts.campaign("out", select=3), TouchstoneError, ("select: 3",)),
+        (lambda: ts.campaign("out", jobs=1.5), TouchstoneError, ("jobs: 1.5", "whole number")),
+        (lambda: ts.campaign("out", time_limit=float("nan")), TouchstoneError, ("time_limit: nan", "seconds")),
+        (lambda: ts.solve(3, "mpcc"), SceneError, ("a int is no scene",)),
+        (lambda: ts.solve("three_cart", []), UnknownNameError, ("'[]'", "mpcc")),
+        (lambda: ts.solve("three_cart", "mpcc", time_limit="x"), TouchstoneError, ("time_limit: 'x'", "seconds")),
+        (lambda: ts.read_plan("plan.csv", None), SceneError, ("NoneType is no scene",)),
+        (lambda: ts.robustness([], {}), SceneError, ("list is no scene",)),
+        (lambda: ts.export_fmu(3, "out.fmu"), SceneError, ("a int is no scene",)),
+        (lambda: ts.export_fmu("hopper", None), TouchstoneError, ("path: None",)),
+        (lambda: ts.check(None), TouchstoneError, ("fmu: None",)),
+        (lambda: ts.check("a.fmu", seconds=-1), TouchstoneError, ("seconds: -1", "positive")),
+        (lambda: resting().to_dataframe("three_cart"), TouchstoneError, ("a str is no scene", "touchstone.scene")),
+        (lambda: ts.robustness("three_cart", columns(), hold="q", anyway=True), TouchstoneError, ("hold 'q'", "zero or linear")),
+        (lambda: ts.judge("three_cart", {**columns(), "q1": {0: 1.0}}), TouchstoneError, ("q1",)),
     ],
     ids=lambda value: "",
 )

@@ -18,8 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from models.catalog import load_scene
-from models.errors import SceneError, TrajectoryError
+from models.catalog import as_scene
+from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.plan_table import ArrayTable, PlanTable, Table
 from models.scene import Scene
@@ -33,6 +33,9 @@ from validate.judge.replay.run import Track, replay, replay_foreign
 from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
+
+# A plan so many times as long as the task of its scene has its times in another unit.
+_ANOTHER_UNIT = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,9 +85,7 @@ def judge(
     ------
     SceneError, TrajectoryError, MachineError : in one sentence.
     """
-    subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
-    if not isinstance(subject, Scene):
-        raise SceneError(f"scene: a {type(subject).__name__} is no scene; give the name of one, the path of its file or a Scene.")
+    subject = as_scene(scene)
     trajectory = as_trajectory(plan, subject, hold=hold, scheme=scheme)
     if trajectory is None:
         return Judgement(scene=subject, plan=None, replay=None, score=score(subject, None, None))
@@ -94,10 +95,15 @@ def judge(
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
     """Judge a Trajectory, its times counted from its start, on the scene's FMU.
 
-    feedback: replay with feedback even where the verdict does not need it. Raises TrajectoryError if the plan does not fit the scene, MachineError.
+    feedback: replay with feedback even where the verdict does not need it. Raises TrajectoryError if the plan does not fit the scene or lasts a hundred
+    times as long, MachineError.
     """
     plan = plan.from_zero()
     plan.check_fits(scene)
+    if plan.duration > _ANOTHER_UNIT * scene.task.horizon:
+        raise TrajectoryError(
+            f"plan: it takes {plan.duration:.4g} s, the task of {scene.name} {scene.task.horizon:.4g} s: it is no plan of that task; give its t in s."
+        )
 
     scored: list[tuple[Replay, Score]] = []  # what is not followed up is what comes back, and need not be scored twice
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from models.catalog import load_scene
+from models.catalog import as_scene
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -212,13 +212,14 @@ def robustness(
     seed: int = 0,
     kinds: Sequence[PerturbationKind | str] = tuple(PerturbationKind),
     anyway: bool = False,
+    hold: str | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """Measure how much a plan can take.
 
     Parameters
     ----------
-    scene, plan : as `judge` takes them; or somebody's FMU, which has its plan
+    scene, plan, hold : as `judge` takes them; or somebody's FMU, which has its plan
     samples : worlds, from 10 to 10^6
     seed : of the worlds; the same seed gives the same worlds and the same numbers, to the bit
     kinds : what is perturbed: parameters, start, gain, noise, delay, or single ones by their names
@@ -242,8 +243,8 @@ def robustness(
         causes, judgement = perturbations(scene.foreign.model, scene.plan, kinds), scene.judge()
         arena_of = partial(FmuArena.of, scene)
     else:
-        subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
-        trajectory = as_trajectory(plan, subject)
+        subject = as_scene(scene)
+        trajectory = as_trajectory(plan, subject, hold=hold)
         if trajectory is None:
             raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
         trajectory = trajectory.from_zero()
