@@ -86,7 +86,7 @@ def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: f
         deadline = began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
         rest = _Path(task, loaded, folder, profile, deadline).go()
     stages = _stages_in(folder, task, legs.legs_in(folder, task.legs), len(plan))
-    stages += [unfinished_stage(scene.name, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    stages += [unfinished_stage(task.published, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
     if task.robust:
         stages = [_surveyed(stage, scene, task, folder, len(plan)) for stage in stages]
         profile.lap("survey")
@@ -117,7 +117,9 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     wall = max(child.wall, known)  # the clock of the parent, and that of the child
     if in_certificate:
         profile["certificate"] = profile.get("certificate", 0.0) + wall - known
-    stages += [unfinished_stage(scene.name, task.pipeline.name, planned, Outcome[child.outcome.upper()], child.message) for planned in rest]
+    stages += [
+        unfinished_stage(task.published, task.pipeline.name, planned, Outcome[child.outcome.upper()], child.message) for planned in rest
+    ]
     return run_record(
         task,
         scene_record(scene),
@@ -146,7 +148,7 @@ def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: 
                 if (source := legs.place(folder, place) / name).exists():
                     legs.link_file(source, folder / names[what])
             number += 1
-    return stages_of(found, task.scene_name, task.pipeline.name)
+    return stages_of(found, task.published, task.pipeline.name)
 
 
 def _surveyed(stage: StageRecord, scene: Scene, task: RunTask, folder: Path, stages: int) -> StageRecord:

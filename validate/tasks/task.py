@@ -132,6 +132,11 @@ class RunTask:
         part = self.pipeline.part
         return f"{self.scene_name} x {self.pipeline.name}" + (f" ({part[0]} of {part[1]})" if part else "")
 
+    @property
+    def published(self) -> str:
+        """Its scene, where that is one of the catalog as it stands there; empty for a file of the user's, whatever it calls itself."""
+        return self.scene_name if self.scene == self.scene_name else ""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CheckTask:

@@ -43,6 +43,7 @@ from validate.judge.score import Question, Score, Verdict
 from validate.judge.score.verdict import Metric
 from validate.tasks import scene_record as module
 from validate.tasks.leg import Planned
+from validate.tasks.paper import paper_row
 from validate.tasks.records import LOG_LINES, Judged, run_record, stage_record, stages_of, unfinished_stage, with_certificate
 from validate.tasks.scene_record import equations, presentation, scene_record
 from validate.tasks.task import RunTask
@@ -478,3 +479,14 @@ def test_a_body_whose_place_the_goal_leaves_open_or_that_never_moves_has_no_goal
     goals = {shape.name: shape.goal for shape in scene_record(load_scene("hopper_planar")).shapes}
     assert goals == {"body": (2.0, 1.0, 0.0), "leg": None, "foot": None, "floor": None}
     assert [shape.goal for shape in scene_record(load_scene("three_cart")).shapes] == [(x, 0.25, 0.0) for x in (2.5, 3.5, 4.5)]
+
+
+@pytest.mark.parametrize(
+    ("scene", "name", "published"),
+    [("three_cart", "three_cart", "three_cart"), ("/own/three_cart.py", "three_cart", ""), ("three_cart", "slow_cart", "")],
+)
+def test_the_papers_numbers_stand_beside_the_scene_of_the_catalog_and_no_file_of_that_name(scene: str, name: str, published: str):
+    pipeline = Pipeline(name="softplus_dc+strict", title="", legs=())
+    task = RunTask(key="key", scene=scene, scene_name=name, pipeline=pipeline, plugin="", time_limit=60.0)
+    assert task.published == published
+    assert bool(paper_row(task.published, pipeline.name, 3)) == bool(published)
