@@ -149,8 +149,13 @@ def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:
     return sp.Eq(left, right, evaluate=False)
 
 
+def _with_minus_inside(expression: sp.Basic) -> sp.Basic:
+    """The same with the sign of a sum that is subtracted in each of its terms: SymPy's printer writes a - (b + c) without its parentheses."""
+    return expression.replace(lambda part: part.is_Mul and (-part).is_Add, lambda part: sp.Add(*(-term for term in (-part).args)))
+
+
 def presentation(expression: sp.Basic) -> str:
     """Presentation MathML that any XML parser reads: a `math` element, entities as characters."""
-    inside = mathml(expression, printer="presentation").replace("<mo><</mo>", "<mo>&lt;</mo>")  # SymPy leaves it unescaped
+    inside = mathml(_with_minus_inside(expression), printer="presentation").replace("<mo><</mo>", "<mo>&lt;</mo>")  # SymPy leaves it unescaped
     plain = _ENTITY.sub(lambda match: match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0)), inside)
     return f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{plain}</math>'
