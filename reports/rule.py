@@ -36,11 +36,11 @@ RESULTS = (
 _SHRINKS = 0.5
 
 
-def failures(runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = ()) -> tuple[str, ...]:
-    """Why the campaign of these records fails, by its rule; a sentence for each run or scene."""
+def failures(runs: Sequence[RunRecord], checks: Sequence[CheckRecord] = (), among: Sequence[RunRecord] = ()) -> tuple[str, ...]:
+    """Why the campaign of these records fails, by its rule; a sentence for each run or scene. among: all runs of their folder, any of which solves a scene."""
     found = [sentence for run in runs if (sentence := _run_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
-        found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
+        found += _scene_failure(scene, [run for run in (among or runs) if run.scene.name == scene])
     found += [_checked(record) for record in checks if not record.passed]
     return tuple(found)
 

@@ -37,6 +37,7 @@ def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):
     assert failures([ended(factory, "refused", "not applicable"), relaxed]) == (), "nothing direct ran"
     assert failures([stuck, ended(factory, "solved", "holds", direct=False)]) == ()
     elsewhere = ended(factory, "solved", "holds", scene="other")
+    assert failures([stuck], among=[stuck, ended(factory, "solved", "holds", pipeline="mpcc")]) == (), "an earlier run of the folder holds"
     assert failures([stuck, elsewhere]) == ("bank: no run holds (strict iteration limit, violates)",), "another scene does not help"
 
 

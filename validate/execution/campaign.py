@@ -181,7 +181,7 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     return CampaignResult(
         records=merged,
         checks=checks,
-        failures=failures(merged, checks),
+        failures=failures(merged, checks, told),
         findings=findings(merged),
         conclusions=three_findings(told),
         left_out=left_out,

@@ -156,6 +156,8 @@ def _with_minus_inside(expression: sp.Basic) -> sp.Basic:
 
 def presentation(expression: sp.Basic) -> str:
     """Presentation MathML that any XML parser reads: a `math` element, entities as characters."""
-    inside = mathml(_with_minus_inside(expression), printer="presentation").replace("<mo><</mo>", "<mo>&lt;</mo>")  # SymPy leaves it unescaped
+    inside = mathml(_with_minus_inside(expression), printer="presentation").replace(
+        "<mo><</mo>", "<mo>&lt;</mo>"
+    )  # SymPy leaves it unescaped
     plain = _ENTITY.sub(lambda match: match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0)), inside)
     return f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{plain}</math>'
