@@ -316,7 +316,7 @@ def test_what_a_certificate_concludes_at_each_limit(changes, feasible, lives, st
 
 @pytest.mark.parametrize(("changes", "parts", "missing"), [
     ({}, ["primal 1.0e-07", "complementarity 1.0e-06", "dual 2.0e-07", "class M", "B-stationary", "3 of 9 pairs"], ["not", "multipliers", "most in"]),
-    ({"descent": -0.25}, ["not B-stationary (slope -2.5e-01)"], []), ({"descent": math.nan}, ["B-stationarity unknown"], []),
+    ({"descent": -0.25}, ["not B-stationary (slope -2.5e-01 of the gradient)"], []), ({"descent": math.nan}, ["B-stationarity unknown"], []),
     ({"primal_relative": 1.0}, ["not feasible, most in least", "in no class"], ["class M"]), ({"complementarity": 1.0}, ["not feasible, so"], ["most in"]),
     ({"primal_relative": 1.0, "worst": ""}, ["not feasible, so"], ["most in"]), ({"least": 0.125}, ["with multipliers of at least 0.125"], ["unique"]),
     ({"least": 0.125, "unique": True}, ["with unique multipliers of at least 0.125"], []),
