@@ -105,13 +105,24 @@ def understood(path: Path) -> Any:
 
 
 def unfit(description: Any) -> list[str]:
-    """Why no path may be made of what a description says, clauses without full stop; of two elements of one interface FMPy takes the last, the archive the first."""
+    """Why an FMU may not be run as it is described, clauses without full stop.
+
+    Of two elements of one interface FMPy takes the last, the archive the first; of a value reference C takes the last 32 bits, another variable's.
+    """
     offered = (interface_of(description, kind) for kind in ("ME", "CS", "SE"))
-    return wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None)
+    wide = next((item for item in description.modelVariables if not 0 <= item.valueReference < 2**32), None)
+    return [
+        *wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None),
+        *(
+            [f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}"]
+            if wide
+            else []
+        ),
+    ]
 
 
 def read_description(path: Path) -> Any:
-    """The same of an FMU that is to be run. Raises FmuError, a clause without full stop, where no path may be made of what it says; as `understood`."""
+    """The same of an FMU that is to be run. Raises FmuError, a clause without full stop, for what is `unfit`; as `understood`."""
     description = understood(path)
     for wrong in unfit(description):
         raise FmuError(wrong)
