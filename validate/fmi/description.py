@@ -110,15 +110,11 @@ def unfit(description: Any) -> list[str]:
     Of two elements of one interface FMPy takes the last, the archive the first; of a value reference C takes the last 32 bits, another variable's.
     """
     offered = (interface_of(description, kind) for kind in ("ME", "CS", "SE"))
+    wrong = wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None)
     wide = next((item for item in description.modelVariables if not 0 <= item.valueReference < 2**32), None)
-    return [
-        *wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None),
-        *(
-            [f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}"]
-            if wide
-            else []
-        ),
-    ]
+    if wide is not None:
+        wrong.append(f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}")
+    return wrong
 
 
 def read_description(path: Path) -> Any:
