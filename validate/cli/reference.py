@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
@@ -49,7 +51,7 @@ _TYPES = {"ME": "ModelExchange", "CS": "CoSimulation"}
     is_flag=True,
     help="Write FILE_cc.csv: what touchstone gives for somebody's FILE_ref.opt and FILE_in.csv, which lie beside the FMU.",
 )
-@click.option("--overwrite", is_flag=True, help="Also where a result is there already.")
+@click.option("--overwrite", is_flag=True, help="Also where a file or a result is there already.")
 @click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, metavar="SECONDS", help="For all runs together.")
 def command(
     file: Path,
@@ -80,10 +82,10 @@ def command(
     input_file = input_file or there.inputs
     inputs = files.read_table(str(input_file), files.read_text(input_file)) if input_file else None
     endings = (files.CHECKED,) if cross_check else (files.RESULT, files.ERROR, files.SETTINGS)
-    targets = {ending: file.with_name(file.stem + ending) for ending in (*endings, files.INPUT)}  # beside the FMU
-    taken = [path for path in targets.values() if path.exists()] if output is None else []
-    if taken and not overwrite:
-        raise TouchstoneError(f"{taken[0]} is there already; move it, or give --overwrite.")
+    endings += (files.INPUT,) if inputs is not None and not cross_check and input_file != there.inputs else ()
+    targets = {ending: file.with_name(file.stem + ending) for ending in endings}  # beside the FMU
+    if not overwrite and (taken := _taken(file, output, targets.values())):
+        raise TouchstoneError(f"{taken[0]} is there already; give --overwrite to replace it.")
     count = max(1, round((settings["StopTime"] - settings["StartTime"]) / settings["StepSize"]))
     times = settings["StartTime"] + settings["StepSize"] * np.arange(count + 1)
     arrays, names = {"times": times}, list(inputs.columns) if inputs else []
@@ -99,9 +101,8 @@ def command(
         if inputs is not None:
             texts[files.INPUT] = files.table_text(inputs)
     if output is None:
-        for ending, text in texts.items():
-            if ending != files.INPUT or not (there.inputs and input_file == there.inputs):
-                write_durably(targets[ending], text)
+        for ending, target in targets.items():
+            write_durably(target, texts[ending])
     else:
         texts[files.EXPERIMENT] = files.experiment_text(file.stem, settings, inputs is not None)
         make_folder(output.parent)
@@ -113,6 +114,13 @@ def command(
     return 0
 
 
+def _taken(file: Path, output: Path | None, targets: Iterable[Path]) -> list[str]:
+    """What would be replaced: files, or results that the FMU itself holds."""
+    if output is not None and output.exists() and output.samefile(file):
+        return [f"{file}: {name}" for name in files.held(file, file.stem)]
+    return [str(path) for path in (targets if output is None else (output,)) if path.exists()]
+
+
 def _settings(package: Package, there: files.StoredResult | None, stop: float | None, step: float | None, points: int) -> dict[str, float]:
     """The experiment, as the .opt file holds it. Raises FmuError, TouchstoneError where it is not known."""
     if there is not None and there.settings is not None:
@@ -122,16 +130,23 @@ def _settings(package: Package, there: files.StoredResult | None, stop: float | 
 
         def number(name: str, fallback: float) -> float:
             text = getattr(default, name, None)
-            return fallback if text is None else float(text)
+            with contextlib.suppress(ValueError):
+                return fallback if text is None else float(text)
+            raise TouchstoneError(f"FMU {package.path}: its DefaultExperiment has {name}={text!r}, which is no number; correct it.")
 
         begin = number("startTime", 0.0)
         end = number("stopTime", np.nan) if stop is None else stop
-        if not end > begin:
-            why = f"it does not say when its experiment ends, or before it begins at {begin:g} s; give --stop-time."
+        if np.isnan(end):
+            raise TouchstoneError(f"FMU {package.path}: it does not say when its experiment ends; give --stop-time.")
+        if not (end > begin and np.isfinite(end - begin)):
+            why = f"the experiment begins at {begin:g} s, and cannot end at {end:g} s; give a --stop-time after its beginning."
             raise TouchstoneError(f"FMU {package.path}: {why}")
         found = {"StartTime": begin, "StopTime": end, "StepSize": 0.0, "RelTol": number("tolerance", 1e-4)}
     length = found["StopTime"] - found["StartTime"]
     found["StepSize"] = step or found["StepSize"] or length / points
+    if not length / found["StepSize"] <= files.MOST_ROWS:
+        lines = f"a line every {found['StepSize']:g} s makes {length / found['StepSize']:.3g} lines of {length:g} s"
+        raise TouchstoneError(f"FMU {package.path}: {lines}; a result has {files.MOST_ROWS} at most: give a longer --step.")
     count = max(1, round(length / found["StepSize"]))
     if abs(count * found["StepSize"] - length) > 1e-6 * length:
         found["StepSize"] = length / count

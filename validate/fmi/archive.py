@@ -17,7 +17,7 @@ import sys
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from lzma import LZMAError
 from pathlib import Path, PurePosixPath
@@ -98,7 +98,7 @@ class Problem:
 
 # Those that are not about what is inside; then all.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
-CHECKS = ("zip", *ARCHIVE_CHECKS, "description", "version", "kind", "scheduled", "binary")
+CHECKS = ("zip", *ARCHIVE_CHECKS, "description", "version", "kind", "scheduled", "identifier", "binary")
 
 
 class FmuError(TouchstoneError):
@@ -295,6 +295,8 @@ class _ArchiveCheck:
             also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
             yield self._problem("scheduled" if only_scheduled else "kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
             return
+        for wrong in wrong_identifiers(interface.get("modelIdentifier") for interface in self._kinds.values()):
+            yield self._problem("identifier", f"{wrong}.")
         if not any(self._library(interface) in self._names for interface in self._kinds.values()):
             interface = next(iter(self._kinds.values()))
             has = f"it has {', '.join(self._platforms())}" if self._platforms() else "it has none at all"
@@ -305,6 +307,21 @@ class _ArchiveCheck:
 
     def _platforms(self) -> tuple[str, ...]:
         return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
+
+
+# The name of a file has 255 bytes at most (NAME_MAX of Linux, NTFS and APFS); the longest ending is .dylib.
+_LONGEST_IDENTIFIER = 249
+
+
+def wrong_identifiers(identifiers: Iterable[str | None]) -> list[str]:
+    """What is wrong with the modelIdentifiers of interfaces, clauses without full stop; of one with which nothing is wrong alone a path may be made."""
+    wrong = []
+    for text in dict.fromkeys(identifiers):
+        if not re.fullmatch(rf"[A-Za-z_]\w{{,{_LONGEST_IDENTIFIER - 1}}}", text or "", re.ASCII):
+            shown = "missing" if text is None else ascii(text) if len(text) < 100 else f"{text[:40]!a}.., {len(text)} letters"
+            wanted = f"a C identifier of at most {_LONGEST_IDENTIFIER} letters, as the binary is called by it"
+            wrong.append(f"{DESCRIPTION}: modelIdentifier is {shown}; expected {wanted} (FMI 2.0.4, 2.3; 3.0.2, 2.5.1); export it anew")
+    return wrong
 
 
 def binary_name(version: str, identifier: str) -> str:

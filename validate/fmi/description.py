@@ -8,13 +8,14 @@ with unpacked(package) as package: ...
 from __future__ import annotations
 
 import gc
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from validate.fmi.archive import FmuArchive, FmuError, check_archive, unpack
+from validate.fmi.archive import DESCRIPTION, FmuArchive, FmuError, check_archive, unpack, wrong_identifiers
 from validate.store.disk import temporary_folder
 
 # The types of a number in FMI 2.0 and 3.0.
@@ -74,12 +75,54 @@ def without_garbage() -> Iterator[None]:
             gc.enable()
 
 
-def read_description(path: Path) -> Any:
-    """FMPy's description of an FMU, or of the folder where one lies unpacked, not validated. Raises what FMPy raises."""
+def in_words(error: Exception) -> str:
+    """What FMPy found wrong with a description, a clause without full stop: Python's own exceptions are what it stumbles over."""
+    text = " ".join(str(error).split()).rstrip(".")
+    match error:
+        case KeyError(args=[int(reference)]):
+            return f"{DESCRIPTION} names the value reference {reference}, which no variable has"
+        case IndexError():
+            return f"{DESCRIPTION} names a variable by an index that is none: its ModelStructure counts more variables than there are"
+        case ValueError() if quoted := re.search(r": ('.*')$", text):
+            return f"{DESCRIPTION} has {quoted[1]} where a number must be"
+        case TypeError() | AttributeError() | UnboundLocalError():
+            return f"{DESCRIPTION} lacks an element or attribute that must be there"
+        case KeyError():
+            return f"{DESCRIPTION} has {text}, which FMI does not know"
+        case _:
+            return f"{DESCRIPTION} cannot be understood: {text}"
+
+
+def understood(path: Path) -> Any:
+    """FMPy's description of an FMU, or of the folder where one lies unpacked, not validated, and not fit to be run. Raises FmuError, a clause without full stop."""
     import fmpy  # 0.04 s to import, and what names a Package need not
 
-    with without_garbage():
-        return fmpy.read_model_description(str(path), validate=False)
+    try:
+        with without_garbage():
+            return fmpy.read_model_description(str(path), validate=False)
+    except Exception as error:  # noqa: BLE001 - FMPy raises anything for what it does not understand
+        raise FmuError(in_words(error)) from error.with_traceback(None)  # FMPy's frames would hold the file open
+
+
+def unfit(description: Any) -> list[str]:
+    """Why an FMU may not be run as it is described, clauses without full stop.
+
+    Of two elements of one interface FMPy takes the last, the archive the first; of a value reference C takes the last 32 bits, another variable's.
+    """
+    offered = (interface_of(description, kind) for kind in ("ME", "CS", "SE"))
+    wrong = wrong_identifiers(interface.modelIdentifier for interface in offered if interface is not None)
+    wide = next((item for item in description.modelVariables if not 0 <= item.valueReference < 2**32), None)
+    if wide is not None:
+        wrong.append(f"{DESCRIPTION}: {wide.name!r} has the value reference {wide.valueReference}; expected a number from 0 to {2**32 - 1}")
+    return wrong
+
+
+def read_description(path: Path) -> Any:
+    """The same of an FMU that is to be run. Raises FmuError, a clause without full stop, for what is `unfit`; as `understood`."""
+    description = understood(path)
+    for wrong in unfit(description):
+        raise FmuError(wrong)
+    return description
 
 
 def read_package(path: Path) -> Package:
@@ -87,8 +130,8 @@ def read_package(path: Path) -> Package:
     archive = check_archive(path)
     try:
         description = read_description(path)
-    except Exception as error:  # FMPy raises anything for a description it does not understand; it is reported
-        raise FmuError(f"FMU {path}: its modelDescription.xml cannot be understood ({type(error).__name__}: {error}).") from error
+    except FmuError as error:
+        raise FmuError(f"FMU {path}: {error}.") from error
     package = Package(path=path, description=description, archive=archive)
     if package.exchange is None and package.cosimulation is None:
         raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")

@@ -269,12 +269,12 @@ class Instance:
                     guid=description.guid, modelIdentifier=interface.modelIdentifier, unzipDirectory=str(folder), instanceName=name
                 )
         except AttributeError as error:
-            raise Misbehaviour(f"a function of FMI is missing in the binary ({error})") from error
+            raise Misbehaviour(f"a function of FMI is missing in the binary ({_inside(folder, error)})") from error
         except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load
             absent = re.search(r"(\S+): cannot open shared object file", str(error))
             if absent and not list(folder.rglob(absent[1])):
                 raise Lacking(f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it") from error
-            raise Misbehaviour(f"the binary cannot be loaded ({error})") from error
+            raise Misbehaviour(f"the binary cannot be loaded ({_inside(folder, error)})") from error
         self.instantiate()
 
     @property
@@ -499,6 +499,11 @@ class Instance:
         if answer.ends:
             raise TerminationRequested(time + step)
         return answer
+
+
+def _inside(folder: Path, error: Exception) -> str:
+    """What an error says, with files of an unpacked FMU as they are called in its archive: the folder is gone when it is read."""
+    return str(error).replace(f"{folder}{os.sep}", "")
 
 
 def endless() -> Misbehaviour:

@@ -43,6 +43,8 @@ _FILES = {
 _SETTINGS = ("StartTime", "StopTime", "StepSize", "RelTol")
 # Bytes of a file of these that is read.
 _MOST_BYTES = 256 * 1024**2
+# Lines of a result that is written: each has a time and a value at least, of up to 25 bytes with what parts them.
+MOST_ROWS = _MOST_BYTES // 50
 
 
 class Table(NamedTuple):
@@ -236,6 +238,13 @@ def missing_attributes(folder: Path) -> list[str]:
         return []
     root = _parsed(manifest)
     return [name for name in _ATTRIBUTES if not root.get(f"{{{_NAMESPACE}}}{name}")]
+
+
+def held(fmu: Path, stem: str) -> list[str]:
+    """Files that `with_references` would replace, by their names in the FMU."""
+    with zipfile.ZipFile(fmu) as packed:
+        names = set(packed.namelist())
+    return [name for name in (f"{FOLDER}/{stem}{ending}" for ending in _FILES) if name in names]
 
 
 def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:

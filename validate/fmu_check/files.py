@@ -28,7 +28,7 @@ from fmpy.validation import validate_model_description
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from validate.fmi.archive import ARCHIVE_CHECKS, FmuError, binary_name, problems
-from validate.fmi.description import read_description, without_garbage
+from validate.fmi.description import in_words, understood, unfit, without_garbage
 from validate.fmi.instance import CLASSES
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
 from validate.fmu_check.subject import FmuVariable, Subject
@@ -245,7 +245,7 @@ def exports(subject: Subject, kind: str) -> Finding:
 
 @check("description is valid", Scope.FILE, clauses=("2.2", "2.4"))
 def valid(path: Path) -> Finding:
-    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation); terminals name variables that there are."""
+    """modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation); the binary is called by a C identifier; terminals name variables that there are."""
     # Looks at the unpacked folder; comes before the description is read without validation.
     with without_garbage():
         problems = [" ".join(str(problem).split()).rstrip(".") for problem in _by_fmpy(path)] + _of_terminals(path)
@@ -259,15 +259,15 @@ def _by_fmpy(path: Path) -> list[str]:
         description = read_model_description(str(path), validate=True, validate_model_structure=True)
     except ValidationError as error:
         problems = list(error.problems)
-        with contextlib.suppress(Exception):  # it has said why
-            description = read_description(path)
+        with contextlib.suppress(FmuError):  # it has said why
+            description = understood(path)
     except Exception as error:  # noqa: BLE001 - FMPy raises anything
-        return [str(error)]
+        return [in_words(error)]
     if description is not None:
         names = copy.copy(description)
         names.modelVariables = [item for item in description.modelVariables if not _PLAIN.fullmatch(item.name)]
         found = validate_model_description(names, validate_variable_names=True) if names.modelVariables else []
-        problems += [problem for problem in found if problem not in problems]
+        problems += [problem for problem in found if problem not in problems] + unfit(description)
     return problems
 
 

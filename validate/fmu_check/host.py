@@ -21,7 +21,7 @@ from typing import Any
 from models.errors import MachineError, UnknownNameError, did_you_mean
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi import cvode
-from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, check_archive, unpack
+from validate.fmi.archive import ARCHIVE_CHECKS, ArchiveError, FmuError, check_archive, unpack
 from validate.fmi.description import read_description
 from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import clocks, communication, derivatives, exchange, files, importers, reference, states, values
@@ -57,8 +57,8 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         table.add(item, "", (place,))
     try:
         description = read_description(folder)
-    except Exception as error:  # noqa: BLE001 - FMPy raises anything; the check above has said why
-        reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
+    except FmuError as error:
+        reason = f"{error}."
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
         return {"version": "", "types": [], "lacking": not request["runnable"]}
@@ -193,7 +193,7 @@ def check_fmu(
             told(row)
 
     try:
-        archive = check_archive(path, but_for=("binary", "duplicates", "scheduled"))
+        archive = check_archive(path, but_for=("binary", "duplicates", "scheduled", "identifier"))
     except ArchiveError as error:
         if error.check not in ARCHIVE_CHECKS:
             raise

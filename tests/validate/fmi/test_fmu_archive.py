@@ -20,12 +20,14 @@ from validate.fmi.archive import (
     ArchiveError,
     ArchiveLimits,
     FmuArchive,
+    FmuError,
     binary_name,
     check_archive,
     interfaces,
     problems,
     unpack,
 )
+from validate.fmi.description import read_package, unpacked
 
 GOOD = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
 LIBRARY = "binaries/linux64/m.so"
@@ -117,6 +119,53 @@ def test_what_is_no_fmu_for_this_machine_is_refused(tmp_path: Path, entries, che
     with pytest.raises(ArchiveError, match=words) as caught:
         check_archive(write(tmp_path / "m.fmu", entries))
     assert caught.value.check == check
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("identifier", ["", "x.y", "a b;touch X", "../../../x", "1st", "m\u00fc", "m" * 250, "m/m", None])
+def test_an_identifier_that_is_none_of_c_is_refused_before_a_path_is_made_of_it(tmp_path: Path, version: str, identifier: str | None):
+    good = GOOD.replace('"2.0"', f'"{version}"').replace("</fmi", "<ModelVariables/></fmi")
+    other = "" if identifier is None else f' modelIdentifier="{identifier}"'
+    alone = good.replace(' modelIdentifier="m"', other)
+    library = {binary_name(version, "m"): b"x"}
+    with pytest.raises(ArchiveError, match=r"modelIdentifier is .*; expected a C identifier .*\(FMI 2.0.4, 2.3; 3.0.2, 2.5.1\)") as caught:
+        read_package(write(tmp_path / "alone.fmu", {DESCRIPTION: alone, **library}))
+    assert caught.value.check == "identifier"
+    assert len(str(caught.value)) < 400
+    for hidden in (good.replace("<Model", f"<CoSimulation{other}/><Model"), good.replace("</fmi", f"<CoSimulation{other}/></fmi")):
+        with pytest.raises(FmuError, match="modelIdentifier is "):
+            read_package(write(tmp_path / "hidden.fmu", {DESCRIPTION: hidden, **library}))
+
+
+def test_the_longest_identifier_is_that_of_the_longest_name_of_a_file(tmp_path: Path):
+    name = "_" + "m1" * 124
+    text = GOOD.replace('"m"', f'"{name}"').replace("</fmi", "<ModelVariables/></fmi")
+    package = read_package(write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name("2.0", name): b"x"}))
+    with unpacked(package) as ready:
+        assert ready.folder is not None
+        assert (ready.folder / binary_name("2.0", name)).is_file()
+
+
+@pytest.mark.parametrize(
+    ("version", "inside", "words"),
+    [
+        ("3.0", '<ModelVariables/><ModelStructure><Output valueReference="7"/></ModelStructure>', "names the value reference 7, which no variable has"),
+        ("2.0", '<ModelVariables/><ModelStructure><Outputs><Unknown index="1"/></Outputs></ModelStructure>', "names a variable by an index that is none"),
+        ("3.0", '<ModelVariables><Float64 name="x" valueReference="abc"/></ModelVariables>', "has 'abc' where a number must be"),
+        ("3.0", '<ModelVariables><Float64 name="x" valueReference="4294967296"/></ModelVariables>', "'x' has the value reference 4294967296; expected"),
+        ("3.0", '<ModelVariables><Float64 name="x" valueReference="-1"/></ModelVariables>', "'x' has the value reference -1; expected"),
+        ("3.0", '<ModelVariables><Float64 name="x"/></ModelVariables>', "lacks an element or attribute that must be there"),
+        ("2.0", '<ModelVariables><ScalarVariable name="x" valueReference="0"/></ModelVariables>', "lacks an element or attribute"),
+        ("3.0", "", "lacks an element or attribute"),
+        ("3.0", '<ModelVariables><Odd name="x" valueReference="0"/></ModelVariables>', "has 'Odd', which FMI does not know"),
+        ("3.0", '<ModelVariables><Float64 name="x" valueReference="0" declaredType="no"/></ModelVariables>', "cannot be understood: Variable \"x\""),
+    ],
+)  # fmt: skip
+def test_a_description_that_is_not_understood_is_told_without_the_words_of_python(tmp_path: Path, version: str, inside: str, words: str):
+    text = GOOD.replace('"2.0"', f'"{version}"').replace("</fmi", f"{inside}</fmi")
+    with pytest.raises(FmuError, match=f"modelDescription.xml:? {words}") as caught:
+        read_package(write(tmp_path / "m.fmu", {DESCRIPTION: text, binary_name(version, "m"): b"x"}))
+    assert "Error" not in str(caught.value)
 
 
 def test_files_that_are_no_zip(tmp_path: Path):

@@ -13,7 +13,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2Discard, fmi2Error, fmi2LastSuccessfulTime, fmi2Terminated
 
-from validate.fmi.archive import FmuError
+from validate.fmi.archive import FmuError, binary_name
 from validate.fmi.description import Package
 from validate.fmi.instance import (
     CLASSES,
@@ -415,6 +415,17 @@ def test_a_binary_that_does_not_load_says_why(error, there, kind, words, tmp_pat
     package: Any = SimpleNamespace(description=description, folder=tmp_path, path="x.fmu")
     with pytest.raises(FmuError, match=rf"FMU x\.fmu: .*on this machine.*{words}"):
         load_instance(package, "ME")
+
+
+def test_a_binary_that_does_not_load_is_called_as_in_its_archive(tmp_path: Path):
+    name = binary_name("2.0", "m")
+    (tmp_path / name).parent.mkdir(parents=True)
+    (tmp_path / name).write_bytes(b"hello")
+    interface = SimpleNamespace(modelIdentifier="m", needsExecutionTool=False)
+    description = SimpleNamespace(fmiVersion="2.0", guid="g", modelExchange=interface, coSimulation=None)
+    with pytest.raises(Misbehaviour, match=rf"the binary cannot be loaded \(.* {name}: ") as caught:
+        Instance(description, tmp_path, "ME", "replay")
+    assert str(tmp_path) not in str(caught.value)
 
 
 def test_a_fault_becomes_a_sentence_about_its_file():

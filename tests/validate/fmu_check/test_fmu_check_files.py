@@ -231,3 +231,23 @@ def test_a_structured_name_is_legal_or_told_however_it_is_found_out(name: str, l
     path = defective([("modelDescription.xml", 'name="kinetic_energy"', f'name="{name}"')], "3.0")
     (row,) = [row for row in check_fmu(path, names=["description is valid"]).rows if row.name == "description is valid"]
     assert ("is not a legal variable name" in row.sentence) is not legal, row.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_nothing_is_compiled_or_loaded_outside_the_folder(version: str, sound_content: Callable[[str], dict[str, bytes]], tmp_path: Path):
+    outside = f"../../../../../../../..{tmp_path}/escaped"
+    content = {name: data for name, data in sound_content(version).items() if not name.startswith("binaries/")}
+    for name in ("modelDescription.xml", "sources/buildDescription.xml"):
+        content |= (
+            {name: content[name].replace(b'modelIdentifier="three_cart"', f'modelIdentifier="{outside}"'.encode())}
+            if name in content
+            else {}
+        )
+    path = _pack(tmp_path / "sources.fmu", content)
+    report = check_fmu(path)
+    found = {row.name: row for row in report.rows}
+    assert found["description is valid"].status is Status.FAILED
+    assert f"modelIdentifier is '{outside}'; expected a C identifier" in found["description is valid"].sentence
+    assert {row.status for row in report.rows if row.name not in ("archive", "description is valid")} == {Status.NOT_OFFERED}
+    assert [item.name for item in tmp_path.iterdir()] == ["sources.fmu"]

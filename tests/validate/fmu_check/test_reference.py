@@ -17,6 +17,7 @@ from shell_fmu import FOREIGN, NO_EVENTS, RATE, SKIP_SLOPE, STATE, Foreign, buil
 from wording import unsaid
 
 from models.catalog import load_scene
+from models.errors import TouchstoneError
 from models.fmu import build_fmu
 from validate.cli.reference import command
 from validate.fmi.archive import FmuError
@@ -198,6 +199,44 @@ def test_a_result_that_somebody_stored(tmp_path: Path, text: str | None, status:
 
 
 @pytest.mark.slow
+def test_a_file_that_is_there_is_kept_unless_it_is_to_be_replaced(tmp_path: Path):
+    fmu, precious = build_shell(_INTEGRATOR, tmp_path), tmp_path / "prec.csv"
+    precious.write_text("precious\n")
+    assert f"{precious} is there already; give --overwrite" in str(_run(fmu, "-o", precious).exception)
+    assert precious.read_text() == "precious\n"
+    drive = tmp_path / "integrator_in.csv"
+    drive.write_text("time,u\n0,1\n2,1\n")
+    assert _run(fmu).exception is None, "inputs beside the FMU are read, and not written"
+    assert drive.read_text() == "time,u\n0,1\n2,1\n"
+    for ending in ("_ref.csv", "_ref_error.csv", "_ref.opt"):
+        (tmp_path / f"integrator{ending}").unlink()
+    (other := tmp_path / "other.csv").write_text("time,u\n0,2\n2,2\n")
+    assert f"{drive} is there already" in str(_run(fmu, "--input", other).exception)
+    assert _run(fmu, "-o", precious, "--overwrite").exception is None
+    assert zipfile.is_zipfile(precious)
+
+
+@pytest.mark.parametrize(
+    ("experiment", "options", "words"),
+    [
+        ('startTime="0" stopTime="2"', ("--step", "1e-12"), "a line every 1e-12 s makes 2e+12 lines of 2 s; a result has 5368709 at most: give a longer --step."),
+        ('startTime="0" stopTime="2"', ("--step", "1e-320"), "makes inf lines"),
+        ('startTime="0"', (), "it does not say when its experiment ends; give --stop-time."),
+        ('startTime="1" stopTime="0"', (), "the experiment begins at 1 s, and cannot end at 0 s; give a --stop-time after"),
+        ('startTime="0" stopTime="INF"', (), "cannot end at inf s"),
+        ('stopTime="2"', ("--stop-time", "0"), "begins at 0 s, and cannot end at 0 s"),
+        ('stopTime="abc"', (), "DefaultExperiment has stopTime='abc', which is no number"),
+        ('stopTime="2" tolerance="fine"', (), "tolerance='fine', which is no number"),
+    ],
+)  # fmt: skip
+def test_an_experiment_that_is_none_is_refused_in_a_sentence(tmp_path: Path, experiment: str, options: tuple[str, ...], words: str):
+    fmu = build_shell(replace(_INTEGRATOR, experiment=experiment), tmp_path)
+    error = _run(fmu, *options).exception
+    assert isinstance(error, TouchstoneError)
+    assert words in str(error)
+
+
+@pytest.mark.slow
 def test_other_readers_read_what_is_written(tmp_path: Path):
     """FMPy reads a cross-check; the manifest keeps what it named before, and a second writing adds nothing."""
     fmu = build_shell(_model("dahlquist"), tmp_path)
@@ -214,8 +253,9 @@ def test_other_readers_read_what_is_written(tmp_path: Path):
         assert next(csv.reader(file)) == ["time", "x"]
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(f"{FOLDER}/{MANIFEST}", '<fmiReferences><Related source="model.mo" role="model"/></fmiReferences>')
-    for _ in range(2):
-        assert _run(fmu, "-o", fmu).exception is None
+    assert _run(fmu, "-o", fmu).exception is None
+    assert f"{fmu}: {FOLDER}/dahlquist_ref.csv is there already; give --overwrite" in str(_run(fmu, "-o", fmu, "--step", "1").exception)
+    assert _run(fmu, "-o", fmu, "--overwrite").exception is None
     with zipfile.ZipFile(fmu) as archive:
         root = ElementTree.fromstring(archive.read(f"{FOLDER}/{MANIFEST}"))
         assert len(archive.namelist()) == len(set(archive.namelist()))

@@ -25,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from models.errors import TouchstoneError, did_you_mean
 from models.plan_table import Table
 from models.scene.values import base_exponents
+from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.subject import ForeignParameter
 from validate.plan.toml_text import TomlError, read_toml
@@ -283,6 +284,18 @@ def _ours(unit: str) -> dict[str, int] | None:
 _RATES = ("m/s", "rad/s")
 
 
+def _check_numbers(package: Package, variable: Any) -> None:
+    """Raises FmuError for a start, bound or nominal of a variable that is no number; those of an array are separated by blanks."""
+    for what in ("start", "min", "max", "nominal"):
+        if (text := getattr(variable, what, None)) is None:
+            continue
+        try:
+            list(map(float, str(text).split() or [""]))
+        except ValueError:
+            why = f"its variable {variable.name!r} has {what}={text!r}, which is no number; correct it in {DESCRIPTION}"
+            raise FmuError(f"FMU {package.path}: {why}.") from None
+
+
 # Names from which on only some are compared with one that is not there, and how many: comparing takes up to 40 us a name.
 _MANY = 2000
 
@@ -297,6 +310,8 @@ class Named:
             name = composed(variable.name)
             if self.by_name.setdefault(name, variable) is not variable:
                 self.twice.add(name)
+            if variable.type in REAL:
+                _check_numbers(package, variable)
 
     def numbers(self) -> list[str]:
         """Names of the variables that are numbers."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from edited_fmu import edited
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE, FULL_MAP, MASS, build_foreign, compile_cart, write_plan
 from wording import unsaid
 
@@ -176,6 +177,23 @@ def test_a_unit_is_what_the_fmu_defines_it_to_be(folder: Path, wired: Wire, defi
         assert not unsaid(refusal(lambda: wired(given, fmu="unit.fmu")), words)
     else:
         assert wired(given, "t,F\n0,1\n1,\n", "unit.fmu")[0].model.nq == 1
+
+
+@pytest.mark.parametrize("given", [BARE, None])
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('unit="mm" start="0"', 'unit="mm" start="abc"', "its variable 'body.pos' has start='abc', which is no number; correct it"),
+        ('unit="kg" start="2"', 'unit="kg" start=""', "'body.mass' has start='', which is no number"),
+        ('min="-1"', 'min="1 kN"', "'drive.force' has min='1 kN'"), ('max="1"', 'max="-"', "'drive.force' has max='-'"),
+        ('unit="mm/s" start', 'unit="mm/s" nominal="a" start', "'body.vel' has nominal='a'"),
+    ],
+)  # fmt: skip
+def test_what_is_no_number_in_the_fmu_is_told_with_its_variable(
+    folder: Path, wired: Wire, given: str | None, old: str, new: str, words: str
+):
+    edited(folder / "cart.fmu", folder / "numbers.fmu", lambda text: text.replace(old, new, 1))
+    assert words in refusal(lambda: wired(given, fmu="numbers.fmu"))
 
 
 # Hold and declarations
