@@ -393,7 +393,7 @@ class _Wiring:
         if given.task.duration is None:
             found.append("duration_error: the map gives no [task] duration")
         if any(value is None for value in self._start()[: len(given.positions)]):
-            found.append("start_error: the map's [start] gives no number for every position, so the plan starts where it says")
+            found.append("start_error: the map's [start] gives no number for every position, so nothing is asked of where the plan starts")
         for name, signal in given.inputs.items():
             bound = self._input(name, signal)
             ends = [word for word, end in (("lower", bound.lower), ("upper", bound.upper)) if math.isinf(end)]

@@ -130,7 +130,7 @@ TABLE = (
     ),
     MetricEntry(
         name="duration_error", question=Question.TASK, unit=_unit("s"), measure=measures.duration_error, applies=_has_duration,
-        default=(0.5, "half a step of the task: a plan that lasts another time solves another task"),
+        default=(0.5, "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task"),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
