@@ -138,6 +138,13 @@ _CAUSES = {
     ),
     "motion": ("The inputs do not give the planned motion", "Look at the error over time on the page of the run."),
 }  # fmt: skip
+# The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of ours.
+_OF_OTHERS = {
+    _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
+    _CAUSES["motion"][
+        1
+    ]: "Look at the error over time on this page; a plan made by a time step says which (a line `# scheme: semi_implicit_euler`).",
+}
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
 
 
@@ -189,7 +196,8 @@ def cause_of(run: RunRecord) -> Cause | None:
         return Cause(f"{_DEAR} ({spaced(stage.outcome)})", stage.advice)
     if cause.startswith("terminal"):
         return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
-    return Cause(*_CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice)))
+    sentence, advice = _CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice))
+    return Cause(sentence, _OF_OTHERS.get(advice, advice) if stage.kind == "given" else advice)
 
 
 def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:

@@ -27,6 +27,17 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
     assert found.advice
 
 
+@pytest.mark.parametrize(
+    ("cause", "ours", "others"),
+    [("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"), ("motion", "page of the run", "scheme")],
+)
+def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(factory, cause, ours, others):
+    assert not unsaid(cause_of(ended(factory, "violates", cause=cause)).advice, ours)
+    advice = cause_of(ended(factory, "violates", cause=cause, kind="given")).advice
+    assert not unsaid(advice, others)
+    assert unsaid(advice, ours)
+
+
 def test_each_cause_stands_once_the_most_frequent_first(factory):
     far = [ended(factory, "violates", cause="terminal_position_error", name=f"far {place}") for place in range(3)]
     ghost = ended(factory, "violates", cause="ghost_impulse", name="ghost")

@@ -218,7 +218,9 @@ class Certificate:
     @property
     def sentence(self) -> str:
         """Residuals, class and B-stationarity in words."""
-        b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e} of the gradient)", None: "B-stationarity unknown"}[self.b_stationary]
+        b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e} of the gradient)", None: "B-stationarity unknown"}[
+            self.b_stationary
+        ]
         measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, in the model's units, dual {self.dual:.1e} of the gradient"
         if not self._within:
             where = f", most in {self.worst}" if self.worst and not self.primal_relative <= self.tolerances.feasibility else ""
