@@ -117,16 +117,18 @@ class _Wiring:
         for name, (path, column, signal) in zip(given.velocities, self._velocities, strict=True):
             self._check_rate(name)
             self._check_quantity(path, "velocity", column, signal)
-        forces: dict[int, str] = {}
-        gaps: dict[int, str] = {}
         for name, entry in given.contacts.items():
             if entry.force is None and entry.gap is None:
                 raise self._fail(f"contacts.{name}", "it names neither force nor gap.")
-            for what, signal, others in (("force", entry.force, forces), ("gap", entry.gap, gaps)):
+        gaps = {reference: path for reference, path in read.items() if not path.startswith("positions.")}  # a gap may be a position
+        for what, taken in (("force", read), ("gap", gaps)):
+            for name, entry in given.contacts.items():
+                path, signal = f"contacts.{name}.{what}", getattr(entry, what)
                 if signal is not None:
-                    self._check_once(others, f"contacts.{name}.{what}", signal.variable)
-                    self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
-                    self._check_quantity(f"contacts.{name}.{what}", what, "", signal)
+                    self._check_once(taken, path, signal.variable)
+                    gaps[self._reference(path, signal.variable)] = path
+                    self._check_contact_unit(path, what, signal)
+                    self._check_quantity(path, what, "", signal)
         known = [column for _, column, _ in self._positions + self._velocities]
         for name in given.goal:
             if name not in known:

@@ -375,6 +375,9 @@ def test_names_that_differ_in_case_alone_are_two(folder: Path, wired: Wire):
         (FULL_MAP + '[parameters]\n"body.mass" = 1\n[start]\n"body.mass" = 1\n', "start.body.mass: 'body.mass' is parameters.body.mass already"),
         (BARE + '[contacts.stop]\nforce = "stop.push"\ncolumn = "F"\n', "contacts.stop: … 'F' is that of inputs.F already"),
         (BARE.replace("\nF =", "\nlam_stop =") + '[contacts.stop]\nforce = "stop.push"\n', "contacts.stop: … 'lam_stop' is that of inputs.lam_stop already"),
+        (BARE + '[contacts.a]\nforce = "body.pos"\n', "contacts.a.force: 'body.pos' is positions.x already"),
+        (BARE + '[contacts.a]\ngap = "body.vel"\n', "contacts.a.gap: 'body.vel' is velocities.x already"),
+        (BARE + '[contacts.a]\nforce = "stop.push"\n[contacts.b]\ngap = "stop.push"\n', "contacts.b.gap: 'stop.push' is contacts.a.force already"),
         (BARE + '[contacts.a]\nforce = "stop.push"\n[contacts.b]\nforce = "stop.push"\n', "contacts.b.force: 'stop.push' is contacts.a.force already"),
     ],
 )  # fmt: skip
