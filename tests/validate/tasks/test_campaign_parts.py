@@ -64,7 +64,7 @@ def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
 @pytest.mark.slow
 def test_the_table_of_a_rebuilt_report_is_that_of_its_campaign(cli, tmp_path) -> None:
     done = cli("all", "--scene", "bouncing_mass", "-k", "mpcc_multistart", "--out", str(tmp_path))
-    assert "[4/4]" in done.stdout + done.stderr, done
+    assert "0 stored, 4 to run" in done.stderr, done
     table = (tmp_path / "results.csv").read_bytes()
     assert table.count(b"bouncing_mass,mpcc_multistart") == 1
     assert cli("report", str(tmp_path)).returncode == 0
