@@ -11,7 +11,7 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.fmu.coupled import build_ssp
 from models.fmu.mjcf import build_robot, read_robot
-from validate.cli.options import scenes
+from validate.cli.options import apart, scenes
 from validate.cli.table import warn
 from validate.plan.warnings import warnings_of
 from validate.store.disk import disk_error, make_folder, write_durably
@@ -47,6 +47,7 @@ compiler or no MuJoCo, or it cannot be written.
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
 )
+@apart("-o", "output")
 @click.option("--fmi", "version", type=click.Choice(["2", "3"]), default="2", show_default=True, help="Version of FMI.")
 @click.option(
     "--platform",

@@ -6,10 +6,11 @@ nan and inf through, and what a shell offers while a scene is being typed.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 from click.shell_completion import CompletionItem
@@ -47,7 +48,31 @@ class FiniteRange(click.FloatRange):
 def written_to(option: str, name: str, metavar: str, what: str) -> Callable[[Command], Command]:
     """An option for a file that a command writes. name: of the command's parameter; what: is written."""
     kind = click.Path(path_type=Path, dir_okay=False)
-    return click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")
+    return lambda command: click.option(option, name, type=kind, metavar=metavar, help=f"Where to write {what}.")(
+        apart(option, name)(command)
+    )
+
+
+def apart(option: str, name: str) -> Callable[[Command], Command]:
+    """A command that does not begin where the file it is to write is none, or one of those that it reads or writes besides."""
+
+    def checked(command: Command) -> Command:
+        @functools.wraps(command)
+        def guarded(*words: Any, **given: Any) -> Any:
+            file = given[name]
+            if file is not None and not file.name:
+                raise click.UsageError(f"{option}: {str(file)!r} names no file; give its path.")
+            for other in given if file is not None else ():
+                named = given[other] if isinstance(given[other], tuple) else (given[other],)
+                if other != name and any(isinstance(one, (str, Path)) and Path(one).resolve() == file.resolve() for one in named):
+                    raise click.UsageError(
+                        f"{option} {file}: this file is named twice, and what it holds would be lost; name another for {option}."
+                    )
+            return command(*words, **given)
+
+        return cast(Command, guarded)
+
+    return checked
 
 
 def write(file: Path | None, make: Callable[[], str | bytes]) -> None:

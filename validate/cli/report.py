@@ -55,12 +55,16 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
         from validate.tasks.simulators import ask_simulators
 
         ask_simulators(folder, stored, named_engines(engines), tell=lambda text: say(text, err=True))
-    write_tables(folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ())
+    if (
+        stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys)
+    ):  # where no record can be read, the tables may be all that is left
+        write_tables(folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ())
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
     except ReportError as error:  # of a room that knows none of our errors
         raise MachineError(str(error)) from error
-    click.echo(_lacking(stored, folder), nl=False, err=True)
+    for line in _lacking(stored, folder):
+        say(line, err=True)
     if as_json:
         found = {"results": rows(stored.runs), "checks": check_rows(stored.checks), "report": str(report)}
         click.echo(json.dumps(found, indent=1, allow_nan=False))
@@ -70,8 +74,8 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
     return 0
 
 
-def _lacking(stored: Stored, folder: Path) -> str:
-    """What could not be told, a line each; nothing where all is there."""
+def _lacking(stored: Stored, folder: Path) -> list[str]:
+    """What could not be told, a sentence each; nothing where all is there."""
     there, campaign = sum(map(len, stored.parts)) + len(stored.checks), stored.campaign
     lines = []
     if campaign is None:
@@ -85,4 +89,4 @@ def _lacking(stored: Stored, folder: Path) -> str:
         if name := store.damaged_file(run.key):
             file = store.runs / run.key / name
             lines.append(f"{run.title}: {file} is gone or cut off; remove that folder, and the command of the campaign runs it again.")
-    return "".join(f"{line}\n" for line in lines)
+    return lines

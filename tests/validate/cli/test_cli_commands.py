@@ -341,3 +341,31 @@ def test_a_campaign_ends_with_findings_and_failures_by_cause(cli, tmp_path):
     assert not unsaid(part.stderr, "2 other runs and checks")
     rows = (tmp_path / "results.csv").read_text().splitlines()[1:]
     assert {row.split(",")[1] for row in rows} == {"only_raises", "only_exit_seven", "only_good"}
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fmu", "own.py", "-o", "./own.py"), ("replay", "plan.csv", "--scene", "three_cart", "--html", "plan.csv"),
+        ("robust", "plan.csv", "--scene", "three_cart", "--csv", "plan.csv"), ("check", "model.fmu", "--junit", "model.fmu"),
+        ("check", "model.fmu", "--sarif", "one.xml", "--junit", "one.xml"),
+    ],
+)  # fmt: skip
+def test_no_command_begins_that_would_write_over_what_it_reads_or_writes_besides(cli, tmp_path, monkeypatch, words: tuple[str, ...]):
+    monkeypatch.chdir(tmp_path)
+    for name in ("own.py", "plan.csv", "model.fmu"):
+        (tmp_path / name).write_text("precious", encoding="utf-8")
+    done = cli(*words)
+    assert done.returncode == 2
+    assert not unsaid(done.stderr, "named twice", "would be lost", "name another for")
+    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == dict.fromkeys(
+        ("own.py", "plan.csv", "model.fmu"), "precious"
+    )
+
+
+@pytest.mark.process
+def test_an_empty_name_of_a_file_is_refused_before_the_work(cli):
+    done = cli("check", "model.fmu", "--html", "")
+    assert done.returncode == 2
+    assert not unsaid(done.stderr, "--html", "names no file", "give its path")

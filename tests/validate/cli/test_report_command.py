@@ -109,3 +109,12 @@ def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli)
     part = cli("all", *FAKES, "--out", str(ran), "-k", "only_good")
     assert part.returncode == 0
     assert {path: path.read_bytes() for path in before} == before, "a part leaves the others where they are"
+
+
+def test_where_no_record_can_be_read_the_tables_are_left_as_they_are(folder: Path):
+    tables = {name: text for name, text in _texts(folder).items() if name.endswith(".csv")}
+    shutil.rmtree(folder / "runs")
+    told = _report(folder)
+    assert told.exception is None
+    assert not unsaid(told.stderr, "2 of 2 runs have no readable record", "runs them")
+    assert {name: text for name, text in _texts(folder).items() if name.endswith(".csv")} == tables
