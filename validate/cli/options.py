@@ -62,12 +62,11 @@ def apart(option: str, name: str) -> Callable[[Command], Command]:
             file = given[name]
             if file is not None and not file.name:
                 raise click.UsageError(f"{option}: {str(file)!r} names no file; give its path.")
-            for other in given if file is not None else ():
-                named = given[other] if isinstance(given[other], tuple) else (given[other],)
-                if other != name and any(isinstance(one, (str, Path)) and Path(one).resolve() == file.resolve() for one in named):
-                    raise click.UsageError(
-                        f"{option} {file}: this file is named twice, and what it holds would be lost; name another for {option}."
-                    )
+            others = [one for key, value in given.items() if key != name for one in (value if isinstance(value, tuple) else (value,))]
+            if file is not None and any(isinstance(one, (str, Path)) and Path(one).resolve() == file.resolve() for one in others):
+                raise click.UsageError(
+                    f"{option} {file}: this file is named twice, and what it holds would be lost; name another for {option}."
+                )
             return command(*words, **given)
 
         return cast(Command, guarded)
