@@ -45,7 +45,12 @@ def find_compiler() -> Compiler:
 @lru_cache(maxsize=8)
 def _find(cc: str, path: str) -> Compiler:
     if cc:
-        command = tuple(shlex.split(cc))
+        try:
+            command = tuple(shlex.split(cc))
+        except ValueError as error:
+            raise MachineError(
+                f"no C compiler: the environment variable CC is {cc!r}, which no shell reads ({error}); correct it or unset it."
+            ) from None
         version = _version(command)
         if version is None:
             raise MachineError(f"no C compiler: the environment variable CC is {cc!r}, which does not run; correct it or unset it.")

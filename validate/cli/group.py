@@ -157,6 +157,10 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
     except Exception as error:
         if os.environ.get("TOUCHSTONE_DEBUG") == "1":
             raise
+        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+            return _say(
+                f"{str(error.filename)[:60]!r}..: the disk has no names as long as this; give a shorter one.", TouchstoneError.exit_code
+            )
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
             return _say(why, MachineError.exit_code)

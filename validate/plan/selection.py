@@ -28,7 +28,10 @@ class SelectionError(TouchstoneError):
 
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
-    return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
+    try:
+        return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
+    except RecursionError:
+        raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.") from None
 
 
 def words_of(expression: str) -> list[str]:

@@ -97,7 +97,7 @@ def load_plugin(reference: str) -> Plugin:
     module_name, _, name = reference.partition(":")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
+    except (ImportError, TypeError, ValueError) as error:  # the latter of what is no dotted name: '', '..x'
         raise UnknownNameError(
             f"--plugin {reference}: the module {module_name!r} cannot be imported ({error}); its folder must be on PYTHONPATH."
         ) from error

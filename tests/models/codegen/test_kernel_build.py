@@ -103,6 +103,8 @@ def test_wrong_cc_is_named():
     done = _python(_LOAD.format(hide=True), CC="no-such-compiler -O9")
     assert done.returncode == 3, done.stderr
     assert "CC is 'no-such-compiler -O9', which does not run" in done.stdout
+    done = _python(_LOAD.format(hide=True), CC='"')
+    assert "which no shell reads (No closing quotation)" in done.stdout
 
 
 @pytest.mark.slow

@@ -369,3 +369,21 @@ def test_an_empty_name_of_a_file_is_refused_before_the_work(cli):
     done = cli("check", "model.fmu", "--html", "")
     assert done.returncode == 2
     assert not unsaid(done.stderr, "--html", "names no file", "give its path")
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (("plan", "--out", "n" * 300), ("'nnn", "no names as long", "shorter")), (("report", "n" * 300), ("no names as long", "shorter")),
+        (("all", "--plugin", ""), ("--plugin", "''", "cannot be imported")), (("all", "--plugin", "../own"), ("--plugin ../own", "cannot be imported")),
+        (("plan", "-k", "(" * 5000), ("-k '((((", "nested deeper", "fewer parentheses")), (("plan", "--scene", "own.py"), ("own.py", "Own while it was read, line 2")),
+    ],
+)  # fmt: skip
+def test_odd_words_are_told_in_a_sentence(cli, tmp_path, monkeypatch, words: tuple[str, ...], parts: tuple[str, ...]):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text("class Own(BaseException): pass\nraise Own('x')\n", encoding="utf-8")
+    done = cli(*words)
+    assert done.returncode == 2
+    assert not unsaid(done.stderr, *parts)
+    assert [path.name for path in tmp_path.iterdir()] == ["own.py"]
