@@ -141,7 +141,7 @@ def test_a_map_that_is_there_is_kept(folder: Path, capfd: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--mjcf", "robot.xml", "-o", "robot.xml"], 2, ("robot.xml", "robot.fmu")),
+        (["--mjcf", "robot.xml", "-o", "robot.xml"], 2, ("-o robot.xml", "named twice", "name another for -o")),
         (["--mjcf", "robot.xml", "-o", "robot.toml"], 2, ("robot.toml", "robot.fmu")),
         (["--mjcf", "none.xml", "-o", "robot.fmu"], 2, ("none.xml", "no such file")),
         (["--mjcf", "robot.xml", "three_cart", "-o", "robot.fmu"], 2, ("either", "--mjcf")),

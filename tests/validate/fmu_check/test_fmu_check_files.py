@@ -248,6 +248,6 @@ def test_nothing_is_compiled_or_loaded_outside_the_folder(version: str, sound_co
     report = check_fmu(path)
     found = {row.name: row for row in report.rows}
     assert found["description is valid"].status is Status.FAILED
-    assert f"modelIdentifier is '{outside}'; expected a C identifier" in found["description is valid"].sentence
+    assert not unsaid(found["description is valid"].sentence, f"modelIdentifier is '{outside[:40]}", "expected a C identifier")
     assert {row.status for row in report.rows if row.name not in ("archive", "description is valid")} == {Status.NOT_OFFERED}
     assert [item.name for item in tmp_path.iterdir()] == ["sources.fmu"]
