@@ -110,6 +110,7 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
 
 
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
+_LOOK = "Look at the error over time on the page of the run."
 _AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
 # Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
 _CAUSES = {
@@ -136,14 +137,12 @@ _CAUSES = {
         "Unstable in the open loop: small errors grow until the plan is lost",
         "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
     ),
-    "motion": ("The inputs do not give the planned motion", "Look at the error over time on the page of the run."),
+    "motion": ("The inputs do not give the planned motion", _LOOK),
 }  # fmt: skip
 # The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of ours.
 _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
-    _CAUSES["motion"][
-        1
-    ]: "Look at the error over time on this page; a plan made by a time step says which (a line `# scheme: semi_implicit_euler`).",
+    _LOOK: "Look at the error over time on this page; a plan made by a time step says which (a line `# scheme: semi_implicit_euler`).",
 }
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
 

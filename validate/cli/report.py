@@ -55,9 +55,8 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
         from validate.tasks.simulators import ask_simulators
 
         ask_simulators(folder, stored, named_engines(engines), tell=lambda text: say(text, err=True))
-    if (
-        stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys)
-    ):  # where no record can be read, the tables may be all that is left
+    # Where no record can be read, the tables may be all that is left.
+    if stored.runs or stored.checks or not (stored.campaign and stored.campaign.keys):
         write_tables(folder, stored.runs, stored.checks, stored.campaign.violation if stored.campaign else ())
     try:
         report = write_single(folder) if single_file else write_report(folder, jobs)
