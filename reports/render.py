@@ -20,6 +20,7 @@ import signal
 import socket
 import threading
 import uuid
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -217,6 +218,25 @@ def page(
         again=again,
         quick=quick,
         back=back,
+    )
+
+
+# What a frame holds: the page, a third as long as its text, and what unpacks it. A notebook keeps one for every plan that is looked at.
+_UNPACK = """<!doctype html><meta charset="utf-8"><noscript>This page needs JavaScript.</noscript><script type="module">
+const packed = Uint8Array.from(atob("PACKED"), (letter) => letter.charCodeAt(0));
+const page = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
+document.open();
+document.write(page);
+document.close();
+</script>"""
+
+
+def framed(page: str) -> str:
+    """A page in a frame of its own, as a notebook shows it: its style and script meet nobody else's."""
+    inside = _UNPACK.replace("PACKED", base64.b64encode(zlib.compress(page.encode(), 9)).decode())
+    return (
+        f"<iframe srcdoc='{inside}' sandbox='allow-scripts allow-downloads' title='touchstone' "
+        "style='width: 100%; height: 45em; border: 1px solid #8888'></iframe>"
     )
 
 

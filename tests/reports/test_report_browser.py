@@ -10,7 +10,7 @@ import pytest
 from wording import unsaid
 
 from reports.records.check_record import CheckRecord
-from reports.render import PAGES, write_report, write_single
+from reports.render import PAGES, framed, write_report, write_single
 
 pytestmark = pytest.mark.slow
 
@@ -64,6 +64,20 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
     )
     assert wide == 0
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
+
+
+def test_a_frame_shows_its_page_as_it_is(chromium, page_file, tmp_path):
+    """As in a notebook; the second time without the sandbox, so that the test can look into it."""
+    frame = framed(page_file.read_text(encoding="utf-8"))
+    assert len(frame) < page_file.stat().st_size / 2
+    notebook = tmp_path / "notebook.html"
+    for shown in (frame, frame.replace("sandbox='allow-scripts allow-downloads'", "")):
+        notebook.write_text(f"<!doctype html><title>notebook</title>{shown}", encoding="utf-8")
+        outside = chromium.open(notebook)
+        assert outside.messages == []
+    alone = chromium.open(page_file)
+    for what in ("title", "body.innerText.length", "querySelectorAll('.player button').length"):
+        assert outside.evaluate(f"document.querySelector('iframe').contentDocument.{what}") == alone.evaluate(f"document.{what}") != 0
 
 
 def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):

@@ -26,7 +26,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory, data_frame
 from reports.records.record import ContactRecord, QuantityRecord, RunRecord, SceneRecord, StageRecord, stage_files
 from reports.records.robustness_record import RobustnessRecord
-from reports.render import render_robustness, render_run
+from reports.render import framed, render_robustness, render_run
 from validate.judge.judgement import Judgement
 from validate.judge.replay.netcdf import storable, storable_name, write_replay
 from validate.judge.replay.result import Replay
@@ -96,7 +96,7 @@ class SolvedPlan(Solution):
 
     def _repr_html_(self) -> str:
         command = f"touchstone.solve({self.scene.name!r}, {self.pipeline!r}{'' if self.eps is None else f', eps={self.eps!r}'})"
-        return _framed(_page(self.scene, self.trajectory, None, _brief(self.stage(_NOT_JUDGED)), self.title, command))
+        return framed(_page(self.scene, self.trajectory, None, self.stage(_NOT_JUDGED), self.title, command))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -151,8 +151,7 @@ class JudgedPlan(Judgement):
         return _page(self.scene, self.plan, self.replay, self._stage(warnings), self.name, command, engines)
 
     def _repr_html_(self) -> str:
-        command = f"touchstone.judge({self.scene.name!r}, plan)"
-        return _framed(_page(self.scene, self.plan, self.replay, _brief(self._stage()), self.name, command))
+        return framed(self.page(f"touchstone.judge({self.scene.name!r}, plan)"))
 
     def _stage(self, warnings: Sequence[str] = ()) -> StageRecord:
         seconds = _seconds(self.replay)
@@ -288,18 +287,3 @@ def _foreign_record(model: ForeignModel, plan: Trajectory | None) -> SceneRecord
 
 def _quantity(name: str, unit: str, description: str) -> QuantityRecord:
     return QuantityRecord(name=name, unit=unit, description=description)
-
-
-def _brief(stage: StageRecord) -> StageRecord:
-    """What a notebook shows of a stage: verdict, motion and what was judged; the rest is in the objects themselves. A frame must stay small in the file."""
-    judged = tuple(metric for metric in stage.metrics if metric.limit is not None)
-    return stage.model_copy(update={"metrics": judged, "history": {}, "options": {}, "residuals": {}})
-
-
-def _framed(page: str) -> str:
-    """A page in a frame of its own, so that its style and script meet nobody else's."""
-    inside = page.replace("&", "&amp;").replace("'", "&#39;")  # all that an attribute in single quotes needs: half of what html.escape adds
-    return (
-        f"<iframe srcdoc='{inside}' sandbox='allow-scripts allow-downloads' title='touchstone' "
-        "style='width: 100%; height: 45em; border: 1px solid #8888'></iframe>"
-    )
