@@ -80,7 +80,7 @@ def name_clash() -> str | None:
             said = "is missing" if place is None else f"is {place}"
             return (
                 f"touchstone needs its own package {name!r} in {home}, but here {name!r} {said}; "
-                "use the command `touchstone` instead of `python -m validate`, work in a folder without that name, or rename yours."
+                "use the command `touchstone` instead of `python -m validate`, work in a folder without that name, take it out of PYTHONPATH, or rename yours."
             )
     return None
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PARTS = ("models", "formulations", "validate", "reports", "touchstone.py")
+PARTS = ("models", "formulations", "validate", "reports", "touchstone.py", "touchstone_command.py")
 
 
 def pip(*words: str) -> None:
@@ -37,8 +37,9 @@ def site(wheel: Path) -> Path:
     return folder
 
 
-def called(site: Path, folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(site)}, capture_output=True, text=True, check=False)
+def called(site: Path, folder: Path, *command: str, before: str = "") -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": f"{before}{site}"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.slow
@@ -71,6 +72,20 @@ def test_the_module_says_what_clashes(site: Path, tmp_path: Path, name: str):
         sentence = found.stderr.splitlines()[-1]
         for part in (f"own package {name!r} in {site}", str(tmp_path / name), "`touchstone`", "rename yours"):
             assert part in sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["touchstone", "touchstone-mpec"])
+@pytest.mark.parametrize("name", ["models", "validate"])
+def test_a_command_says_what_clashes(site: Path, tmp_path: Path, name: str, command: str):
+    """PYTHONPATH comes before what is installed."""
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").write_text("raise RuntimeError\n")
+    found = called(site, tmp_path, sys.executable, str(site / "bin" / command), "list", before=f"{tmp_path}{os.pathsep}")
+    assert (found.returncode, found.stdout) == (2, "")
+    (sentence,) = found.stderr.splitlines()
+    for part in (f"own package {name!r} in {site}", str(tmp_path / name), "rename yours", "PYTHONPATH"):
+        assert part in sentence
 
 
 @pytest.mark.slow
