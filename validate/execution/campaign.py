@@ -27,6 +27,7 @@ from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
 from reports.findings import three_findings
+from reports.pages.section import PAGES, REPORT
 from reports.records.check_record import CheckRecord, divided
 from reports.records.load import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
@@ -38,13 +39,14 @@ from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_
 from validate.plan.warnings import doubts
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
-from validate.store.results import write_tables
+from validate.store.results import TABLES, write_tables
 from validate.store.store import Store
 from validate.store.stored import (
     CAMPAIGN,
     CampaignError,
     campaign_of,
     campaign_text,
+    check_folder,
     earlier_schema,
     identity,
     of_content,
@@ -121,6 +123,9 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     entries, left_out = select(settings)
     find_compiler()  # the compiled time step and the FMU need one: better said now than by every task
     store = Store(settings.out)
+    check_folder(settings.out, (*TABLES, REPORT, PAGES, *settings.files))
+    if settings.last_failed:
+        campaign_of(settings.out)
     store.prepare()
     entries = with_stored(entries, store, settings)
     if settings.last_failed:

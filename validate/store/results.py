@@ -19,7 +19,7 @@ from reports.records.record import CertificateRecord, RunRecord, StageRecord, Su
 from validate.judge.score import metric_names
 from validate.store.disk import remove, write_durably
 
-RESULTS, CHECKS, VIOLATION, STARTS, FRONT = "results.csv", "checks.csv", "violation.csv", "starts.csv", "front.csv"
+TABLES = RESULTS, CHECKS, VIOLATION, STARTS, FRONT = "results.csv", "checks.csv", "violation.csv", "starts.csv", "front.csv"
 _METRICS_FIRST = (
     "terminal_error",
     "physics",

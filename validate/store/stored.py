@@ -36,6 +36,17 @@ def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | Che
     return campaign, tuple(record for record in found if record is not None)
 
 
+def check_folder(folder: Path, names: Iterable[str]) -> None:
+    """Raise CampaignError where a folder that holds no campaign has files of the names that a campaign writes: somebody else's."""
+    if (folder / CAMPAIGN).exists() or any(folder.glob(f"runs/*/{RECORD}")):
+        return
+    taken = [name for name in names if (folder / name).exists()]
+    if taken:
+        raise CampaignError(
+            f"--out {folder}: it holds no campaign, but {' and '.join(taken)}, which a campaign would replace; name a folder that is new, or a campaign's."
+        )
+
+
 def title_of(task: Mapping[str, Any]) -> str:
     """What a task is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
     if "pipeline" not in task:

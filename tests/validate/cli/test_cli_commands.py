@@ -176,6 +176,22 @@ def test_out_that_is_a_file(cli, tmp_path):
 
 
 @pytest.mark.slow
+def test_what_is_not_a_campaign_s_is_not_replaced(cli, tmp_path):
+    """Nor is a folder made where only what failed before is asked for."""
+    (tmp_path / "checks.csv").write_text("mine")
+    done = cli("all", *GOOD, "--out", str(tmp_path))
+    assert done.returncode == 2
+    for part in (str(tmp_path), "no campaign", "checks.csv", "folder that is new"):
+        assert part in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["checks.csv"]
+    assert (tmp_path / "checks.csv").read_text() == "mine"
+    new = tmp_path / "new"
+    done = cli("all", *GOOD, "--last-failed", "--out", str(new))
+    assert (done.returncode, new.exists()) == (2, False)
+    assert "no campaign in this folder" in done.stderr
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["/proc/nothing_goes_here", "/dev/null/below"])
 def test_out_that_cannot_be_written(cli, folder):
     done = cli("all", *GOOD, "--out", folder)
