@@ -379,7 +379,7 @@ def campaign(
     if jobs is not None:
         _positive("jobs", jobs, int)
     named = tuple(map(str, _listed(scenes)))
-    settings = CampaignSettings(out=Path(out), scenes=named, expression=select, quick=quick, jobs=jobs, time_limit=time_limit)
+    settings = CampaignSettings(out=Path(out), scenes=named, expression=select or None, quick=quick, jobs=jobs, time_limit=time_limit)
     return run_campaign(settings, narrator())
 
 

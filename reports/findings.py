@@ -85,7 +85,7 @@ def _relaxed(runs: Sequence[RunRecord]) -> str:
     if not plans:
         return ""
     holding, violating = sum(stage.verdict in HOLD for stage in plans), [stage for stage in plans if stage.verdict == "violates"]
-    said = f"{holding} of {count(len(plans), 'relaxed plan')} {'holds' if holding == 1 else 'hold'}"
+    said = f"{holding} of {len(plans)} relaxed plans {'holds' if holding == 1 else 'hold'}"
     missed = [words for part in ("position", "velocity") if (words := _missed(violating, part))]
     return f"{said}; those that violate end {listing(missed)} from the goal (medians after the replay)." if missed else f"{said}."
 

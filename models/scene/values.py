@@ -110,8 +110,8 @@ def settle_bounds(part: Any, where: str, lower: str, upper: str) -> None:
 
 
 def as_number(what: str, value: Any, *, finite: bool = True) -> float:
-    """A Python float of any real number (of numpy or SymPy too); infinite ones only with finite=False."""
-    if isinstance(value, sp.Expr) and value.is_Number:
+    """A Python float of any real number (of numpy or SymPy too, such as pi/3); infinite ones only with finite=False."""
+    if isinstance(value, sp.Expr) and value.is_comparable:
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, Real) or math.isnan(value) or (finite and math.isinf(value)):
         raise SceneError(f"{what}: {value!r} is not a {'finite ' if finite else ''}number.")

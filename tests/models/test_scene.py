@@ -17,7 +17,7 @@ from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Sh
 from models.scene.checks import check_expressions, step_problem
 from models.scene.contacts import Friction
 from models.scene.parts import goal_limits
-from models.scene.values import base_exponents
+from models.scene.values import as_number, base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
 m, k, w = sp.symbols("m k w", positive=True)
@@ -52,6 +52,17 @@ def test_contact_bodies_are_shapes_or_fixed():
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
     assert small_scene(shapes=(box,)).contacts[0].bodies == ("mass", "wall")
     assert small_scene(contacts=(wall(bodies=["here", "there"]),)).contacts[0].bodies == ("here", "there")
+
+
+@pytest.mark.parametrize("given", [sp.pi / 3, sp.sqrt(2), sp.Rational(1, 3), np.float32(0.5)])
+def test_a_number_may_be_one_of_sympy_or_numpy(given: Any):
+    assert as_number("goal", given) == float(given)
+
+
+@pytest.mark.parametrize("given", [sp.oo, sp.nan, sp.zoo, sp.I, x, sp.pi * x, True, "1"])
+def test_what_is_no_number_is_refused(given: Any):
+    with pytest.raises(SceneError, match=r"goal: .* is not a finite number"):
+        as_number("goal", given)
 
 
 def test_a_depth_follows_the_parameters():

@@ -122,7 +122,6 @@ _SELECTING = (
     click.option(
         "-k",
         "expression",
-        default="",
         metavar="EXPR",
         help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
     ),

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from validate.judge.score import Verdict
 
 
-# A plan so many times as long as the task is probably in another unit of time, and is replayed for minutes.
+# A plan so many times as long as the task may be in another unit of time, and is replayed for minutes.
 _LONG = 10.0
 
 
@@ -214,14 +214,14 @@ def exit_code(verdict: Verdict, require: str) -> int:
 
 def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
     from models.fmu import build_fmu
-    from validate.judge.judgement import as_trajectory, judge_trajectory
+    from validate.judge.judgement import ANOTHER_UNIT, as_trajectory, judge_trajectory
     from validate.plan.warnings import warnings_of
 
     loaded = load_scene(scene)
     trajectory = as_trajectory(plan, loaded, hold=hold)
     assert trajectory is not None, "a file is a plan"
     takes, horizon = trajectory.duration, loaded.task.horizon
-    if takes > _LONG * horizon:
+    if _LONG * horizon < takes <= ANOTHER_UNIT * horizon:
         doubt = f"it takes {takes:.4g} s, the task of {loaded.name} {horizon:.4g} s; is its t in s? Its replay takes as much longer"
         say(f"{plan}: {doubt}", err=True)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))

@@ -35,7 +35,7 @@ from validate.judge.score import Score, metric_names, score, wants_feedback
 from validate.judge.score.verdict import Question, Verdict
 
 # A plan so many times as long as the task of its scene has its times in another unit.
-_ANOTHER_UNIT = 100.0
+ANOTHER_UNIT = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +100,7 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
     """
     plan = plan.from_zero()
     plan.check_fits(scene)
-    if plan.duration > _ANOTHER_UNIT * scene.task.horizon:
+    if plan.duration > ANOTHER_UNIT * scene.task.horizon:
         raise TrajectoryError(
             f"plan: it takes {plan.duration:.4g} s, the task of {scene.name} {scene.task.horizon:.4g} s: it is no plan of that task; give its t in s."
         )

@@ -62,7 +62,7 @@ class CampaignSettings:
     out: Path
     scenes: tuple[str, ...] = ()
     quick: bool = False
-    expression: str = ""
+    expression: str | None = None
     jobs: int | None = None
     engine: str = "local"
     fresh: bool = False
@@ -82,7 +82,7 @@ class CampaignSettings:
     @property
     def is_part(self) -> bool:
         """Whether this is a choice from a campaign: what else the folder holds then stays in its tables and report."""
-        return bool(self.expression or self.scenes or self.quick or self.last_failed)
+        return bool(self.expression is not None or self.scenes or self.quick or self.last_failed)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
-            if not settings.expression or matches(
+            if settings.expression is None or matches(
                 settings.expression, (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
             ):
                 if _is_too_long(settings, scene):
@@ -150,10 +150,8 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
     if entries or checks:
         return [*entries, *checks], skipped
     if skipped:
-        raise CampaignError(
-            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(skipped)}); drop --quick."
-        )
-    raise NothingSelectedError(settings.expression, tuple(dict.fromkeys(seen)))
+        raise CampaignError(f"nothing to run: --quick leaves out all that is selected ({', '.join(skipped)}); drop --quick.")
+    raise NothingSelectedError(settings.expression or "", tuple(dict.fromkeys(seen)))
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
@@ -199,7 +197,7 @@ def _checks(
         if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
-        if settings.expression and not matches(settings.expression, item.names, item.title):
+        if settings.expression is not None and not matches(settings.expression, item.names, item.title):
             continue
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
