@@ -110,6 +110,8 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
 
 
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
+_FINER = "Plan on a finer grid; of our methods collocation, best_exact and multiple_shooting hold most often where errors grow."
+_ELSEWHERE = "A local optimum: start elsewhere, from another guess or a relaxed plan, or search the contact modes (mpcc, best_exact)."
 _LOOK = "Look at the error over time on the page of the run."
 _AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
 # Cause of a record -> (sentence, advice); what is not here is a metric, named as such.
@@ -135,13 +137,15 @@ _CAUSES = {
     "coarse grid": ("Coarse grid: contact is exact, but the time step is too long", "Take a smaller time step, or collocation."),
     "unstable": (
         "Unstable in the open loop: small errors grow until the plan is lost",
-        "Plan with a method made for unstable scenes (multiple_shooting, lbfgs), or on a finer grid.",
+        _FINER,
     ),
     "motion": ("The inputs do not give the planned motion", _LOOK),
 }  # fmt: skip
 # The same for a plan of somebody else's, which has no eps of ours and does not go on by a method of ours.
 _OF_OTHERS = {
     _EXACT: "Plan with exact contact; forces are pushes of at least 0, in the columns lam_..: without these columns the motion alone is judged.",
+    _FINER: "Plan on a finer grid, or have the plan followed with feedback.",
+    _ELSEWHERE: "Plan from another guess: the scene has a cheaper plan.",
     _LOOK: "Look at the error over time on this page; a plan made by a time step says which (a line `# scheme: semi_implicit_euler`).",
 }
 _AGAIN = "Read the end of the log on the page of the run, and run it again by the command there."
@@ -192,11 +196,17 @@ def cause_of(run: RunRecord) -> Cause | None:
     if run.verdict == "undecided":
         return Cause(f"Undecided: the replay's own error leaves {spaced(cause)} open", "Replay with tighter tolerances.")
     if cause in ("cost", "replay_cost"):
-        return Cause(f"{_DEAR} ({spaced(stage.outcome)})", stage.advice)
-    if cause.startswith("terminal"):
-        return Cause(f"{_AWAY} ({spaced(stage.outcome)})", stage.advice)
-    sentence, advice = _CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice))
-    return Cause(sentence, _OF_OTHERS.get(advice, advice) if stage.kind == "given" else advice)
+        sentence, advice = f"{_DEAR} ({spaced(stage.outcome)})", stage.advice
+        advice = _ELSEWHERE if cause == "cost" and stage.outcome in ("solved", "stalled") else advice
+    elif cause.startswith("terminal"):
+        sentence, advice = f"{_AWAY} ({spaced(stage.outcome)})", stage.advice
+    else:
+        sentence, advice = _CAUSES.get(cause, (f"A limit is exceeded: {spaced(cause)}", stage.advice))
+    if stage.kind == "given":
+        advice = _OF_OTHERS.get(advice, advice)
+    elif stage.kind == "direct" and advice is _EXACT:  # its contact is exact as soon as it is solved
+        advice = "Tighten the solver's tolerance." if stage.outcome == "solved" else stage.advice
+    return Cause(sentence, advice)
 
 
 def by_cause(runs: Iterable[RunRecord]) -> list[tuple[Cause, list[RunRecord]]]:

@@ -29,13 +29,26 @@ def test_causes_that_are_metrics_have_a_sentence_and_an_advice(factory, cause, b
 
 @pytest.mark.parametrize(
     ("cause", "ours", "others"),
-    [("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"), ("motion", "page of the run", "scheme")],
-)
+    [
+        ("contact_law_error", "eps", "lam_"), ("ghost_impulse", "eps", "lam_"), ("motion", "page of the run", "scheme"),
+        ("unstable", "multiple_shooting", "feedback"), ("cost", "mpcc", "another guess"),
+    ],
+)  # fmt: skip
 def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(factory, cause, ours, others):
-    assert not unsaid(cause_of(ended(factory, "violates", cause=cause)).advice, ours)
+    assert not unsaid(cause_of(ended(factory, "violates", cause=cause, kind="indirect")).advice, ours)
     advice = cause_of(ended(factory, "violates", cause=cause, kind="given")).advice
     assert not unsaid(advice, others)
     assert unsaid(advice, ours)
+
+
+def test_a_method_of_exact_contact_is_not_sent_to_exact_contact(factory):
+    for outcome, advice in (("solved", "Tighten the solver's tolerance."), ("iteration_limit", "Do this.")):
+        assert cause_of(ended(factory, "violates", cause="physics_scaled", kind="direct", outcome=outcome)).advice == advice
+
+
+@pytest.mark.parametrize(("outcome", "says"), [("stalled", "A local optimum"), ("iteration_limit", "Do this.")])
+def test_a_plan_that_is_too_dear_is_a_local_optimum_unless_it_was_cut_off(factory, outcome, says):
+    assert cause_of(ended(factory, "violates", cause="cost", outcome=outcome)).advice.startswith(says)
 
 
 def test_each_cause_stands_once_the_most_frequent_first(factory):

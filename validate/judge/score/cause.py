@@ -79,7 +79,8 @@ def cause_of(scored: ScoredPlan) -> str:
         return ""
     first = _above(scored)[0]
     name = first.name.removeprefix(TRACKED)
-    return _cause_of_motion(scored) if first.question is Question.MOTION and name not in _NAMED else name
+    of_motion = first.question is Question.MOTION and name not in _NAMED
+    return _cause_of_motion(scored) if of_motion or _is_by_the_grid(name, scored) else name
 
 
 # Of what is asked about the motion, what says its cause by its own name.
@@ -88,14 +89,27 @@ _NAMED = ("unexplained_force", "replay_cost")
 
 def _cause_of_motion(scored: ScoredPlan) -> str:
     """Why the inputs do not give the motion, by what the metrics show."""
-    law, grid, growth = (scored.value(name) for name in ("law_error", "grid_error", "amplification"))
+    growth = scored.value("amplification")
+    unstable = growth is not None and growth >= _UNSTABLE
     if scored.fails("defect"):
         return "defect"
-    if grid is not None and (law or 0.0) > grid:
+    if _is_lost_on_its_grid(scored) and not (unstable and scored.questions.get(Question.FORCES) == "yes"):
         return "relaxed contact"
-    if growth is not None and growth >= _UNSTABLE:
+    if unstable:
         return "unstable"
-    return "motion" if grid is None else "coarse grid"
+    return "motion" if scored.value("grid_error") is None else "coarse grid"
+
+
+def _is_lost_on_its_grid(scored: ScoredPlan) -> bool:
+    """Whether exact contact on the plan's own grid moves it by more than a finer grid does: by another law, or by rounding where small errors grow."""
+    grid = scored.value("grid_error")
+    return grid is not None and (scored.value("law_error") or 0.0) > grid
+
+
+def _is_by_the_grid(name: str, scored: ScoredPlan) -> bool:
+    """Whether contact is elsewhere in the replay although the planned forces are those of contact, on a grid whose error shrinks with its step."""
+    exact = scored.questions.get(Question.FORCES) == "yes"
+    return exact and name in ("ghost_impulse", "missed_impulse") and None not in (scored.value("grid_error"), scored.value("grid_order"))
 
 
 def _above(scored: ScoredPlan) -> list[Metric]:
@@ -231,10 +245,10 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         return _CAUSES["physics_scaled"]
     if first.question is Question.MOTION:
         return _of_motion(first, scored)
-    grid = scored.metrics.get("grid_error")
-    if first.question is Question.POSSIBLE and scored.value("grid_order") is not None and grid is not None and grid.value is not None:
-        return f": discretisation error {number(grid.value, grid.unit)}"
-    return ""
+    if _is_by_the_grid(first.name, scored):
+        grid = scored.metrics["grid_error"]
+        return f": discretisation error {number(grid.value or 0.0, grid.unit)}; the contact forces are correct{_unstable(scored)}"
+    return ": force at a distance" if first.name == "ghost_impulse" else ""
 
 
 def _of_depth(scored: ScoredPlan) -> str:
@@ -253,8 +267,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
     if not plan.has_states or first.value is None:
         return ""
-    growth = scored.value("amplification")
-    unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
+    unstable = _unstable(scored)
     if plan.scheme is None:
         if scored.fails("unexplained_force") and first.name != "unexplained_force":
             return f": {_ENTRIES['unexplained_force'].quote(percent(scored.value('unexplained_force') or 0.0))}"
@@ -265,12 +278,22 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     cause = _cause_of_motion(scored)
     if cause == "defect":
         return f": {_quote(scored.metrics['defect'])}"
-    if cause == "relaxed contact":
-        return f": a relaxed contact law ({number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
+    if _is_lost_on_its_grid(scored):
+        lost = f"{number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already"
+        return (
+            f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
+            if cause == "relaxed contact"
+            else f": off by {lost}; the contact forces are correct{unstable}"
+        )
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
     if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
     return text + _finer(first, grid.value, scored)
+
+
+def _unstable(scored: ScoredPlan) -> str:
+    growth = scored.value("amplification")
+    return "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
 
 
 def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:

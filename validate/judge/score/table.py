@@ -228,7 +228,7 @@ TABLE = (
         name="ghost_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
         of_replay=True, default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
-        quoted="force at a distance: impulse {} that the replay does not have",
+        quoted="contact that the replay does not have: impulse {}",
     ),
     MetricEntry(
         name="missed_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.missed_impulse, applies=_has_contacts, needs=("lam",),

@@ -13,9 +13,9 @@ def metric(name: str, value: float, question: Question = Question.SHOWN, limit: 
     return Metric(name=name, question=question, value=value, unit="m", meaning="", limit=limit, ok=ok)
 
 
-def cause(*metrics: Metric) -> str:
-    """Of a plan that violates by these."""
-    made = scored(*metrics, scheme=None, questions={})
+def cause(*metrics: Metric, forces: str = "not asked") -> str:
+    """Of a plan that violates by these; forces: the answer to whether they are physical."""
+    made = scored(*metrics, scheme=None, questions={Question.FORCES: forces})
     assert cause_of(replace(made, verdict=Verdict.HOLDS)) == ""
     return cause_of(made)
 
@@ -47,3 +47,20 @@ def test_what_fails_of_another_question_is_named_itself(question: Question):
     """Of the replay with feedback by the name of its twin."""
     assert cause(metric("ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
     assert cause(metric("tracked_ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
+
+
+@pytest.mark.parametrize(
+    ("law", "growth", "forces", "word"),
+    [(2.0, 100.0, "yes", "unstable"), (2.0, 99.9, "yes", "relaxed contact"), (2.0, 100.0, "no", "relaxed contact"), (1.0, 100.0, "no", "unstable")],
+)  # fmt: skip
+def test_forces_of_contact_are_not_called_relaxed_where_errors_grow(law: float, growth: float, forces: str, word: str):
+    shown = [metric("law_error", law), metric("grid_error", 1.0), metric("amplification", growth)]
+    assert cause(metric("replay_error", 2.0, Question.MOTION, limit=1.0, ok=False), *shown, forces=forces) == word
+
+
+@pytest.mark.parametrize("name", ["ghost_impulse", "missed_impulse"])
+def test_contact_elsewhere_than_planned_is_by_the_grid_where_the_planned_forces_are_those_of_contact(name: str):
+    missed, grid, order = metric(name, 2.0, Question.POSSIBLE, limit=1.0, ok=False), metric("grid_error", 1.0), metric("grid_order", 1.0)
+    assert cause(missed, grid, order, forces="yes") == "coarse grid"
+    assert cause(missed, grid, order, metric("amplification", 100.0), forces="yes") == "unstable"
+    assert cause(missed, grid, order, forces="no") == cause(missed, grid, forces="yes") == cause(missed, order, forces="yes") == name

@@ -67,17 +67,31 @@ def test_a_law_that_the_motion_contradicts_is_not_blamed():
 
 
 def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_order():
+    """Only where the planned forces are those of contact."""
     missed = metric("missed_impulse", False, unit="N s")
     order = metric("grid_order", None, value=1.0, limit=None, unit="1")
-    assert ": discretisation error 0.079 m" in told(missed, GRID, order)
+    exact = {"questions": {Question.FORCES: "yes"}}
+    assert ": discretisation error 0.079 m; the contact forces are correct." in told(missed, GRID, order, **exact)
+    assert not unsaid(told(missed, GRID, order, metric_of_growth(100.0), **exact), "correct; unstable … (amplification 100)")
+    assert "discretisation" not in told(missed, GRID, order, questions={Question.FORCES: "not asked"})
+    ghost = metric("ghost_impulse", False, unit="N s")
+    assert told(ghost).endswith("limit 0.06 N s: force at a distance.")
+    assert "force at a distance" not in told(ghost, GRID, order, **exact)
     for others in (
         (GRID,),
         (order,),
         (order, metric("grid_error", None, value=None, limit=None)),
         (GRID, metric("grid_order", None, value=None, limit=None)),
     ):
-        assert "discretisation" not in told(missed, *others)
-    assert "discretisation" not in told(metric("friction_violation", False, unit="N"), GRID, order)
+        assert "discretisation" not in told(missed, *others, **exact)
+    assert "discretisation" not in told(metric("friction_violation", False, unit="N"), GRID, order, **exact)
+
+
+def test_what_is_lost_on_its_own_grid_is_unstable_where_errors_grow_and_the_planned_forces_are_those_of_contact():
+    lost = (STRAY, GRID, metric("law_error", None, value=4.0, limit=None), metric_of_growth(1e6))
+    why = told(*lost, questions={Question.FORCES: "yes"})
+    assert not unsaid(why, ": off by 4 m on its own grid already; the contact forces are correct; unstable … (amplification 1e+06).")
+    assert not unsaid(told(*lost), ": a relaxed contact law (4 m on its own grid already)")
 
 
 STEP = SCENE.task.step
