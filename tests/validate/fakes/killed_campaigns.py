@@ -264,7 +264,8 @@ def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], se
 def _outcomes(content: bytes) -> set[str]:
     from reports.records.check_record import StoredRecord
 
-    return {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
+    record = StoredRecord.model_validate_json(content).root
+    return {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}  # it may have crashed behind stages that are whole
 
 
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
