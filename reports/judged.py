@@ -205,7 +205,7 @@ def cause_of(run: RunRecord) -> Cause | None:
     if stage.kind == "given":
         advice = _OF_OTHERS.get(advice, advice)
     elif stage.kind == "direct" and advice is _EXACT:  # its contact is exact as soon as it is solved
-        advice = "Tighten the solver's tolerance." if stage.outcome == "solved" else stage.advice
+        advice = "Tighten the solver's tolerance, or take a smaller time step." if stage.outcome == "solved" else stage.advice
     return Cause(sentence, advice)
 
 

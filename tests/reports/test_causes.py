@@ -42,7 +42,7 @@ def test_what_to_do_about_a_plan_of_somebody_elses_names_nothing_of_ours(factory
 
 
 def test_a_method_of_exact_contact_is_not_sent_to_exact_contact(factory):
-    for outcome, advice in (("solved", "Tighten the solver's tolerance."), ("iteration_limit", "Do this.")):
+    for outcome, advice in (("solved", "Tighten the solver's tolerance, or take a smaller time step."), ("iteration_limit", "Do this.")):
         assert cause_of(ended(factory, "violates", cause="physics_scaled", kind="direct", outcome=outcome)).advice == advice
 
 
