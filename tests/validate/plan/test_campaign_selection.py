@@ -44,6 +44,10 @@ def test_near_a_misspelt_name_is_the_name(word, nearest):
     assert near(word, ("an FMU of three_cart, FMI 2.0", *NAMES))[0] == nearest
 
 
+def test_a_part_of_a_name_is_near_too():
+    assert near("strickt", ["structure", "softplus_gd+strict"]) == ["softplus_gd+strict", "structure"]
+
+
 def test_something_is_near_whatever_was_typed():
     assert len(near("zzz", NAMES)) == 1
 
