@@ -83,6 +83,7 @@ def cause_of(scored: ScoredPlan) -> str:
     return _cause_of_motion(scored) if of_motion or _is_by_the_grid(name, scored) else name
 
 
+_IMPULSES = ("ghost_impulse", "missed_impulse")
 # Of what is asked about the motion, what says its cause by its own name.
 _NAMED = ("unexplained_force", "replay_cost")
 
@@ -108,8 +109,12 @@ def _is_lost_on_its_grid(scored: ScoredPlan) -> bool:
 
 def _is_by_the_grid(name: str, scored: ScoredPlan) -> bool:
     """Whether contact is elsewhere in the replay although the planned forces are those of contact, on a grid whose error shrinks with its step."""
-    exact = scored.questions.get(Question.FORCES) == "yes"
-    return exact and name in ("ghost_impulse", "missed_impulse") and None not in (scored.value("grid_error"), scored.value("grid_order"))
+    return name in _IMPULSES and scored.questions.get(Question.FORCES) == "yes" and _has_order(scored)
+
+
+def _has_order(scored: ScoredPlan) -> bool:
+    """Whether the error of the plan's own grid is known to shrink with its step."""
+    return None not in (scored.value("grid_error"), scored.value("grid_order"))
 
 
 def _above(scored: ScoredPlan) -> list[Metric]:
@@ -245,9 +250,11 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         return _CAUSES["physics_scaled"]
     if first.question is Question.MOTION:
         return _of_motion(first, scored)
-    if _is_by_the_grid(first.name, scored):
+    by_the_grid = _is_by_the_grid(first.name, scored)
+    if by_the_grid or (first.name not in _IMPULSES and first.question is Question.POSSIBLE and _has_order(scored)):
         grid = scored.metrics["grid_error"]
-        return f": discretisation error {number(grid.value or 0.0, grid.unit)}; the contact forces are correct{_unstable(scored)}"
+        text = f": discretisation error {number(grid.value or 0.0, grid.unit)}"
+        return f"{text}; the contact forces are correct{_unstable(scored)}" if by_the_grid else text
     return ": force at a distance" if first.name == "ghost_impulse" else ""
 
 

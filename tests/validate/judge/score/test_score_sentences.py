@@ -74,6 +74,8 @@ def test_a_motion_that_is_impossible_is_blamed_on_the_grid_where_that_has_an_ord
     assert ": discretisation error 0.079 m; the contact forces are correct." in told(missed, GRID, order, **exact)
     assert not unsaid(told(missed, GRID, order, metric_of_growth(100.0), **exact), "correct; unstable … (amplification 100)")
     assert "discretisation" not in told(missed, GRID, order, questions={Question.FORCES: "not asked"})
+    faster = metric("replay_velocity_bound_violation", False, unit="m/s")
+    assert told(faster, GRID, order).endswith(": discretisation error 0.079 m."), "whatever is said of forces"
     ghost = metric("ghost_impulse", False, unit="N s")
     assert told(ghost).endswith("limit 0.06 N s: force at a distance.")
     assert "force at a distance" not in told(ghost, GRID, order, **exact)
