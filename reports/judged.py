@@ -110,7 +110,7 @@ def distance_of(stage: StageRecord, prefix: str) -> str:
 
 
 _EXACT = "Tighten eps, or go on from this plan with exact contact (strict, mpcc)."
-_FINER = "Plan on a finer grid; of our methods collocation, best_exact and multiple_shooting hold most often where errors grow."
+_FINER = "Plan on a finer grid, or by collocation, multiple_shooting or best_exact, which keeps the cheapest plan that is followed."
 _ELSEWHERE = "A local optimum: start elsewhere, from another guess or a relaxed plan, or search the contact modes (mpcc, best_exact)."
 _LOOK = "Look at the error over time on the page of the run."
 _AWAY, _DEAR = "The plan itself does not reach the goal", "The plan costs more than the scene allows"
