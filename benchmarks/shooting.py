@@ -2,7 +2,7 @@
 
 kernel      compiled rollout + adjoint, called from Python
 rollout     `rollout`, the loss of its tensors, and backward
-iteration   the whole iteration of `descend`: that, history, stopping rule, torch.optim.SGD, projection
+iteration   the whole iteration of `descend`: that, history, stopping rule, step, projection
 plain       the peer's iteration: 500 steps in PyTorch operations and plain SGD, as the paper's authors ran it
 
 CPU time, all layers in turn in each repetition; smallest and median over repetitions, and the median of the ratios of each repetition.

@@ -34,7 +34,7 @@ _CHAIN = "softplus chain of three eps, from Scene to plans, against"
 RATIOS = (
     Ratio("chain_against_casadi", f"{_CHAIN} CasADi and Ipopt by hand", 0.8, (("softplus_chain", OURS),), ("softplus_chain", "casadi")),
     Ratio("chain_against_drake", f"{_CHAIN} Drake and SNOPT", 1 / 20, (("softplus_chain", OURS),), ("softplus_chain", "drake_snopt")),
-    Ratio(  # torch.optim and a loss of one's own are kept; the rest is compiled
+    Ratio(  # a loss of one's own is kept, by PyTorch's gradients; the rest is compiled
         "gd_against_pytorch", "iteration of gradient descent against the paper's PyTorch loop", 1 / 150,
         (("gd_iteration", OURS),), ("gd_iteration", "pytorch_loop"),
     ),

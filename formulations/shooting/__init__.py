@@ -14,7 +14,7 @@ Leading dimensions are plans of their own, so that many starts descend in one lo
 rollout     the simulation as a differentiable PyTorch function
 reference   the same in plain PyTorch, slow and simple: what the compiled one is tested against, and what runs on a GPU
 objective   a loss of the inputs: the paper's, or one's own, or its mean over random inputs
-descent     gradient descent (torch.optim.SGD): its limits, its stopping rule, and its messages; why a descent cannot go on, in numbers: dead contacts,
+descent     gradient descent: its limits, its stopping rule, and its messages; why a descent cannot go on, in numbers: dead contacts,
             growth over the horizon, a rate that would do
 quasi_newton   L-BFGS within the bounds of the inputs, and the goal met by multipliers
 stage       warm start and plan of a stage, its residuals and seconds, and how fast gradients grow on their way back over its horizon

@@ -1,4 +1,4 @@
-"""Gradient descent: `torch.optim.SGD` on a loss of the inputs, projected on their bounds.
+"""Gradient descent: on a loss of the inputs, by the gradients of PyTorch, projected on their bounds.
 
     found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
 
@@ -256,14 +256,15 @@ def projected_descent(loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: floa
     ------
     (..) [-]
     """
-    optimiser = torch.optim.SGD([u], lr=rate)
+    # The step is written out, as torch.optim.SGD takes it: the first optimiser of a process imports torch's compiler, 1.1 CPU s, and an interrupt in that
+    # import leaves PyTorch without any optimiser until the process ends.
     while True:
-        optimiser.zero_grad()
+        u.grad = None
         loss = loss_of(u)
         (loss if loss.dim() == 0 else loss.sum()).backward()
         yield loss.detach()
-        optimiser.step()
-        u.data.clamp_(lower, upper)
+        if u.grad is not None:
+            u.data.add_(u.grad, alpha=-rate).clamp_(lower, upper)
 
 
 def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_limit: float) -> Descent:

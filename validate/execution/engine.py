@@ -143,9 +143,8 @@ MODULES = (
     "formulations.contact_modes.session",
     "formulations.multiple_shooting.method",
 )
-# What one task in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
-# use (1.1 s). Worth it from so many tasks on.
-TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
+# What one task in four imports: PyTorch, in 1.5 CPU s and half a gigabyte that all children then share. Worth it from so many tasks on.
+TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session",), 20
 # From so many tasks on, the process that imports has saved the time of its own start.
 WORTH = 4
 

@@ -4,7 +4,10 @@ import itertools
 import math
 import re
 import signal
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,6 +86,27 @@ def test_an_interrupt_is_obeyed_in_the_middle():
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_descent_imports_no_compiler_that_an_interrupt_could_leave_half_imported():
+    """An optimiser of PyTorch does, when it is made: 1 CPU s, and an interrupt in there leaves the process without optimisers."""
+    code = """
+import sys
+import numpy as np
+from formulations.shooting.descent import descend
+from formulations.shooting.objective import Objective
+from formulations.shooting.options import DescentOptions
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw
+objective = Objective(load_kernel(load_scene("three_cart")), law=ContactLaw.RELU)
+found = descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=500.0, iterations=2), 60.0)
+print(found.iterations, "torch" in sys.modules, "torch._dynamo" in sys.modules)
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
+    assert run.stdout == "2 True False\n", run.stderr
 
 
 def test_a_time_limit_ends_it_with_the_plan_so_far():
