@@ -5,6 +5,8 @@ import os
 import pytest
 from hypothesis import settings
 
+from validate.execution.process import usable_cores
+
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
 
@@ -13,6 +15,11 @@ os.environ.pop("COLUMNS", None)
 
 # What a test asks for says what it is: a command line is processes, Chromium is a browser. The others are marked where they stand.
 _MARKS = {"cli": "process", "start_cli": "process", "chromium": "browser"}
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than cores for `-n auto`: tests wait for processes, and two of them leave an eighth of two cores idle."""
+    return usable_cores() + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Function]):
