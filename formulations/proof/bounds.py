@@ -38,7 +38,7 @@ Clarabel's bound is the objective of its dual point, with duals feasible to 1e-8
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -54,16 +54,11 @@ from models.scene import Scene
 SLACK = 1e-6  # relative, and absolute for bounds below 1: a hundred times Clarabel's own tolerance
 
 
-@dataclass(frozen=True)
-class RelaxationResult:
-    """status: "solved", "infeasible" or "unfinished"; bound: of the minimum from below, lowered by SLACK (-inf if unfinished)."""
-
-    status: str
-    bound: float
-
-
 class Relaxation:
-    """The relaxation as matrices; its questions take bounds of phi [m], lower and upper (steps, nc), whose row 0 belongs to the start and is not used."""
+    """The relaxation as matrices; its questions take bounds of phi [m], lower and upper (steps, nc), whose row 0 belongs to the start and is not used.
+
+    Each answer is a bound of a minimum from below, lowered by SLACK: inf where no plan keeps the bounds, -inf where Clarabel does not end.
+    """
 
     def __init__(self, linear: LinearScene) -> None:
         self._linear = linear
@@ -78,7 +73,7 @@ class Relaxation:
         self._equalities = self._dynamics()
         self._always = self._bounds()
 
-    def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> RelaxationResult:
+    def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> float:
         """A lower bound of the cost.
 
         Raises nothing: -inf where the program is not solved.
@@ -90,12 +85,9 @@ class Relaxation:
         factor, offset, linear_part, constant = self._cost
         quadratic = sparse.triu(factor.T @ factor).tocsc()
         constant += 0.5 * float(offset @ offset)
-        answer = self._solve(quadratic, linear_part + factor.T @ offset, lower, upper, [], [])
-        return RelaxationResult(answer.status, _lowered(answer.bound + constant))
+        return _lowered(self._solve(quadratic, linear_part + factor.T @ offset, lower, upper, [], []) + constant)
 
-    def least_penetration(
-        self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float
-    ) -> RelaxationResult:
+    def least_penetration(self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float) -> float:
         """A lower bound of sign * phi[t, contact], t >= 1, over all plans that cost at most the ceiling.
 
         Raises nothing: -inf where the program is not solved.
@@ -117,11 +109,9 @@ class Relaxation:
             rows = [(sparse.vstack([slope, -slope, -factor]), np.concatenate([[0.5 * (1.0 + room), 0.5 * (1.0 - room)], offset]))]
             cones = [clarabel.SecondOrderConeT(2 + len(offset))]
         answer = self._solve(sparse.csc_matrix((self._size, self._size)), objective, lower, upper, rows, cones)
-        return RelaxationResult(answer.status, _lowered(answer.bound + sign * self._offset[row]))
+        return _lowered(answer + sign * self._offset[row])
 
-    def _solve(
-        self, quadratic: Any, objective: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: list, cones: list
-    ) -> RelaxationResult:
+    def _solve(self, quadratic: Any, objective: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: list, cones: list) -> float:
         left, right = self._equalities
         inner = [self._always, *self._hull(lower[1:].ravel(), upper[1:].ravel())]
         matrix = sparse.vstack([left, *(part[0] for part in inner), *(part[0] for part in rows)]).tocsc()
@@ -132,11 +122,7 @@ class Relaxation:
         kinds = [clarabel.ZeroConeT(len(right)), clarabel.NonnegativeConeT(nonnegative), *cones]
         found = clarabel.DefaultSolver(quadratic, objective, matrix, vector, kinds, settings).solve()
         status = str(found.status)
-        if status == "PrimalInfeasible":
-            return RelaxationResult("infeasible", np.inf)
-        if status != "Solved":
-            return RelaxationResult("unfinished", -np.inf)
-        return RelaxationResult("solved", float(found.obj_val_dual))
+        return np.inf if status == "PrimalInfeasible" else float(found.obj_val_dual) if status == "Solved" else -np.inf
 
     def _hull(self, lower: np.ndarray, upper: np.ndarray) -> list[tuple[Any, np.ndarray]]:
         """Rows A x <= b of the triangles and of the bounds themselves."""
@@ -214,8 +200,7 @@ def relaxed_bound(linear: LinearScene, lower: np.ndarray, upper: np.ndarray, cei
     lower, upper : (steps, nc) bounds of the penetrations of all plans that cost at most the ceiling [m]
     ceiling : the most that plans may cost
     """
-    answer = Relaxation(linear).least_cost(lower, upper)
-    return min(answer.bound, ceiling)
+    return min(Relaxation(linear).least_cost(lower, upper), ceiling)
 
 
 def _lowered(bound: float) -> float:
@@ -224,12 +209,8 @@ def _lowered(bound: float) -> float:
 
 @dataclass(frozen=True)
 class EnergyBound:
-    """Bounds of all plans that cost at most the ceiling.
+    """Bounds of all plans that cost at most the ceiling: penetration, approach (nc,), the largest phi [m] and abs(dphi/dt) [m/s]."""
 
-    speed (nq,): largest abs(v) [m/s]; penetration, approach (nc,): largest phi [m] and abs(dphi/dt) [m/s]
-    """
-
-    speed: np.ndarray
     penetration: np.ndarray
     approach: np.ndarray
 
@@ -261,11 +242,8 @@ def energy_bound(scene: Scene, ceiling: float) -> EnergyBound | None:
     v = np.array(task.start[nq:])
     phi = np.array(d.penetration.subs(values).subs(dict(zip(d.q, task.start[:nq], strict=True))), dtype=float).ravel()
     energy = 0.5 * float(v @ M @ v) + 0.5 * float(k @ np.maximum(phi, 0.0) ** 2) + task.step * gain * ceiling
-    inverse = np.linalg.inv(M)
     return EnergyBound(
-        speed=np.sqrt(2.0 * energy * np.diag(inverse)),
-        penetration=np.sqrt(2.0 * energy / k),
-        approach=np.sqrt(2.0 * energy * np.einsum("ci,ij,cj->c", J, inverse, J)),
+        penetration=np.sqrt(2.0 * energy / k), approach=np.sqrt(2.0 * energy * np.einsum("ci,ij,cj->c", J, np.linalg.inv(M), J))
     )
 
 
@@ -339,11 +317,11 @@ def _swept(relaxation: Relaxation, bounds: PairBounds, is_over: Callable[[], boo
         for contact in range(lower.shape[1]):
             for sign, side in ((1.0, lower), (-1.0, upper)):
                 if is_over():
-                    return PairBounds(lower=lower, upper=upper, ceiling=bounds.ceiling)
+                    return replace(bounds, lower=lower, upper=upper)
                 found = relaxation.least_penetration(t, contact, sign, lower, upper, bounds.ceiling)
-                if found.status == "unfinished" and np.isinf(side[t, contact]):  # the ceiling makes the program harder; any bound will do
+                if np.isneginf(found) and np.isinf(side[t, contact]):  # the ceiling makes the program harder; any bound will do
                     found = relaxation.least_penetration(t, contact, sign, lower, upper, np.inf)
-                if found.status == "infeasible":
-                    return PairBounds(lower=lower, upper=upper, ceiling=bounds.ceiling, is_empty=True)
-                side[t, contact] = sign * max(sign * side[t, contact], found.bound)  # unfinished: -inf, which is no better
-    return PairBounds(lower=lower, upper=upper, ceiling=bounds.ceiling)
+                if np.isposinf(found):
+                    return replace(bounds, lower=lower, upper=upper, is_empty=True)
+                side[t, contact] = sign * max(sign * side[t, contact], found)
+    return replace(bounds, lower=lower, upper=upper)

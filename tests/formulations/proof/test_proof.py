@@ -114,7 +114,6 @@ def test_cheap_plans_have_little_energy():
         plan = rolled_out(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
         found = energy_bound(close, float((plan.u**2).sum()))
         phi = load_kernel(close).penetration(plan.q)
-        assert (np.abs(plan.v) <= found.speed).all()
         assert (phi <= found.penetration).all()
         assert (np.abs(np.diff(phi, axis=0)) <= found.approach * 0.01).all()
     assert energy_bound(PENDULUM, 1.0) is None, "gravity does work"
