@@ -7,15 +7,14 @@ The shadow is a ConcreteModel of its own whose rows are the user's (by reference
 read and never written, so there is nothing to undo after a failure or Ctrl-C.
 
 What a Complementarity says: complements(a, b), both relations hold, and at least one of the inequalities holds as an equality. Pyomo accepts two
-finite bounds in all: one on each side (`SimpleCondition`, two expressions of which none is negative and one is zero), both on one side
-(`BoxCondition`: l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality
-(`EqualityCondition`: it always holds as an equality, hence nothing is left to choose; the other side holds as it is written).
+finite bounds in all: one on each side (two expressions of which none is negative and one is zero), both on one side (a box:
+l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality (it always holds as an equality,
+hence nothing is left to choose; the other side holds as it is written).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,71 +30,11 @@ from pyomo.mpec import Complementarity, complements
 from formulations.ipopt import MissingValueError, ModelRefusedError
 from formulations.ipopt.model import active_constraints, active_objective, refuse_unknown_components
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SimpleCondition:
-    """0 <= first, 0 <= second, one of them is 0. Flips are -1 where a side is an upper bound minus what the user wrote, else 1."""
-
-    data: Any
-    first: Any
-    second: Any
-    first_flip: float
-    second_flip: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BoxCondition:
-    """lower <= body <= upper complements free; body is the argument of that number (0 or 1)."""
-
-    data: Any
-    argument: int
-    body: Any
-    lower: Any
-    upper: Any
-    free: Any
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EqualityCondition:
-    """(number of the argument, (lower, body, upper)) of what must hold; nothing to choose."""
-
-    data: Any
-    relations: tuple[tuple[int, tuple[Any, Any, Any]], ...]
-
-
-Condition = SimpleCondition | BoxCondition | EqualityCondition
+Relation = tuple[Any, Any, Any]
 Sides = tuple[tuple[int, float], tuple[int, float]]
 
 
-def _read_conditions(model: Any) -> list[Condition]:
-    """Every active Complementarity of a model, in order of declaration; ModelRefusedError names one that cannot be understood."""
-    return [_condition(data) for data in model.component_data_objects(Complementarity, active=True, descend_into=Block)]
-
-
-def _condition(data: Any) -> Condition:
-    sides = getattr(data, "_args", None)
-    if not sides:
-        raise ModelRefusedError(f"complementarity '{data.name}' holds no condition: give it complements(.., ..), or deactivate it")
-    relations = tuple(relation_of(side, data) for side in sides)
-    bounds = tuple(sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations)
-    if any(isinstance(side, EqualityExpression) for side in sides):
-        return EqualityCondition(data=data, relations=tuple(enumerate(relations)))
-    if sum(bounds) != 2:
-        raise ModelRefusedError(
-            f"complementarity '{data.name}' has {sum(bounds)} finite bounds, but needs two in all: 'expr >= l' on each side, or 'l <= expr <= u' "
-            "on one side and an expression without bounds on the other"
-        )
-    if bounds == (1, 1):
-        (first, first_flip), (second, second_flip) = (_distance(relation) for relation in relations)
-        return SimpleCondition(data=data, first=first, second=second, first_flip=first_flip, second_flip=second_flip)
-    argument = 0 if bounds == (2, 0) else 1
-    (lower, body, upper), (_, free, _) = relations[argument], relations[1 - argument]
-    if _number(lower, data) == _number(upper, data):
-        return EqualityCondition(data=data, relations=((argument, relations[argument]),))
-    return BoxCondition(data=data, argument=argument, body=body, lower=lower, upper=upper, free=free)
-
-
-def relation_of(side: Any, data: Any) -> tuple[Any, Any, Any]:
+def relation_of(side: Any, data: Any) -> Relation:
     """(lower, body, upper) of one argument of `complements`; a bound is None where there is none.
 
     Raises
@@ -149,7 +88,7 @@ def _number(bound: Any, data: Any) -> float:
     return number
 
 
-def _distance(relation: tuple[Any, Any, Any]) -> tuple[Any, float]:
+def _distance(relation: Relation) -> tuple[Any, float]:
     """(how far the body is inside its one bound, sign of the body in it)."""
     lower, body, upper = relation
     if upper is None:
@@ -222,7 +161,6 @@ def lift(model: Any) -> Lifted:
     """
     refuse_unknown_components(model, also=frozenset({Complementarity}))
     with PauseGC():
-        conditions = _read_conditions(model)
         shadow = pyo.ConcreteModel(name=model.name)
         rows = active_constraints(model)
         if rows:
@@ -232,13 +170,14 @@ def lift(model: Any) -> Lifted:
             shadow.user_objective = pyo.Objective(expr=objective.expr, sense=objective.sense)
         shadow.slack = pyo.VarList(domain=pyo.Reals)
         shadow.slack_rows = pyo.ConstraintList()
-        found = [(condition, *pair) for condition in conditions for pair in _pairs(shadow, condition)]
-        imposed = [
-            (condition.data, argument, _impose(shadow, *relation))
-            for condition in conditions
-            if isinstance(condition, EqualityCondition)
-            for argument, relation in condition.relations
-        ]
+        conditions = tuple(model.component_data_objects(Complementarity, active=True, descend_into=Block))
+        found: list[tuple[Any, Any, Any, bool, Sides]] = []
+        held: list[tuple[Any, int, Relation]] = []
+        for condition in conditions:
+            choices, relations = _read(shadow, condition)
+            found += [(condition, *choice) for choice in choices]
+            held += [(condition, argument, relation) for argument, relation in relations]
+        imposed = [(condition, argument, _impose(shadow, *relation)) for condition, argument, relation in held]
         shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1] >= 0, found[k][2] >= 0))
         transformed = tuple(shadow.pair[k] for k in range(len(found)))
         pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
@@ -248,37 +187,54 @@ def lift(model: Any) -> Lifted:
         LiftedPair(
             data=data,
             second=second,
-            condition=condition.data,
+            condition=condition,
             twin=first if _is_nonnegative_variable(first) else None,
             swapped=swapped,
             sides=sides,
         )
         for data, (condition, first, second, swapped, sides) in zip(transformed, found, strict=True)
     )
-    return Lifted(
-        shadow=shadow,
-        conditions=tuple(condition.data for condition in conditions),
-        pairs=pairs,
-        imposed=tuple(item for item in imposed if item[2] is not None),
-    )
+    return Lifted(shadow=shadow, conditions=conditions, pairs=pairs, imposed=tuple(item for item in imposed if item[2] is not None))
 
 
-def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool, Sides]]:
-    """(expression, variable with lower bound 0, whether swapped, sides) for each choice that a condition leaves."""
-    if isinstance(condition, BoxCondition):
-        above, below = shadow.slack.add(), shadow.slack.add()
-        above.setlb(0.0)
-        below.setlb(0.0)
-        shadow.slack_rows.add(above - below == condition.free)
-        body, free = condition.argument, 1 - condition.argument
-        yield _expression(shadow, condition.body - condition.lower), above, False, ((body, 1.0), (free, 1.0))
-        yield _expression(shadow, condition.upper - condition.body), below, False, ((body, -1.0), (free, 0.0))
-    elif isinstance(condition, SimpleCondition):
-        first, second, sides = condition.first, condition.second, ((0, condition.first_flip), (1, condition.second_flip))
+def _read(shadow: Any, data: Any) -> tuple[list[tuple[Any, Any, bool, Sides]], list[tuple[int, Relation]]]:
+    """What a Complementarity says: the choices that it leaves, and what must hold without one.
+
+    A choice is (expression, variable with lower bound 0, whether swapped, sides); the rest is (number of the argument, relation).
+    ModelRefusedError names one that cannot be understood.
+    """
+    arguments = getattr(data, "_args", None)
+    if not arguments:
+        raise ModelRefusedError(f"complementarity '{data.name}' holds no condition: give it complements(.., ..), or deactivate it")
+    relations = tuple(relation_of(side, data) for side in arguments)
+    if any(isinstance(side, EqualityExpression) for side in arguments):
+        return [], list(enumerate(relations))
+    bounds = tuple(sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations)
+    if sum(bounds) != 2:
+        raise ModelRefusedError(
+            f"complementarity '{data.name}' has {sum(bounds)} finite bounds, but needs two in all: 'expr >= l' on each side, or 'l <= expr <= u' "
+            "on one side and an expression without bounds on the other"
+        )
+    if bounds == (1, 1):
+        (first, first_flip), (second, second_flip) = (_distance(relation) for relation in relations)
+        sides: Sides = ((0, first_flip), (1, second_flip))
         swapped = _is_nonnegative_variable(first) and not _is_nonnegative_variable(second)
         if swapped:
             first, second, sides = second, first, (sides[1], sides[0])
-        yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped, sides
+        first = _expression(shadow, first)
+        return [(first, second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped, sides)], []
+    box, other = (0, 1) if bounds == (2, 0) else (1, 0)
+    (lower, body, upper), (_, free, _) = relations[box], relations[other]
+    if _number(lower, data) == _number(upper, data):
+        return [], [(box, relations[box])]
+    above, below = shadow.slack.add(), shadow.slack.add()
+    above.setlb(0.0)
+    below.setlb(0.0)
+    shadow.slack_rows.add(above - below == free)
+    return [
+        (_expression(shadow, body - lower), above, False, ((box, 1.0), (other, 1.0))),
+        (_expression(shadow, upper - body), below, False, ((box, -1.0), (other, 0.0))),
+    ], []
 
 
 def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> Any | None:
