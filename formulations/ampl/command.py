@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
@@ -27,12 +26,10 @@ import pyomo.environ  # noqa: F401 - before anything of ours that needs it, once
 from formulations.ampl.nl import Header, NlError, NlProblem, read_problem
 from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
 from formulations.mpec import MpecSettings, read_settings
-from formulations.mpec.result import MpecResult, PairState, is_feasible
+from formulations.mpec.result import MpecResult, is_feasible
 from formulations.mpec.solve import solve_mpec
 from formulations.solution import Outcome
 
-# Which bounds of its variable a row complements.
-_LOWER, _BOTH = 1, 3
 NAME = "touchstone-mpec"
 # Where AMPL puts its options: the solver's name and `_options`.
 _ENVIRONMENT = ("touchstone_mpec_options", f"{NAME}_options")
@@ -182,20 +179,9 @@ def _duals(problem: NlProblem, result: MpecResult) -> list[float]:
     """(rows,) duals in AMPL's signs: the change of the objective by the right-hand side, of a complementarity by what its body is compared with."""
     if not result.has_multipliers:
         return []
-    of_rows = dict(zip(map(id, result.rows), (-result.lagrange).tolist(), strict=True))
-    of_pairs: dict[str, list[PairState]] = {}
-    for pair in result.pairs:
-        of_pairs.setdefault(pair.name, []).append(pair)
-    duals = []
-    for row, sides in zip(problem.rows, problem.sides, strict=True):
-        if not sides:
-            duals.append(of_rows.get(id(row), 0.0))
-        elif sides == _BOTH:  # a box has two pairs, body = w1 - w2 with w1 and w2 not negative: the multiplier of w1 is that of the body
-            duals.append(of_pairs[row.name][0].second_multiplier)
-        else:
-            (pair,) = of_pairs[row.name]
-            duals.append(pair.first_multiplier if sides == _LOWER else -pair.first_multiplier)
-    return [result.sense * dual for dual in duals]
+    found = dict(zip(map(id, result.rows), (-result.sense * result.lagrange).tolist(), strict=True))
+    found |= {id(pair): both[0] for pair, both in result.pair_multipliers}
+    return [found.get(id(row), 0.0) for row in problem.rows]
 
 
 # A suffix's kind: 1 for rows, and 4 for numbers that are not whole.
@@ -208,10 +194,10 @@ def write_sol(
     *,
     message: str,
     code: int,
-    duals: Sequence[float] = (),
-    values: Sequence[float] = (),
-    objective: int = 1,
-    of_rows: Mapping[str, Mapping[int, float]] = MappingProxyType({}),
+    duals: Sequence[float],
+    values: Sequence[float],
+    objective: int,
+    of_rows: Mapping[str, Mapping[int, float]],
 ) -> None:
     """Write a solution.
 

@@ -48,7 +48,7 @@ def read_nl(path: str | Path, *, objective: int = 1, relax_integers: bool = Fals
 class NlProblem:
     """A model and the order of its file, in which a `.sol` file answers.
 
-    rows: a constraint or a complementarity for each row; sides: which bounds of its variable a row complements (1: lower, 2: upper, 3: both), else 0
+    rows: a constraint or a complementarity for each row
     """
 
     file: Path
@@ -56,7 +56,6 @@ class NlProblem:
     model: pyo.ConcreteModel
     variables: Sequence[Any]
     rows: Sequence[Any]
-    sides: Sequence[int]
 
 
 def read_problem(path: str | Path, *, objective: int = 1, relax_integers: bool = False) -> NlProblem:
@@ -404,8 +403,7 @@ class _Reader:
             if number + 1 != objective:
                 model.objective[number + 1].deactivate()
         self._state_suffixes(stated)
-        sides = [bounds.sides or 0 for bounds in self.row_bounds]
-        return NlProblem(file=self.file, header=header, model=model, variables=self.variables, rows=stated, sides=sides)
+        return NlProblem(file=self.file, header=header, model=model, variables=self.variables, rows=stated)
 
     def _integers(self) -> Iterator[int]:
         """Numbers of the variables that are integer: those that stand linearly last of all, the others last in each block of nonlinear ones."""

@@ -347,7 +347,14 @@ def solve(stub: Path) -> tuple[float, list[float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("sides", "bounds", "start", "d"),
-    [(1, "2 0.5", 1.0, 0.5), (2, "1 8", -3.0, -3.0), (3, "0 0.5 8", 1.0, 0.5), (3, "0 -9 1.5", -3.0, -3.0), (0, "3", 0.5, 0.5)],
+    [
+        (1, "2 0.5", 1.0, 0.5),
+        (2, "1 8", -3.0, -3.0),
+        (3, "0 0.5 8", 1.0, 0.5),
+        (3, "0 -9 1.5", -3.0, -3.0),
+        (3, "4 0.5", 0.5, 0.5),
+        (0, "3", 0.5, 0.5),
+    ],
 )
 @pytest.mark.parametrize("sense", [0, 1])
 def test_duals_are_the_change_of_the_objective_by_the_right_hand_side(stub, sides, bounds, start, d, sense):
