@@ -186,7 +186,7 @@ def result_of(
     *,
     residual: float = math.nan,
     certificate: Certificate | None = None,
-    with_multipliers: bool = False,
+    multipliers: Multipliers | None = None,
 ) -> MpecResult:
     """The result of a candidate, by the user's variables and rows; steps and what was spent are those of the whole solve, and not known here.
 
@@ -196,27 +196,25 @@ def result_of(
     outcome, message : how it ended
     residual : largest min of a pair
     certificate : of the point
-    with_multipliers : whether those of its branch belong to the point
+    multipliers : those of its branch, where they belong to the point
     """
     work, branch, x, settings = candidate.work, candidate.branch, candidate.x, candidate.work.settings
     problem = candidate.columns.problem
-    mine = work.own
-    keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)
+    keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in work.own], dtype=np.intp)
     rows = _user_rows(candidate)
     point = np.full(len(keep), np.nan) if x is None else x[keep]
     lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
-    if branch is not None and with_multipliers:
+    if branch is not None and multipliers is not None:
         given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
         lagrange = np.array([given.get(id(row), 0.0) for row in rows])
         slope = branch.slope[keep]
-        held_low = np.isclose(
-            point, problem.lower[keep], rtol=0.0, atol=1e-9
-        )  # a side held at 0 keeps its sign: that is what classes look at
+        # a side held at 0 keeps its sign: that is what classes look at
+        held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
         zl, zu = np.where(held_low, slope, np.maximum(slope, 0.0)), np.where(held_low, 0.0, np.maximum(-slope, 0.0))
     return MpecResult(
         outcome=outcome,
         message=message,
-        strategy=candidate.work.strategy.name,
+        strategy=work.strategy.name,
         variables=tuple(problem.variables[k] for k in keep),
         x=point,
         rows=rows,
@@ -227,15 +225,15 @@ def result_of(
         objective=candidate.objective,
         has_objective=work.branches.problem.layout.objective is not None,
         polished=branch is not None,
-        has_multipliers=with_multipliers,
+        has_multipliers=multipliers is not None,
         residual=residual,
-        pairs=() if x is None else _pair_states(candidate, x, with_multipliers),
-        pair_multipliers=_pair_multipliers(candidate) if with_multipliers else (),
+        pairs=() if x is None else _pair_states(candidate, x, multipliers is not None),
+        pair_multipliers=() if multipliers is None else _pair_multipliers(candidate.sense, multipliers),
         certificate=certificate,
         options=MappingProxyType({
             **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
-            "strategy": candidate.work.strategy.name, "eps_start": settings.eps_start or candidate.work.strategy.first,
-            "eps_end": settings.eps_end or candidate.work.strategy.last, **settings.ipopt,
+            "strategy": work.strategy.name, "eps_start": settings.eps_start or work.strategy.first,
+            "eps_end": settings.eps_end or work.strategy.last, **settings.ipopt,
         }),
     )  # fmt: skip
 
@@ -257,15 +255,13 @@ def _pair_states(candidate: Candidate, x: np.ndarray, with_multipliers: bool) ->
 
 def multipliers_of(candidate: Candidate) -> Multipliers:
     """The branch's multipliers by the user's components, in the certificate's signs."""
-    branch, lifted, columns = candidate.branch, candidate.work.lifted, candidate.work.branches
+    branch, lifted, columns, mine = candidate.branch, candidate.work.lifted, candidate.work.branches, candidate.work.own
     assert branch is not None
-    problem = columns.problem
-    slope = branch.slope
-    mine = candidate.work.own
-    users = {id(row) for row in _user_rows(candidate)}
-    rows = ComponentMap((row, -value) for row, value in zip(problem.equations, branch.lagrange.tolist(), strict=True) if id(row) in users)
-    bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
-    given = dict(zip((id(row) for row in problem.equations), branch.lagrange.tolist(), strict=True))
+    slope, users = branch.slope, {id(row) for row in _user_rows(candidate)}
+    of_rows = list(zip(columns.problem.equations, (-branch.lagrange).tolist(), strict=True))
+    rows = ComponentMap((row, multiplier) for row, multiplier in of_rows if id(row) in users)
+    bounds = ComponentMap((v, z) for v, z in zip(columns.problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
+    by_row = {id(row): multiplier for row, multiplier in of_rows}
     pairs: Any = ComponentMap((condition, (0.0, 0.0)) for condition in lifted.conditions)
 
     def add(condition: Any, argument: int, multiplier: float) -> None:
@@ -274,7 +270,7 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
         pairs[condition] = (both[0], both[1])
 
     for condition, argument, row in lifted.imposed:
-        add(condition, argument, -given.get(id(row), 0.0))
+        add(condition, argument, by_row.get(id(row), 0.0))
     for k, pair in enumerate(lifted.pairs):
         nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
         if id(pair.second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
@@ -287,9 +283,9 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
 
 
-def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, float]], ...]:
+def _pair_multipliers(sense: int, found: Multipliers) -> tuple[tuple[Any, tuple[float, float]], ...]:
     """Of each complementarity, in the model's own sense; a side that is a variable's own bound once more has the multiplier of that bound too."""
-    found, told = multipliers_of(candidate), []
+    told = []
     bounds = ComponentMap(found.bounds.items())
     for condition, sides in found.pairs.items():
         both = list(sides)
@@ -300,7 +296,7 @@ def _pair_multipliers(candidate: Candidate) -> tuple[tuple[Any, tuple[float, flo
             if bound is not None and value(bound) == own:
                 both[k] += z
                 del bounds[body]  # of two pairs with this side one has it
-        told.append((condition, (candidate.sense * both[0], candidate.sense * both[1])))
+        told.append((condition, (sense * both[0], sense * both[1])))
     return tuple(told)
 
 

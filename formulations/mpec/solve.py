@@ -258,15 +258,14 @@ def _judged(model: Any, candidate: Candidate) -> MpecResult:
     if x is None:
         return result_of(candidate, *outcome_without_point(candidate))
     residual = natural_residual(*candidate.columns.pair_values(x))
-    certificate = None
-    with_multipliers = candidate.branch is not None
+    certificate, multipliers = None, None if candidate.branch is None else multipliers_of(candidate)
     if candidate.work.settings.certificate:
         with values_set(candidate.columns.problem.variables, x.tolist()):
-            certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
+            certificate = certify(model, multipliers)
             if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate found its own
-                with_multipliers, certificate = False, replace(certificate, given_dual=math.nan)
+                multipliers, certificate = None, replace(certificate, given_dual=math.nan)
     ended = verdict(candidate, residual, certificate)
-    return result_of(candidate, *ended, residual=residual, certificate=certificate, with_multipliers=with_multipliers)
+    return result_of(candidate, *ended, residual=residual, certificate=certificate, multipliers=multipliers)
 
 
 def _agrees(objective: float, relaxed: float) -> bool:
