@@ -131,8 +131,8 @@ class Proof:
     """What is proved of a scene.
 
     plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None without
-    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions; bounds:
-    the big-M; trouble: what SCIP said where it broke off
+    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions; trouble:
+    what SCIP said where it broke off
     """
 
     status: ProofStatus
@@ -145,7 +145,6 @@ class Proof:
     binaries: int
     pairs: int
     solver: str
-    bounds: PairBounds
     trouble: str = ""
 
     @property
@@ -302,7 +301,6 @@ class _Prover:
             binaries=int((~bounds.decided[1:]).sum()),
             pairs=int(bounds.decided[1:].size),
             solver=", ".join(filter(None, (self._solver, f"Clarabel {clarabel.__version__}"))),
-            bounds=bounds,
             trouble=self._trouble,
         )
 

@@ -238,7 +238,7 @@ def test_decisions_are_those_after_the_start(proved):
 def proof(**changes: Any) -> Proof:
     said = {
         "status": ProofStatus.BOUND, "plan": COASTING, "cost": 8.0, "bound": 6.0, "seconds": 1.0, "cpu": 2.0, "nodes": 3, "binaries": 4, "pairs": 5,
-        "solver": "SCIP", "bounds": bounds(), "trouble": " It stumbled.",
+        "solver": "SCIP", "trouble": " It stumbled.",
     }  # fmt: skip
     return Proof(**(said | changes))
 
