@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -333,17 +332,11 @@ def gradient(graph: Graph, root: int) -> dict[int, int]:
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearParts:
-    """root = constant + sum_i linear[i] * variable_i + nonlinear, where constant and linear[i] are data nodes."""
+def split_linear(graph: Graph, root: int) -> tuple[int, dict[int, int], int]:
+    """(constant, linear, nonlinear) with root = constant + sum_i linear[i] * variable_i + nonlinear, where constant and linear[i] are data nodes.
 
-    constant: int
-    linear: dict[int, int] = field(default_factory=dict)
-    nonlinear: int
-
-
-def split_linear(graph: Graph, root: int) -> LinearParts:
-    """Separate what is affine in the variables; products with data are carried through sums, so h*(a*x + y*z) gives h*a for x."""
+    Products with data are carried through sums, so h*(a*x + y*z) gives h*a for x.
+    """
     weight: dict[int, int] = {root: graph.one}
     constant, nonlinear = graph.zero, graph.zero
     linear: dict[int, int] = {}
@@ -376,7 +369,7 @@ def split_linear(graph: Graph, root: int) -> LinearParts:
             share(args[0], graph.div(w, args[1]))
         else:
             nonlinear = graph.add(nonlinear, graph.mul(w, node))
-    return LinearParts(constant=constant, linear=linear, nonlinear=nonlinear)
+    return constant, linear, nonlinear
 
 
 _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})

@@ -78,25 +78,24 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
     return f"t{node} = {op}({', '.join(names)})"
 
 
-def hoist(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Data nodes, structural constants apart, that the roots use directly: computed once per refresh and handed in as `p`."""
+def hoist(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
+    """{data node, structural constants apart, that the roots use directly: its place in `p`}: computed once per refresh and handed in."""
     found = graph.reachable(*roots, until=lambda node: graph.is_data[node])
-    return [node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT]
+    return {node: k for k, node in enumerate(node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT)}
 
 
-def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: Mapping[int, int], name: str) -> Callable[..., None]:
+def generate(graph: Graph, outputs: Sequence[int], hoisted: Mapping[int, int], row: Mapping[int, int], name: str) -> Callable[..., None]:
     """A function `(x, p, out, seed=None)` that writes outputs[k] to out[k].
 
-    `hoisted` are the data nodes that p holds, in order; `row[i]` is the row of x (and of seed) that holds variable i.
+    `hoisted[node]` is the row of p that holds a data node; `row[i]` is the row of x (and of seed) that holds variable i.
     """
-    slot = {node: k for k, node in enumerate(hoisted)}
-    order = [n for n in graph.reachable(*outputs, until=slot.__contains__) if n not in slot and graph.op[n] != CONSTANT]
+    order = [n for n in graph.reachable(*outputs, until=hoisted.__contains__) if n not in hoisted and graph.op[n] != CONSTANT]
     for node in order:
         if graph.op[node] == DATUM:
             raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
     lines = [f"def {name}(x, p, out, seed=None):"]
-    lines += [f"    {_statement(graph, node, slot, row)}" for node in order]
-    lines += [f"    out[{k}] = {_name(graph, node, slot)}" for k, node in enumerate(outputs)]
+    lines += [f"    {_statement(graph, node, hoisted, row)}" for node in order]
+    lines += [f"    out[{k}] = {_name(graph, node, hoisted)}" for k, node in enumerate(outputs)]
     lines.append("    return")
     namespace = dict(_NAMESPACE)
     exec(compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace)  # source made above from numbers and known names
@@ -151,7 +150,7 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
 
 
 def _generate_by_products(
-    graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: list[int], row: dict[int, int], operations: int
+    graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: Mapping[int, int], row: dict[int, int], operations: int
 ) -> Callable[..., None]:
     """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k].
 
@@ -198,7 +197,7 @@ Signature = tuple[Hashable, ...]
 class ExpressionShape:
     """One analysed signature. Slots number the variables of a term; functions take rows over instances (see codegen).
 
-    prepare(data) fills (1 + len(linear) + number of hoisted values, instances): constant, linear coefficients, hoisted values.
+    prepare(None, data, out) fills out (1 + len(linear) + number of hoisted values, instances): constant, linear coefficients, hoisted values.
     """
 
     linear: tuple[int, ...]  # slots with a linear coefficient
@@ -275,27 +274,28 @@ def _sum(graph: Graph, terms: list[int]) -> int:
 
 
 def _compile_shape(graph: Graph, root: int) -> ExpressionShape:
-    split = split_linear(graph, root)
-    slopes = gradient(graph, split.nonlinear)
-    used = {graph.args[n][0] for n in graph.reachable(split.nonlinear) if graph.op[n] == "variable"}
+    constant, linear, nonlinear = split_linear(graph, root)
+    slopes = gradient(graph, nonlinear)
+    used = {graph.args[n][0] for n in graph.reachable(nonlinear) if graph.op[n] == "variable"}
     curved = tuple(sorted(used))
     local = {slot: k for k, slot in enumerate(curved)}
     slope_nodes = list(slopes.values())
 
-    operations = len(graph.reachable(*slope_nodes, split.nonlinear))
+    operations = len(graph.reachable(*slope_nodes, nonlinear))
     entries: dict[tuple[int, int], int] = {}
     products: dict[int, int] = {}
     directional = len(slopes) * operations > _SYMBOLIC_HESSIAN_LIMIT
     if directional:
         products = _product_nodes(graph, slopes)
-        pairs = hessian_sparsity(graph, split.nonlinear)
+        pairs = hessian_sparsity(graph, nonlinear)
     else:
         entries = _symbolic_hessian(graph, slopes)
         pairs = np.array(list(entries), dtype=np.intp).reshape(-1, 2).T
 
-    hoisted = hoist(graph, [split.nonlinear, *slope_nodes, *products.values(), *entries.values()])
-    linear = tuple(sorted(split.linear))
-    prepare = _generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
+    hoisted = hoist(graph, [nonlinear, *slope_nodes, *products.values(), *entries.values()])
+    slots = tuple(sorted(linear))
+    raw = {node: graph.args[node][0] for node, op in enumerate(graph.op) if op == DATUM}
+    prepare = generate(graph, [constant, *(linear[s] for s in slots), *hoisted], raw, {}, "prepare")
     pairs = np.searchsorted(np.array(curved, dtype=np.intp), pairs)
     hessian = None
     if directional:
@@ -303,32 +303,16 @@ def _compile_shape(graph: Graph, root: int) -> ExpressionShape:
     elif entries:
         hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
     return ExpressionShape(
-        linear=linear,
+        linear=slots,
         curved=curved,
         hoisted=len(hoisted),
         prepare=prepare,
-        value=generate(graph, [split.nonlinear], hoisted, local, "value") if curved else None,
+        value=generate(graph, [nonlinear], hoisted, local, "value") if curved else None,
         slope_slots=tuple(local[s] for s in slopes),
         slope=generate(graph, slope_nodes, hoisted, local, "slope") if slope_nodes else None,
         hessian_pairs=pairs,
         hessian=hessian,
     )
-
-
-def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
-    """The once-per-refresh function: its `p` are the raw data slots of the shape."""
-    data = [n for n in range(len(graph.op)) if graph.op[n] == "datum"]
-    inner = generate(graph, outputs, data, {}, "prepare")
-    indices = [graph.args[n][0] for n in data]
-
-    def prepare(rows: np.ndarray, out: np.ndarray) -> None:
-        """Fill out (prepared, instances) from rows (data, instances) [units of the data].
-
-        Raises nothing: NaN or inf where the model has no number.
-        """
-        inner(None, [rows[i] for i in indices], out)
-
-    return prepare
 
 
 def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, int], int]:
@@ -408,8 +392,7 @@ class TermGroup:
 
         Raises nothing: NaN or inf where the model has no number.
         """
-        rows = [*self._numbers, *data[self._params]]
-        self.shape.prepare(rows, self._prepared)
+        self.shape.prepare(None, [*self._numbers, *data[self._params]], self._prepared)
         self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
 
     @property

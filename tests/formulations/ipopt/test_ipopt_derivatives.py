@@ -392,11 +392,11 @@ def leaf(graph, name):
 
 def evaluate(graph, node):
     outputs, hoisted = [node], hoist(graph, [node])
-    data = [n for n in range(len(graph.op)) if graph.op[n] == "datum"]
+    data = {n: graph.args[n][0] for n in range(len(graph.op)) if graph.op[n] == "datum"}
     prepared = np.empty((len(hoisted), 1))
     out = np.empty((1, 1))
     with np.errstate(all="ignore"):
-        generate(graph, hoisted, data, {}, "prepare")(None, [np.array([P])] * len(data), prepared)
+        generate(graph, hoisted, data, {}, "prepare")(None, [np.array([P])], prepared)
         generate(graph, outputs, hoisted, {0: 0}, "value")([np.array([X])], list(prepared), out)
     return out[0, 0]
 
