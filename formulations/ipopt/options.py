@@ -6,6 +6,7 @@ out after an hour.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -139,14 +140,12 @@ _LARGEST = 2**31 - 1
 
 
 def _number(name: str, value: Any) -> int | float:
+    whole = name in _INTEGERS
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise UnknownOptionError(f"the Ipopt option '{name}' is a number, not {value!r}") from None
-    if isinstance(value, bool) or number != number:
-        raise UnknownOptionError(f"the Ipopt option '{name}' is a number, not {value!r}")
-    if name in _REALS:
-        return number
-    if not number.is_integer() or abs(number) > _LARGEST:
-        raise UnknownOptionError(f"the Ipopt option '{name}' is a whole number of at most {_LARGEST}, not {value!r}")
-    return int(number)
+        number = math.nan
+    if isinstance(value, bool) or math.isnan(number) or (whole and not (number.is_integer() and abs(number) <= _LARGEST)):
+        kind = f"a whole number of at most {_LARGEST}" if whole else "a number"
+        raise UnknownOptionError(f"the Ipopt option '{name}' is {kind}, not {value!r}")
+    return int(number) if whole else number

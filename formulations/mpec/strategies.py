@@ -47,17 +47,6 @@ class Strategy(ABC):
         return eps
 
 
-def _replace_objective(shadow: Any, penalty: Any) -> None:
-    """Add a penalty (to be kept small) to whatever the user's objective is."""
-    given = shadow.component("user_objective")
-    if given is None:
-        shadow.relaxation.penalised = pyo.Objective(expr=penalty)
-        return
-    given.deactivate()
-    sign = 1.0 if given.sense == pyo.minimize else -1.0
-    shadow.relaxation.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
-
-
 class Scholtes(Strategy):
     """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0.
 
@@ -104,9 +93,15 @@ class L1Penalty(Strategy):
 
     def attach(self, lifted: Lifted) -> Any:
         """No products; a weighted penalty in the objective."""
-        block = lifted.relaxation()
+        block, given = lifted.relaxation(), lifted.shadow.component("user_objective")
         block.weight = pyo.Param(mutable=True, initialize=1.0)
-        _replace_objective(lifted.shadow, sum((block.weight * pair.first * pair.second for pair in lifted.pairs), start=0.0))
+        penalty = sum((block.weight * pair.first * pair.second for pair in lifted.pairs), start=0.0)
+        if given is None:
+            block.penalised = pyo.Objective(expr=penalty)
+        else:
+            given.deactivate()
+            sign = 1.0 if given.sense == pyo.minimize else -1.0
+            block.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
         return block.weight
 
     def number(self, eps: float) -> float:
@@ -212,16 +207,13 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _number(name: str, value: Any) -> float | int:
+    whole, least = name in ("max_biactive", "search", "step_iterations", "starts"), int(name == "starts")
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise UnknownOptionError(f"the option '{name}' is a number, not {value!r}") from None
-    if name in ("max_biactive", "search", "step_iterations", "starts"):
-        least = int(name == "starts")
-        if isinstance(value, bool) or number < least or not number.is_integer():
-            raise UnknownOptionError(f"the option '{name}' is a whole number of at least {least}, not {value!r}")
-        return int(number)
-    if isinstance(value, bool) or not 0.0 <= number < math.inf or (number == 0.0 and name != "work"):
-        kind = "a number of at least 0" if name == "work" else "a positive number"
+        number = math.nan
+    fits = number >= least and number.is_integer() if whole else 0.0 < number < math.inf or (number == 0.0 and name == "work")
+    if isinstance(value, bool) or not fits:
+        kind = f"a whole number of at least {least}" if whole else "a number of at least 0" if name == "work" else "a positive number"
         raise UnknownOptionError(f"the option '{name}' is {kind}, not {value!r}")
-    return number
+    return int(number) if whole else number
