@@ -22,6 +22,7 @@ from typing import Any
 
 import pyomo.environ as pyo
 from pyomo.core.expr.numeric_expr import LinearExpression, MaxExpression, MinExpression
+from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.mpec import Complementarity, complements
 
 from formulations.ampl.source import BinarySource, NlError, TextSource
@@ -219,10 +220,10 @@ class _Reader:
                     self._check(number, self.header.rows if code == "J" else self.header.objectives, "row" if code == "J" else "objective")
                     self.linear[code][number] = self._pairs(terms, self.header.variables)
                 case "r":
-                    source.done()
+                    source.values("")
                     self.row_bounds = [self._bounds(f"row {number}") for number in range(self.header.rows)]
                 case "b":
-                    source.done()
+                    source.values("")
                     self.bounds = [self._bounds(f"variable {number}") for number in range(self.header.variables)]
                 case "x":
                     for number, value in self._pairs(source.values("i")[0], self.header.variables):
@@ -296,7 +297,7 @@ class _Reader:
             case "2":
                 (lower,) = source.values("d")
             case "3":
-                source.done()
+                source.values("")
             case "4":
                 lower = upper = source.values("d")[0]
             case _:
@@ -389,7 +390,7 @@ class _Reader:
             if bounds.sides:
                 stated.append(model.pair.add(name, self._complements(body, bounds, number)))
                 continue
-            if not _has_variables(body):  # Pyomo refuses a row of constants; whether it holds is for the solver to say
+            if not is_potentially_variable(body):  # Pyomo refuses a row of constants; whether it holds is for the solver to say
                 body = LinearExpression(constant=pyo.value(body), linear_coefs=[0.0], linear_vars=[self.variables[0]])
             lower, upper = (0.0, 0.0) if bounds.sides == 0 else (bounds.lower, bounds.upper)
             if lower == upper:
@@ -456,7 +457,3 @@ def names_beside(file: Path, ending: str, count: int) -> Sequence[Any]:
     except OSError:
         return range(count)
     return names if len(set(names)) == count else range(count)
-
-
-def _has_variables(body: Any) -> bool:
-    return not isinstance(body, int | float) and bool(body.is_potentially_variable())

@@ -1,4 +1,4 @@
-"""The two forms of a `.nl` file, read by the same four verbs: `code`, `values`, `done`, `at_end`; `place` says where in the file that is."""
+"""The two forms of a `.nl` file, read by the same three verbs: `code`, `values`, `at_end`; `place` says where in the file that is."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TextSource:
         return line[:1]
 
     def values(self, form: str) -> list[Any]:
-        """Numbers and names: i whole, o an operator's, d any, s a name. Raises NlError for others, with the place."""
+        """Numbers and names: i whole, o an operator's, d any, s a name; none: the line is done. Raises NlError for others, with the place."""
         line = self._line() if self._rest is None else self._rest
         self._rest = None
         words = line.split()
@@ -59,10 +59,6 @@ class TextSource:
         except ValueError:
             wanted = ", ".join(self._names[kind] for kind in form)
             raise NlError(f"{self._file}, {self.place}: {wanted} should stand here, not '{line.strip()}'. The file is damaged.") from None
-
-    def done(self) -> None:
-        """Nothing more is read of a line whose code was read."""
-        self._rest = None
 
 
 class BinarySource:
@@ -105,6 +101,3 @@ class BinarySource:
             else:
                 found += self._kinds[kind].unpack(self._take(self._kinds[kind].size))
         return found
-
-    def done(self) -> None:
-        """A code stands alone here."""

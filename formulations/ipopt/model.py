@@ -1,11 +1,11 @@
-"""What is active on a Pyomo model, its data and bounds, and whether its structure is still the one that was compiled.
+"""What is active on a Pyomo model, its data and its bounds.
 
 Everything that would otherwise be dropped in silence is refused, in a sentence that names it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from pyomo.core.base import Block, Constraint, Expression, ExternalFunction, Obj
 from pyomo.core.base.block import BlockData
 from pyomo.core.base.component import ActiveComponent
 from pyomo.core.expr import value
+from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 
 from formulations.ipopt.graph import UNARY
@@ -71,30 +72,6 @@ def as_data(node: Any, where: Any) -> EvaluatedExpression:
             f"'{where.name}' applies {name} to a variable: only smooth functions can be handed to Ipopt ({_ADVICE.get(name, known)})"
         )
     return EvaluatedExpression(node)
-
-
-# A side of all constraints: the numbers by row, and (row, expression) of the bounds that are expressions of data.
-_Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
-    """What of the Pyomo model belongs where. All constraints are listed, those without a variable too.
-
-    variables: by column; data: Params, fixed variables and data expressions by data number; named: (named expression, content when
-    compiled); lower, upper: numbers and the bounds that are expressions of data.
-    """
-
-    model: Any
-    constraints: tuple[Any, ...]
-    expressions: tuple[Any, ...]
-    objective: Any | None
-    sense: int
-    lower: _Deferred
-    upper: _Deferred
-    variables: tuple[Any, ...]
-    data: tuple[Any, ...]
-    named: tuple[tuple[Any, Any], ...]
 
 
 _TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction})
@@ -170,10 +147,6 @@ def sense_of(objective: Any | None) -> int:
     return 1 if objective is None or objective.sense == minimize else -1
 
 
-def _can_vary(side: Any) -> bool:
-    return hasattr(side, "is_potentially_variable") and side.is_potentially_variable()
-
-
 def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
     """Body and bounds of a constraint: lower <= body - subtracted <= upper.
 
@@ -191,46 +164,21 @@ def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
     if kind is EqualityExpression or kind is InequalityExpression:
         left, right = expression.args
         equal = kind is EqualityExpression
-        if not _can_vary(right):
+        if not is_potentially_variable(right):
             return left, None, right if equal else None, right
-        if not _can_vary(left):
+        if not is_potentially_variable(left):
             return right, None, left, left if equal else None
         return left, right, 0.0 if equal else None, 0.0
     if kind is RangedExpression:
         lower, body, upper = expression.args
         for bound in (lower, upper):
-            if _can_vary(bound) and not bound.is_fixed():
+            if is_potentially_variable(bound) and not bound.is_fixed():
                 raise ModelRefusedError(f"constraint '{constraint.name}' is a range with a variable bound: write it as two constraints")
         return body, None, lower, upper
     lower, body, upper = constraint.to_bounded_expression()
     if body is None:
         raise ModelRefusedError(f"constraint '{constraint.name}' has no expression")
     return body, None, lower, upper
-
-
-def check_structure(layout: Layout) -> None:
-    """Raise StructureChangedError, naming the first difference."""
-    again = "compile the model again"
-    constraints = active_constraints(layout.model)
-    if len(constraints) != len(layout.constraints):
-        raise StructureChangedError(f"{len(constraints)} constraints are active, {len(layout.constraints)} were compiled: {again}")
-    for now, then, expression in zip(constraints, layout.constraints, layout.expressions, strict=True):
-        if now is not then:
-            raise StructureChangedError(f"constraint '{now.name}' is active where '{then.name}' was compiled: {again}")
-        if now.expr is not expression:
-            raise StructureChangedError(f"constraint '{now.name}' has another expression than the compiled one: {again}")
-    objective = active_objective(layout.model)
-    if objective is not layout.objective or sense_of(objective) != layout.sense:
-        raise StructureChangedError(f"another objective (or sense) is active than the compiled one: {again}")
-    for named, inside in layout.named:
-        if named.args[0] is not inside:
-            raise StructureChangedError(f"expression '{named.name}' has another content than the compiled one: {again}")
-    for variable in layout.variables:
-        if variable.fixed:
-            raise StructureChangedError(f"variable '{variable.name}' is fixed now: {again}")
-    for source in layout.data:
-        if source.__class__ is not EvaluatedExpression and source.is_variable_type() and not source.fixed:
-            raise StructureChangedError(f"variable '{source.name}' was fixed and is free now: {again}")
 
 
 def read_data(sources: tuple[Any, ...]) -> np.ndarray:
@@ -249,20 +197,18 @@ def read_data(sources: tuple[Any, ...]) -> np.ndarray:
     MissingValueError
         where one has no value, or not a number
     """
-    try:
-        numbers = np.array([s.value for s in sources], dtype=float)
-    except (TypeError, ValueError, ArithmeticError):
-        numbers = np.array([_read_one(s) for s in sources], dtype=float)
+    numbers = np.array([read_number(source) for source in sources], dtype=float)
     for k in np.flatnonzero(np.isnan(numbers)):
         raise MissingValueError(f"'{sources[k].name}' has no value (or not a number), and the model needs one")
     return numbers
 
 
-def _read_one(source: Any) -> float:
+def read_number(source: Any) -> float:
+    """The value of a Param, a fixed variable or a data expression; NaN where it has none."""
     try:
         return float(source.value)
-    except (TypeError, ValueError, ArithmeticError) as error:
-        raise MissingValueError(f"'{source.name}' has no value, and the model needs one ({' '.join(str(error).split())})") from error
+    except (TypeError, ValueError, ArithmeticError):
+        return math.nan
 
 
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -288,36 +234,10 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def read_constraint_bounds(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Current bounds of all constraints of the layout.
-
-    Returns
-    -------
-    lower (constraints,), upper (constraints,), infinite where there is none [units of the constraints]
-
-    Raises
-    ------
-    MissingValueError
-        where a bound has no value, or is infinite on the wrong side
-    """
-    known: dict[int, float] = {}
-    sides = []
-    for (numbers, later), unbounded in ((layout.lower, -np.inf), (layout.upper, np.inf)):
-        side = numbers.copy()
-        for row, expression in later:
-            number = known.get(id(expression))
-            if number is None:
-                number = known[id(expression)] = _bound(expression, layout.constraints[row], unbounded)
-            side[row] = number
-        for row in np.flatnonzero(np.isnan(side) | (side == -unbounded)):
-            raise MissingValueError(f"constraint '{layout.constraints[row].name}' has the bound {side[row]}")
-        sides.append(side)
-    return sides[0], sides[1]
-
-
-def _bound(expression: Any, constraint: Any, unbounded: float) -> float:
+def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> float:
+    """Current number of a bound that is an expression of data, unbounded where it says None; MissingValueError where it has none."""
     try:
-        number = value(expression, exception=True)
+        number = value(expression)
     except (TypeError, ValueError, ArithmeticError) as error:
-        raise MissingValueError(f"a bound of constraint '{constraint.name}' has no value ({' '.join(str(error).split())})") from error
+        raise MissingValueError(f"a bound of {kind} '{component.name}' has no value ({' '.join(str(error).split())})") from error
     return unbounded if number is None else float(number)

@@ -22,13 +22,13 @@ from pyomo.common.gc_manager import PauseGC
 from pyomo.common.numeric_types import native_numeric_types
 
 from formulations.ipopt.model import (
-    Layout,
+    EvaluatedExpression,
     MissingValueError,
+    StructureChangedError,
     active_constraints,
     active_objective,
-    check_structure,
+    read_bound,
     read_bounds,
-    read_constraint_bounds,
     read_data,
     refuse_unknown_components,
     sense_of,
@@ -136,16 +136,25 @@ class Evaluations:
 class IpoptProblem:
     """A compiled model of n variables and m constraints, made by `compile_model`; values are current as of the last `refresh()` (compiling does the first).
 
+    model, objective_data: the Pyomo model and its active objective (None for a feasibility problem), of which sense * value is minimised
     variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints without a variable
     lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
     """
 
-    def __init__(self, layout: Layout, read: TermReader) -> None:
-        self.layout = layout
-        self.variables = layout.variables
-        self.sense = layout.sense
-        self.n = len(layout.variables)
-        self._rows = len(layout.constraints) + 1  # the last row is the objective
+    def __init__(self, model: Any) -> None:
+        refuse_unknown_components(model)
+        self.model = model
+        self._constraints, self.objective_data = active_constraints(model), active_objective(model)
+        self._expressions = [constraint.expr for constraint in self._constraints]
+        self.sense = sense_of(self.objective_data)
+        self._rows = len(self._constraints) + 1  # the last row is the objective
+        read = TermReader(self._rows)
+        sides = [_read_constraint(read, row, constraint) for row, constraint in enumerate(self._constraints)]
+        if self.objective_data is not None:
+            read.read(self._rows - 1, self.objective_data, float(self.sense), self.objective_data)
+        self._row_bounds = _bounds([low for low, _ in sides], -np.inf), _bounds([high for _, high in sides], np.inf)
+        self.variables, self._data, self._named = tuple(read.variables), tuple(read.data), tuple(read.named.values())
+        self.n = len(self.variables)
         self._groups = [TermGroup(shape_of(signature), bucket) for signature, bucket in read.buckets.items()]
         self._curved = [g for g in self._groups if g.is_curved]
         self._fixed_constants = np.array(read.constants, dtype=float)
@@ -171,8 +180,8 @@ class IpoptProblem:
         used[self._entry_row[: self._objective_start]] = True
         self._sent, self._unsent = np.flatnonzero(used), np.flatnonzero(~used)
         self.m = len(self._sent)
-        self.equations = tuple(self.layout.constraints[r] for r in self._sent)
-        self.trivial = tuple(self.layout.constraints[r] for r in self._unsent)
+        self.equations = tuple(self._constraints[r] for r in self._sent)
+        self.trivial = tuple(self._constraints[r] for r in self._unsent)
         renumbered = np.cumsum(used) - 1
         self._jacobian_rows = renumbered[self._entry_row[: self._objective_start]].astype(np.int32)
         self._jacobian_columns = self._entry_column[: self._objective_start].astype(np.int32)
@@ -198,11 +207,11 @@ class IpoptProblem:
             where a Param, a fixed variable or a bound has no value
         """
         if check:
-            check_structure(self.layout)
+            self._require_same_structure()
         self.lower, self.upper = read_bounds(self.variables)
-        low, high = read_constraint_bounds(self.layout)
+        low, high = self._read_row_bounds()
         self.constraint_lower, self.constraint_upper = low[self._sent], high[self._sent]
-        data = read_data(self.layout.data)
+        data = read_data(self._data)
         with np.errstate(all="ignore"):
             for group in self._groups:
                 group.refresh(data)
@@ -215,11 +224,50 @@ class IpoptProblem:
         self._require_finite()
         self._trivial_bounds = low[self._unsent], high[self._unsent]
 
+    def _require_same_structure(self) -> None:
+        """Raise StructureChangedError, naming the first difference."""
+        again = "compile the model again"
+        constraints = active_constraints(self.model)
+        if len(constraints) != len(self._constraints):
+            raise StructureChangedError(f"{len(constraints)} constraints are active, {len(self._constraints)} were compiled: {again}")
+        for now, then, expression in zip(constraints, self._constraints, self._expressions, strict=True):
+            if now is not then:
+                raise StructureChangedError(f"constraint '{now.name}' is active where '{then.name}' was compiled: {again}")
+            if now.expr is not expression:
+                raise StructureChangedError(f"constraint '{now.name}' has another expression than the compiled one: {again}")
+        objective = active_objective(self.model)
+        if objective is not self.objective_data or sense_of(objective) != self.sense:
+            raise StructureChangedError(f"another objective (or sense) is active than the compiled one: {again}")
+        for named, inside in self._named:
+            if named.args[0] is not inside:
+                raise StructureChangedError(f"expression '{named.name}' has another content than the compiled one: {again}")
+        for variable in self.variables:
+            if variable.fixed:
+                raise StructureChangedError(f"variable '{variable.name}' is fixed now: {again}")
+        for source in self._data:
+            if source.__class__ is not EvaluatedExpression and source.is_variable_type() and not source.fixed:
+                raise StructureChangedError(f"variable '{source.name}' was fixed and is free now: {again}")
+
+    def _read_row_bounds(self) -> list[np.ndarray]:
+        """Current lower and upper bounds (constraints,); MissingValueError where one has no value, or is infinite on the wrong side."""
+        known: dict[int, float] = {}
+        sides = []
+        for (numbers, later), unbounded in zip(self._row_bounds, (-np.inf, np.inf), strict=True):
+            side = numbers.copy()
+            for row, expression in later:
+                if id(expression) not in known:
+                    known[id(expression)] = read_bound(expression, "constraint", self._constraints[row], unbounded)
+                side[row] = known[id(expression)]
+            for row in np.flatnonzero(np.isnan(side) | (side == -unbounded)):
+                raise MissingValueError(f"constraint '{self._constraints[row].name}' has the bound {side[row]}")
+            sides.append(side)
+        return sides
+
     def _require_finite(self) -> None:
         bad = [*np.flatnonzero(~np.isfinite(self._constants)), *self._entry_row[~np.isfinite(self._affine)]]
         if bad:
             row = int(bad[0])
-            where: Any = self.layout.objective if row == self._rows - 1 else self.layout.constraints[row]
+            where: Any = self.objective_data if row == self._rows - 1 else self._constraints[row]
             raise MissingValueError(f"'{where.name}' has a coefficient that is not a finite number: check its Params and fixed variables")
 
     def start(self) -> tuple[np.ndarray, int]:
@@ -388,36 +436,16 @@ def compile_model(model: Any) -> IpoptProblem:
         where a Param or a fixed variable has no value
     """
     with PauseGC():
-        refuse_unknown_components(model)
-        constraints = active_constraints(model)
-        objective = active_objective(model)
-        reader = TermReader()
-        reader.constants = [0.0] * (len(constraints) + 1)
-        lower: list[Any] = []
-        upper: list[Any] = []
-        for row, constraint in enumerate(constraints):
-            body, subtracted, low, high = sides_of(constraint)
-            reader.read(row, body, 1.0, constraint)
-            if subtracted is not None:
-                reader.read(row, subtracted, -1.0, constraint)
-            lower.append(low)
-            upper.append(high)
-        sense = sense_of(objective)
-        if objective is not None:
-            reader.read(len(constraints), objective, float(sense), objective)
-        layout = Layout(
-            model=model,
-            constraints=tuple(constraints),
-            expressions=tuple(constraint.expr for constraint in constraints),
-            objective=objective,
-            sense=sense,
-            lower=_bounds(lower, -np.inf),
-            upper=_bounds(upper, np.inf),
-            variables=tuple(reader.variables),
-            data=tuple(reader.data),
-            named=tuple(reader.named.values()),
-        )
-        return IpoptProblem(layout, reader)
+        return IpoptProblem(model)
+
+
+def _read_constraint(read: TermReader, row: int, constraint: Any) -> tuple[Any, Any]:
+    """Read a constraint's body into its row; its bounds, as `sides_of`."""
+    body, subtracted, low, high = sides_of(constraint)
+    read.read(row, body, 1.0, constraint)
+    if subtracted is not None:
+        read.read(row, subtracted, -1.0, constraint)
+    return low, high
 
 
 def _bounds(given: list[Any], unbounded: float) -> tuple[np.ndarray, tuple[tuple[int, Any], ...]]:

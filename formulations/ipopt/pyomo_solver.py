@@ -74,9 +74,9 @@ from formulations.solution import Outcome
 def dual_start(problem: IpoptProblem) -> Start | None:
     """The start that the model's values and export suffixes describe; None where they hold no multiplier."""
     found = {
-        "lagrange": _exported(problem.layout.model, "dual", problem.equations),
-        "zl": _exported(problem.layout.model, "ipopt_zL_in", problem.variables),
-        "zu": _exported(problem.layout.model, "ipopt_zU_in", problem.variables),
+        "lagrange": _exported(problem.model, "dual", problem.equations),
+        "zl": _exported(problem.model, "ipopt_zL_in", problem.variables),
+        "zu": _exported(problem.model, "ipopt_zU_in", problem.variables),
     }
     if all(values is None for values in found.values()):
         return None
@@ -385,7 +385,7 @@ class TouchstoneIpopt(PyomoPlugin):
             found=result,
             is_feasible=result.residuals.feasible,
             sense=problem.sense,
-            has_objective=problem.layout.objective is not None,
+            has_objective=problem.objective_data is not None,
             equations=problem.equations,
             variables=problem.variables,
             x=result.x if _has_point(result) else None,

@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from pyomo.common.numeric_types import native_numeric_types, native_types
+from pyomo.common.numeric_types import native_numeric_types
 from pyomo.core.base.expression import ExpressionData, ScalarExpression
 from pyomo.core.base.objective import ObjectiveData, ScalarObjective
 from pyomo.core.base.param import ParamData, ScalarParam
 from pyomo.core.base.var import ScalarVar, VarData
 from pyomo.core.expr import numeric_expr as pe
+from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.visitor import identify_variables
 
 from formulations.ipopt.graph import UNARY
@@ -48,10 +49,6 @@ _KIND: dict[type, int] = {
     ExpressionData: _NAMED, ScalarExpression: _NAMED, ObjectiveData: _NAMED, ScalarObjective: _NAMED,
     _Read: _READ,
 }  # fmt: skip
-
-
-def _is_data(node: Any) -> bool:
-    return node.__class__ in native_types or not node.is_potentially_variable()
 
 
 def _kind_of(node: Any) -> int:
@@ -98,9 +95,9 @@ class Bucket:
 
 
 class TermReader:
-    """Reads expressions of one model. Variables get columns in order of first appearance; Params and fixed variables get data numbers."""
+    """Reads expressions of one model into so many rows. Variables get columns in order of first appearance; Params and fixed variables get data numbers."""
 
-    def __init__(self) -> None:
+    def __init__(self, rows: int) -> None:
         self.variables: list[Any] = []
         self.data: list[Any] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
         self.named: dict[int, tuple[Any, Any]] = {}  # named expressions and what they held when they were read
@@ -108,7 +105,7 @@ class TermReader:
         self.rows: list[int] = []
         self.columns: list[int] = []
         self.slopes: list[float] = []
-        self.constants: list[float] = []
+        self.constants = [0.0] * rows
         self._place: dict[int, int] = {}  # id(leaf) -> column >= 0, or ~(data number)
         self._domains: dict[int, tuple[Any, bool]] = {}
         self.where: Any = None
@@ -146,7 +143,7 @@ class TermReader:
     # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
-        """Add sign * expression to a row; constants[row] must exist.
+        """Add sign * expression to a row.
 
         Parameters
         ----------
@@ -329,14 +326,14 @@ def _data_factor(node: Any) -> tuple[Any, Any, bool]:
     """(rest, data, whether it divides) of a product or quotient; (node, None, False) if neither operand is data."""
     left, right = node.args
     if _kind_of(node) == _DIVISION:
-        return (left, right, True) if _is_data(right) else (node, None, False)
+        return (node, None, False) if is_potentially_variable(right) else (left, right, True)
     if left.__class__ in native_numeric_types:
         return right, left, False
     if right.__class__ in native_numeric_types:
         return left, right, False
-    if _is_data(left):
+    if not is_potentially_variable(left):
         return right, left, False
-    return (left, right, False) if _is_data(right) else (node, None, False)
+    return (node, None, False) if is_potentially_variable(right) else (left, right, False)
 
 
 def _variable_and_wide_sum(node: Any) -> tuple[Any, Sequence[Any]] | None:

@@ -54,7 +54,7 @@ def outcome_of(status: int) -> Outcome:
 
 def name_of(status: int) -> str:
     """Ipopt's name of a status."""
-    return "decided without Ipopt" if status == NOT_SENT else STATUS[status][0] if status in STATUS else f"unknown Ipopt status {status}"
+    return STATUS[status][0] if status in STATUS else f"unknown Ipopt status {status}"
 
 
 # Judging a point solved: violation of a constraint or bound relative to max(1, |bound|); stationarity relative to the largest term of its

@@ -201,7 +201,7 @@ def solve(
         **{**vars(answer), "message": message},
         outcome=outcome,
         objective=problem.sense * problem.objective(answer.x),
-        iterations=max(0, recorder.last),
+        iterations=recorder.lines[-1].iteration if recorder.lines else 0,
         residuals=certificate,
         history=tuple(recorder.lines),
         seconds=Seconds(
@@ -226,7 +226,6 @@ class _Recorder:
 
     def __init__(self, sense: int, callback: Callback | None) -> None:
         self.lines: list[Iteration] = []
-        self.last = 0
         self.seconds = 0.0
         self._sense = sense
         self._callback = callback
@@ -235,7 +234,6 @@ class _Recorder:
         *measures, trials = others
         line = Iteration(int(iteration), bool(mode), self._sense * float(objective), *map(float, measures), trials=int(trials))
         self.lines.append(line)
-        self.last = line.iteration
         if self._callback is None:
             return True
         begin = time.perf_counter()

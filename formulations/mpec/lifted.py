@@ -23,12 +23,12 @@ from pyomo.common.gc_manager import PauseGC
 from pyomo.common.numeric_types import native_numeric_types
 from pyomo.core.base import Block
 from pyomo.core.base.var import VarData
-from pyomo.core.expr import value
+from pyomo.core.expr.numvalue import is_potentially_variable
 from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
 from pyomo.mpec import Complementarity, complements
 
 from formulations.ipopt import MissingValueError, ModelRefusedError
-from formulations.ipopt.model import active_constraints, active_objective, refuse_unknown_components
+from formulations.ipopt.model import active_constraints, active_objective, read_bound, refuse_unknown_components
 
 Relation = tuple[Any, Any, Any]
 Sides = tuple[tuple[int, float], tuple[int, float]]
@@ -55,9 +55,9 @@ def relation_of(side: Any, data: Any) -> Relation:
             lower, body, upper = side.args
             return _finite(lower, data, -math.inf), body, _finite(upper, data, math.inf)
         left, right = side.args
-        if _is_number(right):
+        if not is_potentially_variable(right):
             return None, left, _finite(right, data, math.inf)
-        if _is_number(left):
+        if not is_potentially_variable(left):
             return _finite(left, data, -math.inf), right, None
         return 0.0, right - left, None
     if side.__class__ in native_numeric_types or (hasattr(side, "is_numeric_type") and side.is_numeric_type()):
@@ -65,13 +65,9 @@ def relation_of(side: Any, data: Any) -> Relation:
     raise ModelRefusedError(f"complementarity '{data.name}' has {side!r} on one side, which is neither an expression nor a relation")
 
 
-def _is_number(expression: Any) -> bool:
-    return expression.__class__ in native_numeric_types or not expression.is_potentially_variable()
-
-
 def _finite(bound: Any, data: Any, unbounded: float) -> Any:
     """The bound, None for an infinite one."""
-    if not _is_number(bound):
+    if is_potentially_variable(bound):
         raise ModelRefusedError(
             f"complementarity '{data.name}' has a range with a variable bound ({bound}): write its two sides as differences"
         )
@@ -79,10 +75,7 @@ def _finite(bound: Any, data: Any, unbounded: float) -> Any:
 
 
 def _number(bound: Any, data: Any) -> float:
-    try:
-        number = float(value(bound))
-    except (TypeError, ValueError, ArithmeticError) as error:
-        raise MissingValueError(f"a bound of complementarity '{data.name}' has no value ({' '.join(str(error).split())})") from error
+    number = read_bound(bound, "complementarity", data, math.nan)
     if math.isnan(number):
         raise MissingValueError(f"a bound of complementarity '{data.name}' is not a number")
     return number

@@ -223,7 +223,7 @@ def result_of(
         zu=zu,
         sense=candidate.sense,
         objective=candidate.objective,
-        has_objective=work.branches.problem.layout.objective is not None,
+        has_objective=work.branches.problem.objective_data is not None,
         polished=branch is not None,
         has_multipliers=multipliers is not None,
         residual=residual,

@@ -20,13 +20,13 @@ import scipy.sparse as sparse
 from pyomo.core.expr.calculus.derivatives import Modes, differentiate
 from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
 from pyomo.core.expr.numeric_expr import UnaryFunctionExpression
-from pyomo.core.expr.numvalue import value
+from pyomo.core.expr.numvalue import is_potentially_variable, value
 from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_variables
 from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
 from formulations.ipopt.graph import UNARY
-from formulations.ipopt.model import MissingValueError
+from formulations.ipopt.model import MissingValueError, read_number
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
@@ -72,7 +72,7 @@ def gradients_of(expressions: Sequence[Any], values: Sequence[float]) -> Gradien
 
 def pyomo_gradient(expression: Any) -> list[tuple[Any, float]]:
     """(variable, derivative) of every free variable by Pyomo's own differentiation; NaN where it cannot evaluate one."""
-    if not hasattr(expression, "is_potentially_variable") or not expression.is_potentially_variable():
+    if not is_potentially_variable(expression):
         return []
     affine = generate_standard_repn(expression, compute_values=True, quadratic=False)
     if affine.is_linear():
@@ -155,8 +155,7 @@ class _Together:
     """
 
     def __init__(self, expressions: Sequence[Any]) -> None:
-        reader = TermReader()
-        reader.constants = [0.0] * len(expressions)
+        reader = TermReader(len(expressions))
         self.refused = np.zeros(len(expressions), dtype=bool)
         for row, expression in enumerate(expressions):
             try:
@@ -166,7 +165,7 @@ class _Together:
         self.variables, self.compared = reader.variables, True
         self._x = np.array([math.nan if variable.value is None else variable.value for variable in self.variables], dtype=float)
         self._groups: list[TermGroup] = []
-        data = np.array([_number(source) for source in reader.data])
+        data = np.array([read_number(source) for source in reader.data])
         with np.errstate(all="ignore"):
             for signature, bucket in reader.buckets.items():
                 group = TermGroup(shape_of(signature), bucket) if len(bucket.rows) >= _OFTEN else None
@@ -238,14 +237,6 @@ class _Together:
             column = columns.of(variable)
             difference[column] = difference.get(column, 0.0) - slope
         return all(abs(rest) <= limit for rest in difference.values())
-
-
-def _number(source: Any) -> float:
-    """The value of a Param or a fixed variable; NaN where it has none."""
-    try:
-        return float(source.value)
-    except _REFUSED:
-        return math.nan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
