@@ -12,9 +12,9 @@ certify_plan(scene, trajectory).sentence                     # of a scene's plan
 
 from __future__ import annotations
 
-from formulations.mpec.certificate.active import Stationarity
 from formulations.mpec.certificate.certificate import Certificate, Multipliers, Tolerances, certify
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
+from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.mpec.result import MpecResult, PairState, load
 from formulations.mpec.solve import MpecIpopt, solve_mpec
 from formulations.mpec.strategies import FALLBACKS, STRATEGY_NAMES, MpecSettings, read_settings

@@ -28,9 +28,16 @@ from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
-from formulations.mpec.certificate.active import ActiveSet, Stationarity, active_set, class_of
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair, read_local
-from formulations.mpec.certificate.stationarity import classify, steepest_piece
+from formulations.mpec.certificate.stationarity import (
+    ActiveSet,
+    Stationarity,
+    StationarityVerdict,
+    active_set,
+    class_of,
+    classify,
+    steepest_piece,
+)
 from formulations.mpec.kinks import has_kinks, smooth_copy
 
 # The step may change a variable by this, relative to max(1, |x|): far more than tolerances ask for, far less than another solution.
@@ -269,34 +276,30 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
     names = [*rows, *local.pairs]
     active = active_set(local, _ACTIVE)
-    stationarity, dual, descent, given, least, unique = Stationarity.NONE, math.nan, math.nan, math.nan, math.nan, False
-    computable = _is_finite(local)
+    found, given, computable = StationarityVerdict(kind=Stationarity.NONE, residual=math.nan), math.nan, _is_finite(local)
     if computable:
         given = math.nan if multipliers is None else _given_residual(local, active, multipliers)
-        shown_class = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
-        if shown_class is Stationarity.STRONG:
-            stationarity, dual, descent = shown_class, given, 0.0
-        else:
-            found = classify(active, STATIONARITY, shown_class)
-            stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
-            # one wrong multiplier may show too gentle a slope where several together show a steep one
-            shown = found.descent < -STATIONARITY
-            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if shown else steepest_piece(active, STATIONARITY)[0]
+        shown = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
+        found = StationarityVerdict(kind=shown, residual=given) if shown is Stationarity.STRONG else classify(active, STATIONARITY, shown)
+        if found.kind is Stationarity.STRONG:
+            found = replace(found, descent=0.0)
+        elif not found.descent < -STATIONARITY:  # one wrong multiplier may show too gentle a slope where several together show a steep one
+            found = replace(found, descent=steepest_piece(active, STATIONARITY)[0])
     return Certificate(
         primal=worst_row,
         primal_relative=relative,
         complementarity=complementarity,
         product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
         forced=_forced_violation(local, FEASIBILITY) if computable else math.nan,
-        dual=dual,
+        dual=found.residual,
         given_dual=given,
         pairs=len(local.pairs),
         biactive=len(active.both),
-        stationarity=stationarity,
-        descent=descent,
+        stationarity=found.kind,
+        descent=found.descent,
         tolerances=tolerances,
-        least=least,
-        unique=unique,
+        least=found.least,
+        unique=found.unique,
         worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),
         objective=local.objective,
         notes=local.notes if computable else (*local.notes, "a function or derivative is not a finite number at this point"),

@@ -25,7 +25,7 @@ along it (Moreau's decomposition, the lemma of Farkas). Found by a primal-dual i
 J. Optimization 2, 1992) on the sparse system [I A; A' -D]: some twenty factorisations, which are cheap where time couples neighbours only.
 Nothing rests on its having converged: whoever asks judges y and rest themselves.
 
-`multipliers_within`, `least_residual`, `steepest_direction`: linear programs (HiGHS), for what linear algebra leaves open.
+`multipliers_within`, `least_residual`: linear programs (HiGHS), for what linear algebra leaves open.
 """
 
 from __future__ import annotations
@@ -37,8 +37,6 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
-
-from formulations.mpec.certificate.active import ActiveSet
 
 # Share of the tolerance that a linear program may use: HiGHS holds a row to 1e-7 only.
 _SHARE = 0.98
@@ -98,44 +96,6 @@ def least_residual(
     if answer.status != 0:
         return MultiplierDecision(exists=None, residual=np.inf, y=np.zeros(columns))
     return MultiplierDecision(exists=float(answer.fun) <= tolerance, residual=float(answer.fun), y=answer.x[:-1])
-
-
-def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
-    """Least gradient' d over |d| <= 1, relative to the scale.
-
-    Raises ValueError for numbers that are not finite; NaN where the program fails.
-
-    Parameters
-    ----------
-    active : what is active
-    first_held, second_held : (biactive pairs,) masks of sides that stay 0; the other sides do not go below 0 [-]
-
-    Returns
-    -------
-    slope, and d (n,); NaN and None if the program, which has d = 0, fails
-    """
-    n = len(active.gradient)
-    if n == 0:
-        return 0.0, None
-    held_first = np.concatenate([active.first_only, active.both[first_held]])
-    held_second = np.concatenate([active.second_only, active.both[second_held]])
-    equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
-    rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[~second_held]].T]
-    kinds = np.array([0 if a is None and b is None else 1 if b is None else -1 for a, b in active.limits], dtype=int)
-    rows = active.normals.T.tocsr()
-    equal.append(rows[kinds == 0])
-    rising += [rows[kinds == 1], -rows[kinds == -1]]
-    a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
-    answer = linprog(
-        active.gradient / active.scale,
-        A_ub=a_ub,
-        b_ub=np.zeros(a_ub.shape[0]),
-        A_eq=a_eq,
-        b_eq=np.zeros(a_eq.shape[0]),
-        bounds=(-1.0, 1.0),
-        method="highs",
-    )
-    return (float(answer.fun), answer.x) if answer.status == 0 else (np.nan, None)
 
 
 # Sum of multipliers (of the gradient divided by its scale) up to which they are excluded before it is said that there are none, by a vector that

@@ -1,6 +1,8 @@
-"""The strongest class of stationarity that the multipliers of a point show, and whether a direction goes down.
+"""What is active at a point, within a tolerance; the strongest class of stationarity that its multipliers show, and whether a direction goes down.
 
     gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
+
+On biactive pairs (G = 0 = H):  S: nu, mu >= 0;  M: nu, mu > 0 or nu mu = 0;  C: nu mu >= 0;  A: nu >= 0 or mu >= 0;  W: any.
 
 Multipliers are found by least squares where the active gradients are independent (one candidate) or the signs come out right; else by projection onto
 the cone of the active gradients, sign pattern by sign pattern, and by linear programs for what that leaves open.
@@ -17,10 +19,13 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
+import scipy.sparse as sparse
+from scipy.optimize import linprog
 
-from formulations.mpec.certificate.active import ANY, CHOICES, ActiveSet, Signs, Stationarity, class_of, limits, pairs_of, wrong_by
+from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel
 from formulations.mpec.certificate.multipliers import (
     MultiplierDecision,
     column_lengths,
@@ -30,8 +35,159 @@ from formulations.mpec.certificate.multipliers import (
     least_squares,
     multipliers_within,
     signed_least_squares,
-    steepest_direction,
 )
+
+
+class Stationarity(Enum):
+    """Class of a point by the multipliers it has; the value is its meaning."""
+
+    STRONG = "S: multipliers of all biactive pairs are non-negative"
+    MORDUKHOVICH = "M: of each biactive pair both multipliers are positive or one is zero"
+    CLARKE = "C: of each biactive pair the multipliers do not have opposite signs"
+    ALTERNATIVE = "A: of each biactive pair one multiplier is non-negative"
+    WEAK = "W: multipliers exist, but their signs say that the point can be left downhill, or too many pairs are biactive to tell"
+    NONE = "no multipliers exist within the tolerance"
+
+    @property
+    def letter(self) -> str:
+        """S, M, C, A, W, or - for none."""
+        return "-" if self is Stationarity.NONE else self.value[0]
+
+
+# Limits of nu and of mu of one pair: ">" (>= 0), "<" (<= 0), "0" or "*" (any).
+Signs = tuple[str, str]
+ANY: Signs = ("*", "*")
+CHOICES: dict[Stationarity, tuple[Signs, ...]] = {
+    Stationarity.STRONG: ((">", ">"),),
+    Stationarity.MORDUKHOVICH: ((">", ">"), ("0", "*"), ("*", "0")),
+    Stationarity.CLARKE: ((">", ">"), ("<", "<")),
+    Stationarity.ALTERNATIVE: ((">", "*"), ("*", ">")),
+    Stationarity.WEAK: (ANY,),
+}
+_LIMITS = {">": (0.0, np.inf), "<": (-np.inf, 0.0), "0": (0.0, 0.0), "*": (-np.inf, np.inf)}
+
+
+def class_of(pairs: Sequence[tuple[float, float]], limit: float) -> Stationarity:
+    """The class of multipliers (nu, mu) of the biactive pairs; what is below the limit counts as zero."""
+    return next(kind for kind, choices in CHOICES.items() if all(wrong_by(pair, choices) <= limit for pair in pairs))
+
+
+def wrong_by(pair: tuple[float, float], choices: tuple[Signs, ...]) -> float:
+    """By how much the multipliers of a pair miss the nearest of these signs."""
+    return min(max(_beyond(number, *_LIMITS[sign]) for number, sign in zip(pair, signs, strict=True)) for signs in choices)
+
+
+def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of the multipliers of the columns of `active.matrix`, with these signs on the biactive pairs.
+
+    Raises nothing.
+
+    Returns
+    -------
+    lowest, highest (columns,), each 0 or infinite [objective per row]
+    """
+    own = [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in active.limits]
+    own += [_LIMITS["*"]] * (len(active.first_only) + len(active.second_only))
+    own += [_LIMITS[first] for first, _ in signs] + [_LIMITS[second] for _, second in signs]
+    low, high = zip(*own, strict=True) if own else ((), ())
+    return np.array(low, dtype=float), np.array(high, dtype=float)
+
+
+def pairs_of(active: ActiveSet, y: np.ndarray) -> list[tuple[float, float]]:
+    """Multipliers nu, mu of the biactive pairs among those of all columns of `active.matrix`.
+
+    Raises nothing.
+
+    Parameters
+    ----------
+    active : what is active
+    y : (columns,) multipliers [objective per row]
+    """
+    nu, mu = np.split(y[len(y) - 2 * len(active.both) :], 2)
+    return list(zip(nu.tolist(), mu.tolist(), strict=True))
+
+
+def _beyond(number: float, low: float, high: float) -> float:
+    return max(0.0, low - number, number - high)
+
+
+# Two sides with the same gradient whose values differ by less are one and the same.
+_SAME_SIDE = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveSet:
+    """What is active within a tolerance.
+
+    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; limits: of their multipliers
+    first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n, pairs): gradients of the sides
+    scale: largest derivative of the objective, at least its size nearby
+    """
+
+    gradient: np.ndarray
+    normals: sparse.csc_matrix
+    limits: tuple[tuple[float | None, float | None], ...]
+    first_only: np.ndarray
+    second_only: np.ndarray
+    both: np.ndarray
+    first_normals: sparse.csc_matrix
+    second_normals: sparse.csc_matrix
+    scale: float
+
+    @property
+    def matrix(self) -> sparse.csc_matrix:
+        """Active gradients as columns: of rows and bounds, of sides that are zero alone, of the first and of the second sides of biactive pairs."""
+        first, second = self.first_normals, self.second_normals
+        sides = (first[:, self.first_only], second[:, self.second_only], first[:, self.both], second[:, self.both])
+        return sparse.hstack([self.normals, *sides], format="csc")
+
+
+def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
+    """The rows, bounds and sides of pairs within the tolerance of their limits."""
+    covered = _covered_bounds(local)
+    everything = sparse.vstack([local.jacobian, sparse.identity(len(local.variables), format="csr")], format="csr")
+    chosen, limits = [], []
+    for number, row in enumerate((*local.rows, *local.bounds)):
+        limit = _multiplier_limits(row, tolerance)
+        if limit is not None and not (limit == (0.0, None) and number - len(local.rows) in covered):
+            chosen.append(number)
+            limits.append(limit)
+    first = np.array([pair.first <= tolerance for pair in local.pairs], dtype=bool)
+    second = np.array([pair.second <= tolerance for pair in local.pairs], dtype=bool)
+    return ActiveSet(
+        gradient=local.gradient,
+        normals=everything[chosen].T.tocsc(),
+        limits=tuple(limits),
+        first_only=np.flatnonzero(first & ~second),
+        second_only=np.flatnonzero(second & ~first),
+        both=np.flatnonzero(first & second),
+        first_normals=local.first_jacobian.T.tocsc(),
+        second_normals=local.second_jacobian.T.tocsc(),
+        scale=max(local.slope_nearby, float(np.max(np.abs(local.gradient), initial=0.0))),
+    )
+
+
+def _covered_bounds(local: LocalModel) -> set[int]:
+    """Variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
+    covered = set()
+    for jacobian, name in ((local.first_jacobian, "first"), (local.second_jacobian, "second")):
+        alone = np.flatnonzero(np.diff(jacobian.indptr) == 1)
+        for k in alone.tolist():
+            column, slope = int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
+            bound = local.bounds[column]
+            if slope > 0.0 and abs((bound.value - bound.lower) * slope - getattr(local.pairs[k], name)) <= _SAME_SIDE:
+                covered.add(column)
+    return covered
+
+
+def _multiplier_limits(row: ConstraintRow, tolerance: float) -> tuple[float | None, float | None] | None:
+    """Limits of the multiplier of an active row; None for one that is not active."""
+    low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
+    high = row.upper - row.value <= tolerance * max(1.0, abs(row.upper)) if np.isfinite(row.upper) else False
+    if low and high:
+        return None, None
+    return (0.0, None) if low else (None, 0.0) if high else None
+
 
 # Linear programs for one question at most: 2^10 pieces where programs are small, fewer where they are large.
 _MOST, _TIMES_VARIABLES = 1024, 200_000
@@ -99,6 +255,44 @@ def _down(active: ActiveSet, node: np.ndarray, tolerance: float) -> tuple[float,
         return 0.0, None
     slope, direction = steepest_direction(active, node == _FIRST, node == _SECOND)
     return (slope, direction if slope < -tolerance else None)
+
+
+def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """Least gradient' d over |d| <= 1, relative to the scale.
+
+    Raises ValueError for numbers that are not finite; NaN where the program fails.
+
+    Parameters
+    ----------
+    active : what is active
+    first_held, second_held : (biactive pairs,) masks of sides that stay 0; the other sides do not go below 0 [-]
+
+    Returns
+    -------
+    slope, and d (n,); NaN and None if the program, which has d = 0, fails
+    """
+    n = len(active.gradient)
+    if n == 0:
+        return 0.0, None
+    held_first = np.concatenate([active.first_only, active.both[first_held]])
+    held_second = np.concatenate([active.second_only, active.both[second_held]])
+    equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
+    rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[~second_held]].T]
+    kinds = np.array([0 if a is None and b is None else 1 if b is None else -1 for a, b in active.limits], dtype=int)
+    rows = active.normals.T.tocsr()
+    equal.append(rows[kinds == 0])
+    rising += [rows[kinds == 1], -rows[kinds == -1]]
+    a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
+    answer = linprog(
+        active.gradient / active.scale,
+        A_ub=a_ub,
+        b_ub=np.zeros(a_ub.shape[0]),
+        A_eq=a_eq,
+        b_eq=np.zeros(a_eq.shape[0]),
+        bounds=(-1.0, 1.0),
+        method="highs",
+    )
+    return (float(answer.fun), answer.x) if answer.status == 0 else (np.nan, None)
 
 
 def _every_piece(active: ActiveSet) -> tuple[float, np.ndarray | None]:

@@ -14,16 +14,6 @@ from pyomo.mpec import Complementarity, complements
 from wording import unsaid
 
 from formulations.mpec import certify
-from formulations.mpec.certificate.active import (
-    CHOICES,
-    Stationarity,
-    _multiplier_limits,
-    active_set,
-    class_of,
-    limits,
-    pairs_of,
-    wrong_by,
-)
 from formulations.mpec.certificate.certificate import (
     Certificate,
     Multipliers,
@@ -38,7 +28,17 @@ from formulations.mpec.certificate.certificate import (
 )
 from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
 from formulations.mpec.certificate.plan import PLAN_TOLERANCES
-from formulations.mpec.certificate.stationarity import affordable
+from formulations.mpec.certificate.stationarity import (
+    CHOICES,
+    Stationarity,
+    _multiplier_limits,
+    active_set,
+    affordable,
+    class_of,
+    limits,
+    pairs_of,
+    wrong_by,
+)
 from tests.formulations.mpec.nearest import nearest
 
 S, M, C, A, W = list(Stationarity)[:5]

@@ -13,7 +13,6 @@ from scipy.optimize import OptimizeResult
 from formulations.ipopt import ModelRefusedError
 from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution, load, solve_mpec
 from formulations.mpec.certificate import multipliers as decision
-from formulations.mpec.certificate import multipliers as programs
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.pipelines import load_method
@@ -194,7 +193,8 @@ def test_a_program_that_fails_shows_nothing(monkeypatch) -> None:
         return OptimizeResult(status=4, x=None, fun=None)
 
     assert two_sided(-1e-3, -1e-3).b_stationary is False
-    monkeypatch.setattr(programs, "linprog", hinder)
+    for module in (decision, stationarity):
+        monkeypatch.setattr(module, "linprog", hinder)
     monkeypatch.setattr(decision, "project", lambda *_: None)
     monkeypatch.setattr(stationarity, "_only_candidate", lambda *_: None)
     monkeypatch.setattr(stationarity, "_one_of_many", lambda *_: None)

@@ -10,9 +10,17 @@ from scipy.optimize import nnls
 from formulations.mpec.certificate import multipliers as projection
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate import stationarity as pieces
-from formulations.mpec.certificate.active import CHOICES, ActiveSet, Stationarity, class_of, limits, pairs_of
 from formulations.mpec.certificate.multipliers import decide, least_residual, multipliers_within, project
-from formulations.mpec.certificate.stationarity import classify, steepest_piece
+from formulations.mpec.certificate.stationarity import (
+    CHOICES,
+    ActiveSet,
+    Stationarity,
+    class_of,
+    classify,
+    limits,
+    pairs_of,
+    steepest_piece,
+)
 
 TOLERANCE = 1e-5
 _SEEDS = st.integers(0, 2**32 - 1)

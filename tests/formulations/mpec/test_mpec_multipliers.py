@@ -9,7 +9,6 @@ import pytest
 import scipy.sparse as sparse
 
 from formulations.mpec.certificate import stationarity
-from formulations.mpec.certificate.active import ActiveSet, Stationarity
 from formulations.mpec.certificate.multipliers import (
     MultiplierDecision,
     column_lengths,
@@ -20,9 +19,15 @@ from formulations.mpec.certificate.multipliers import (
     multipliers_within,
     project,
     signed_least_squares,
-    steepest_direction,
 )
-from formulations.mpec.certificate.stationarity import _none_leave_less, classify, steepest_piece
+from formulations.mpec.certificate.stationarity import (
+    ActiveSet,
+    Stationarity,
+    _none_leave_less,
+    classify,
+    steepest_direction,
+    steepest_piece,
+)
 
 S, M, C, A, W, NONE = Stationarity
 INF = math.inf

@@ -9,8 +9,8 @@ import pytest
 import sympy as sp
 
 from formulations.method import Pipeline
-from formulations.mpec.certificate.active import Stationarity
 from formulations.mpec.certificate.certificate import Certificate
+from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.pipelines import find_pipeline, load_method
 from formulations.solution import Attempt, Bound, FrontPoint, ModelSize, Outcome, Seconds, Solution
 from models.catalog import load_scene
