@@ -109,7 +109,7 @@ class Workspace:
             raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
         if number:
             x = _random_start(problem, x, np.random.default_rng(number))
-        settle(problem, x, self._slacks())
+        settle(self.relaxed, x, self._slacks())
         return x
 
     def branch_point(self, x: np.ndarray) -> np.ndarray:
@@ -136,18 +136,18 @@ def _random_start(problem: IpoptProblem, x: np.ndarray, random: np.random.Genera
     return around
 
 
-def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
+def settle(relaxed: Columns, x: np.ndarray, slacks: list[Any]) -> None:
     """Give each slack the value that makes its defining row hold, within its bounds.
 
     The row is an equality that no slack of a later pair enters. Raises nothing.
 
     Parameters
     ----------
-    problem : the compiled problem
+    relaxed : the compiled problem
     x : (n,) point, changed in place [units of the variables]
     slacks : Pyomo variables
     """
-    place = {id(variable): column for column, variable in enumerate(problem.variables)}
+    problem, place = relaxed.problem, relaxed.place
     columns = np.array([place[id(s)] for s in slacks if id(s) in place], dtype=np.intp)
     if not columns.size:
         return

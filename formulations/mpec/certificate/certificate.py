@@ -28,7 +28,7 @@ from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
-from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair, read_local
+from formulations.mpec.certificate.derivatives import LocalModel, Pair, Rows, read_local
 from formulations.mpec.certificate.stationarity import (
     ActiveSet,
     Stationarity,
@@ -57,19 +57,17 @@ def _forced_violation(local: LocalModel, tolerance: float) -> float:
 
     The shortest step is taken where it keeps the violation within the tolerance, else the best; inf if no small one makes the pairs exact.
     """
-    x = np.array([row.value for row in local.bounds])
+    rows, scale = local.rows, local.rows.size
+    x = rows.value[local.jacobian.shape[0] :]
     sides, matrix = _closed_sides(local)
-    rows = (*local.rows, *local.bounds)
-    value, low, high = (np.array([getattr(row, name) for row in rows]) for name in ("value", "lower", "upper"))
-    scale = np.maximum(1.0, np.maximum(_finite(low), _finite(high)))
 
     def violation(now: np.ndarray) -> float:
         """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]. Raises nothing."""
-        return float(np.max(np.maximum(np.maximum(low - now, now - high), 0.0) / scale, initial=0.0))
+        return float(np.max(rows.violation(now) / scale, initial=0.0))
 
     rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))  # of its terms and its constant
     if np.all(np.abs(sides) <= rounding):
-        return violation(value)
+        return violation(rows.value)
     radius = sparse.diags(_SMALL_STEP * np.maximum(1.0, np.abs(x)))
     scaled = matrix @ radius
     norm = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
@@ -82,21 +80,13 @@ def _forced_violation(local: LocalModel, tolerance: float) -> float:
     missed = np.abs(scaled @ shortest - wanted)
     if np.any(missed > 4.0 * rounding / norm + _EXACT * np.abs(wanted) + _SOLVED * np.max(np.abs(wanted))):
         return float("inf")
-    everything = sparse.vstack([local.jacobian, sparse.identity(len(x), format="csr")], format="csr") @ radius
-    moved = value + everything @ shortest
+    everything = local.matrix @ radius
+    moved = rows.value + everything @ shortest
     simple = violation(moved) if np.all(np.abs(shortest) <= 1.0) else float("inf")
-    return simple if simple <= tolerance or len(x) > _DENSE else min(simple, _mended(scaled, everything, shortest, moved, low, high, scale))
+    return simple if simple <= tolerance or len(x) > _DENSE else min(simple, _mended(rows, scaled, everything, shortest, moved))
 
 
-def _mended(
-    scaled: sparse.csr_matrix,
-    everything: sparse.csr_matrix,
-    shortest: np.ndarray,
-    moved: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    scale: np.ndarray,
-) -> float:
+def _mended(rows: Rows, scaled: sparse.csr_matrix, everything: sparse.csr_matrix, shortest: np.ndarray, moved: np.ndarray) -> float:
     """Least t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1.
 
     N spans the steps that leave the sides where they are: as equations of the program they would hold within its tolerance only, which is what is in
@@ -104,6 +94,7 @@ def _mended(
     """
     basis = null_space(scaled.toarray(), rcond=1e-12)
     free = everything @ basis
+    low, high, scale = rows.lower, rows.upper, rows.size
     below, above = np.isfinite(low), np.isfinite(high)
     none = np.zeros((len(shortest), 1))
     answer = linprog(
@@ -121,17 +112,12 @@ def _mended(
 
 def _closed_sides(local: LocalModel) -> tuple[np.ndarray, sparse.csr_matrix]:
     """(values, gradients) of what the pairs say is 0: the smaller side of each, and the free side of a box between its bounds."""
-    second = np.array([pair.second < pair.first for pair in local.pairs], dtype=bool)
-    held = np.array([row.argument is not None and row.lower == row.upper for row in local.rows], dtype=bool)
-    values = [min(pair.first, pair.second) for pair in local.pairs]
-    values += [row.value - row.lower for row, is_held in zip(local.rows, held, strict=True) if is_held]
+    rows, (first, second) = local.rows, local.sides
+    held = np.flatnonzero(np.array([argument is not None for argument in rows.arguments], dtype=bool) & (rows.lower == rows.upper))
     both = sparse.vstack([local.first_jacobian, local.second_jacobian], format="csr")
-    smaller = both[np.arange(len(second)) + len(second) * second]
-    return np.array(values, dtype=float), sparse.vstack([smaller, local.jacobian[np.flatnonzero(held)]], format="csr")
-
-
-def _finite(bound: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(bound), np.abs(bound), 0.0)
+    smaller = both[np.arange(len(first)) + len(first) * (second < first)]
+    values = np.append(np.minimum(first, second), (rows.value - rows.lower)[held])
+    return values, sparse.vstack([smaller, local.jacobian[held]], format="csr")
 
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
@@ -266,15 +252,12 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         return replace(found, notes=(*found.notes, "absolute values, minima and maxima are written as pairs"))
     with PauseGC():
         local = read_local(model, _ACTIVE)
-    rows = (*local.rows, *local.bounds)
-    violations = [_violation(row) for row in rows]
-    sides = [max(0.0, -min(pair.first, pair.second)) for pair in local.pairs]
-    worst_row = _largest([*violations, *sides])
-    complementarity = _largest(
-        [max(0.0, min(p.first, p.second)) if p.first == p.first and p.second == p.second else math.nan for p in local.pairs]
-    )
-    relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
-    names = [*rows, *local.pairs]
+    first, second = local.sides
+    negative = np.fmax(0.0, -np.fmin(first, second))
+    violations = np.append(local.rows.violation(local.rows.value), negative)
+    relative = np.append(violations[: len(local.rows.value)] / local.rows.size, negative)
+    sources = [*local.rows.sources, *(pair.source for pair in local.pairs)]
+    worst = _largest(violations)
     active = active_set(local, _ACTIVE)
     found, given, computable = StationarityVerdict(kind=Stationarity.NONE, residual=math.nan), math.nan, _is_finite(local)
     if computable:
@@ -286,10 +269,10 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         elif not found.descent < -STATIONARITY:  # one wrong multiplier may show too gentle a slope where several together show a steep one
             found = replace(found, descent=steepest_piece(active, STATIONARITY)[0])
     return Certificate(
-        primal=worst_row,
-        primal_relative=relative,
-        complementarity=complementarity,
-        product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
+        primal=worst,
+        primal_relative=_largest(relative),
+        complementarity=_largest(np.maximum(0.0, np.minimum(first, second))),
+        product=_largest(np.abs(first * second)),
         forced=_forced_violation(local, FEASIBILITY) if computable else math.nan,
         dual=found.residual,
         given_dual=given,
@@ -300,7 +283,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         tolerances=tolerances,
         least=found.least,
         unique=found.unique,
-        worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),
+        worst="" if worst == 0.0 else str(sources[int(np.argmax(np.nan_to_num(violations, nan=np.inf)))].name),
         objective=local.objective,
         notes=local.notes if computable else (*local.notes, "a function or derivative is not a finite number at this point"),
     )
@@ -308,30 +291,32 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
 
 def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
     """Largest of: what the multipliers leave of the gradient; wrong signs; multipliers of what is not active. Relative to the scale."""
-    none = (0.0, 0.0)
-    y = np.array([
-        multipliers.rows.get(row.source, 0.0) if row.argument is None else multipliers.pairs.get(row.source, none)[row.argument]
-        for row in local.rows
-    ])  # fmt: skip
-    z = np.array([multipliers.bounds.get(row.source, 0.0) for row in local.bounds])
+    rows, m = local.rows, local.jacobian.shape[0]
+    y = np.array([_row_multiplier(source, argument, multipliers) for source, argument in zip(rows.sources, rows.arguments, strict=True)])
     pairs = [_pair_multipliers(pair, multipliers) for pair in local.pairs]
     nu, mu = np.array([first for first, _ in pairs]), np.array([second for _, second in pairs])
-    rest = local.gradient - z
-    for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
+    rest = local.gradient - y[m:]
+    for matrix, vector in ((local.jacobian, y[:m]), (local.first_jacobian, nu), (local.second_jacobian, mu)):
         rest = rest - matrix.T @ vector
-    wrong = [float(np.max(np.abs(rest), initial=0.0))]
-    for row, multiplier in zip((*local.rows, *local.bounds), (*y, *z), strict=True):
-        limit = row.lower if multiplier > 0 else row.upper
-        if multiplier != 0.0 and row.lower != row.upper:
-            wrong.append(_wrong(multiplier, abs(row.value - limit), _size(row)))
-    wrong += [_wrong(m, p.first, 1.0) for m, p in zip(nu, local.pairs, strict=True)]
-    wrong += [_wrong(m, p.second, 1.0) for m, p in zip(mu, local.pairs, strict=True)]
-    return _largest(wrong) / active.scale
+    distance = np.abs(rows.value - np.where(y > 0.0, rows.lower, rows.upper))
+    first, second = local.sides
+    y = np.where(rows.lower == rows.upper, 0.0, y)
+    wrong = (np.abs(rest), _wrong(y, distance, rows.size), _wrong(nu, first, 1.0), _wrong(mu, second, 1.0))
+    return _largest(np.concatenate(wrong)) / active.scale
 
 
-def _wrong(multiplier: float, distance: float, size: float) -> float:
-    """A multiplier of what is not active counts whole, as for who looks for multipliers without knowing these; of what is active, times the distance."""
-    return abs(multiplier) * (max(0.0, distance) if distance <= _ACTIVE * size else 1.0)
+def _wrong(multiplier: np.ndarray, distance: np.ndarray, size: np.ndarray | float) -> np.ndarray:
+    """A multiplier of what is not active counts whole, as for who looks for multipliers without knowing these; of what is active, times the distance.
+
+    All (rows,), or (pairs,). Raises nothing.
+    """
+    return np.abs(multiplier) * np.where(distance <= _ACTIVE * size, np.maximum(0.0, distance), 1.0)
+
+
+def _row_multiplier(source: Any, argument: int | None, multipliers: Multipliers) -> float:
+    if argument is not None:
+        return multipliers.pairs.get(source, (0.0, 0.0))[argument]
+    return multipliers.rows.get(source, multipliers.bounds.get(source, 0.0))
 
 
 def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
@@ -344,22 +329,11 @@ def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers)
     return class_of([_pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
 
 
-def _violation(row: ConstraintRow) -> float:
-    if math.isnan(row.value) or math.isnan(row.lower) or math.isnan(row.upper):
-        return math.nan
-    return max(0.0, row.lower - row.value, row.value - row.upper)
-
-
-def _size(row: ConstraintRow) -> float:
-    return max(1.0, *(abs(bound) for bound in (row.lower, row.upper) if math.isfinite(bound)), 1.0)
-
-
-def _largest(values: list[float]) -> float:
-    """Largest value, 0 for none; NaN stays NaN."""
-    return float(np.max(values)) if values else 0.0
+def _largest(values: np.ndarray) -> float:
+    """Largest value, 0 for none; NaN stays NaN, and -0.0 does not."""
+    return float(np.max(values)) + 0.0 if values.size else 0.0
 
 
 def _is_finite(local: LocalModel) -> bool:
-    arrays = (local.gradient, local.jacobian.data, local.first_jacobian.data, local.second_jacobian.data)
-    values = [row.value for row in (*local.rows, *local.bounds)] + [v for pair in local.pairs for v in (pair.first, pair.second)]
-    return all(np.all(np.isfinite(array)) for array in arrays) and bool(np.all(np.isfinite(values))) and math.isfinite(local.objective)
+    arrays = (local.gradient, local.jacobian.data, local.first_jacobian.data, local.second_jacobian.data, local.rows.value, local.sides)
+    return all(np.all(np.isfinite(array)) for array in arrays) and math.isfinite(local.objective)

@@ -240,14 +240,28 @@ class _Together:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ConstraintRow:
-    """lower <= value <= upper, of component `source`: a constraint, a variable's bounds, or an argument of a complementarity that must hold."""
+class Rows:
+    """lower <= value <= upper, each (rows,), of the components `sources`: constraints, arguments of complementarities that must hold, and variables.
 
-    source: Any
-    value: float
-    lower: float
-    upper: float
-    argument: int | None = None
+    arguments: which argument of `complements` a row is; None for the others
+    """
+
+    sources: tuple[Any, ...]
+    arguments: tuple[int | None, ...]
+    value: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        """The larger of its finite bounds, at least 1 (rows,) [units of the rows]."""
+        bounds = np.abs([self.lower, self.upper])
+        return np.maximum(1.0, np.max(np.where(np.isfinite(bounds), bounds, 0.0), axis=0))
+
+    def violation(self, value: np.ndarray) -> np.ndarray:
+        """By how much these values (rows,) are beyond their bounds (rows,) [units of the rows]. Raises nothing: NaN where one is NaN."""
+        with np.errstate(invalid="ignore"):
+            return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,21 +283,31 @@ class Pair:
 class LocalModel:
     """The model to first order at a point.
 
-    objective: in the model's own sense; gradient (n,): of what is minimised; rows with jacobian (rows, n); bounds of the variables; pairs with
-    gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the point, 1 at most
+    objective: in the model's own sense; gradient (n,): of what is minimised; rows: those with jacobian (m, n), then the variables within their bounds;
+    pairs with gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`; slope_nearby: size of the objective's derivatives around the
+    point, 1 at most
     """
 
     variables: tuple[Any, ...]
     objective: float
     gradient: np.ndarray
-    rows: tuple[ConstraintRow, ...]
+    rows: Rows
     jacobian: sparse.csr_matrix
-    bounds: tuple[ConstraintRow, ...]
     pairs: tuple[Pair, ...]
     first_jacobian: sparse.csr_matrix
     second_jacobian: sparse.csr_matrix
     notes: tuple[str, ...] = ()
     slope_nearby: float = 1.0
+
+    @property
+    def sides(self) -> np.ndarray:
+        """The first and the second sides (2, pairs) of the pairs [units of the sides]."""
+        return np.array([[pair.first for pair in self.pairs], [pair.second for pair in self.pairs]], dtype=float)
+
+    @property
+    def matrix(self) -> sparse.csr_matrix:
+        """Gradients of all rows (m + n, n) [row per variable]."""
+        return sparse.vstack([self.jacobian, sparse.identity(len(self.variables), format="csr")], format="csr")
 
 
 @contextmanager
@@ -352,13 +376,13 @@ def read_local(model: Any, near: float) -> LocalModel:
     MissingValueError
         where a component needs an Expression that is empty
     """
-    rows: list[ConstraintRow] = []
+    rows: list[tuple[Any, int | None, float, float, float]] = []
     bodies: list[Any] = []
 
     def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
-        rows.append(ConstraintRow(source=source, value=_filled(source, body, number_of(body)), lower=low, upper=high, argument=argument))
+        rows.append((source, argument, _filled(source, body, number_of(body)), low, high))
         bodies.append(body)
 
     for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
@@ -385,16 +409,19 @@ def read_local(model: Any, near: float) -> LocalModel:
         sense, goal = (1.0 if item.sense == pyo.minimize else -1.0), item.expr
         objective = _filled(item, goal, number_of(goal))
     (first, second), (first_values, second_values) = (tuple(zip(*items, strict=True)) or ((), ()) for items in (sides, side_values))
-    found = gradients_of([*bodies, *first, *second, goal], [*(row.value for row in rows), *first_values, *second_values, objective])
+    found = gradients_of(
+        [*bodies, *first, *second, goal], [*(value for _, _, value, _, _ in rows), *first_values, *second_values, objective]
+    )
     m, k = len(rows), len(pairs)
+    rows += [(variable, None, number_of(variable), *_bounds_of(variable)) for variable in found.variables]
+    sources, arguments, values, lower, upper = tuple(zip(*rows, strict=True)) or ((),) * 5
     flips = [sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k)) for name in ("first_flip", "second_flip")]
     return LocalModel(
         variables=found.variables,
         objective=objective,
         gradient=sense * found.matrix[m + 2 * k].toarray().ravel(),
-        rows=tuple(rows),
+        rows=Rows(sources=sources, arguments=arguments, value=np.array(values), lower=np.array(lower), upper=np.array(upper)),
         jacobian=found.matrix[:m],
-        bounds=tuple(_bounds_of(variable) for variable in found.variables),
         pairs=tuple(pairs),
         first_jacobian=(flips[0] @ found.matrix[m : m + k]).tocsr(),
         second_jacobian=(flips[1] @ found.matrix[m + k : m + 2 * k]).tocsr(),
@@ -403,14 +430,9 @@ def read_local(model: Any, near: float) -> LocalModel:
     )
 
 
-def _bounds_of(variable: Any) -> ConstraintRow:
+def _bounds_of(variable: Any) -> tuple[float, float]:
     low, high = variable.bounds
-    return ConstraintRow(
-        source=variable,
-        value=number_of(variable),
-        lower=-math.inf if low is None else float(low),
-        upper=math.inf if high is None else float(high),
-    )
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
 
 
 def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:

@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import linprog
 
-from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel
+from formulations.mpec.certificate.derivatives import LocalModel, Rows
 from formulations.mpec.certificate.multipliers import (
     MultiplierDecision,
     column_lengths,
@@ -86,11 +86,10 @@ def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.nd
     -------
     lowest, highest (columns,), each 0 or infinite [objective per row]
     """
-    own = [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in active.limits]
-    own += [_LIMITS["*"]] * (len(active.first_only) + len(active.second_only))
-    own += [_LIMITS[first] for first, _ in signs] + [_LIMITS[second] for _, second in signs]
-    low, high = zip(*own, strict=True) if own else ((), ())
-    return np.array(low, dtype=float), np.array(high, dtype=float)
+    sides = [_LIMITS["*"]] * (len(active.first_only) + len(active.second_only))
+    sides += [_LIMITS[first] for first, _ in signs] + [_LIMITS[second] for _, second in signs]
+    low, high = np.array(sides, dtype=float).reshape(-1, 2).T
+    return np.append(active.lowest, low), np.append(active.highest, high)
 
 
 def pairs_of(active: ActiveSet, y: np.ndarray) -> list[tuple[float, float]]:
@@ -119,14 +118,16 @@ _SAME_SIDE = 1e-12
 class ActiveSet:
     """What is active within a tolerance.
 
-    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; limits: of their multipliers
+    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; lowest, highest (k,): limits of their
+    multipliers, each 0 or infinite
     first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n, pairs): gradients of the sides
     scale: largest derivative of the objective, at least its size nearby
     """
 
     gradient: np.ndarray
     normals: sparse.csc_matrix
-    limits: tuple[tuple[float | None, float | None], ...]
+    lowest: np.ndarray
+    highest: np.ndarray
     first_only: np.ndarray
     second_only: np.ndarray
     both: np.ndarray
@@ -144,20 +145,16 @@ class ActiveSet:
 
 def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
     """The rows, bounds and sides of pairs within the tolerance of their limits."""
+    low, high = at_bounds(local.rows, tolerance)
     covered = _covered_bounds(local)
-    everything = sparse.vstack([local.jacobian, sparse.identity(len(local.variables), format="csr")], format="csr")
-    chosen, limits = [], []
-    for number, row in enumerate((*local.rows, *local.bounds)):
-        limit = _multiplier_limits(row, tolerance)
-        if limit is not None and not (limit == (0.0, None) and number - len(local.rows) in covered):
-            chosen.append(number)
-            limits.append(limit)
-    first = np.array([pair.first <= tolerance for pair in local.pairs], dtype=bool)
-    second = np.array([pair.second <= tolerance for pair in local.pairs], dtype=bool)
+    low[covered] &= high[covered]
+    chosen = low | high
+    first, second = local.sides <= tolerance
     return ActiveSet(
         gradient=local.gradient,
-        normals=everything[chosen].T.tocsc(),
-        limits=tuple(limits),
+        normals=local.matrix[np.flatnonzero(chosen)].T.tocsc(),
+        lowest=np.where(high, -np.inf, 0.0)[chosen],
+        highest=np.where(low, np.inf, 0.0)[chosen],
         first_only=np.flatnonzero(first & ~second),
         second_only=np.flatnonzero(second & ~first),
         both=np.flatnonzero(first & second),
@@ -167,26 +164,25 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
     )
 
 
-def _covered_bounds(local: LocalModel) -> set[int]:
-    """Variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
-    covered = set()
-    for jacobian, name in ((local.first_jacobian, "first"), (local.second_jacobian, "second")):
+def _covered_bounds(local: LocalModel) -> list[int]:
+    """Rows of variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
+    covered, begin = [], local.jacobian.shape[0]
+    distance = local.rows.value - local.rows.lower
+    for jacobian, side in zip((local.first_jacobian, local.second_jacobian), local.sides, strict=True):
         alone = np.flatnonzero(np.diff(jacobian.indptr) == 1)
         for k in alone.tolist():
-            column, slope = int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
-            bound = local.bounds[column]
-            if slope > 0.0 and abs((bound.value - bound.lower) * slope - getattr(local.pairs[k], name)) <= _SAME_SIDE:
-                covered.add(column)
+            row, slope = begin + int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
+            if slope > 0.0 and abs(distance[row] * slope - side[k]) <= _SAME_SIDE:
+                covered.append(row)
     return covered
 
 
-def _multiplier_limits(row: ConstraintRow, tolerance: float) -> tuple[float | None, float | None] | None:
-    """Limits of the multiplier of an active row; None for one that is not active."""
-    low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
-    high = row.upper - row.value <= tolerance * max(1.0, abs(row.upper)) if np.isfinite(row.upper) else False
-    if low and high:
-        return None, None
-    return (0.0, None) if low else (None, 0.0) if high else None
+def at_bounds(rows: Rows, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Masks (rows,) of those within the tolerance of their lower, and of their upper bound [-]. Raises nothing."""
+    with np.errstate(invalid="ignore"):
+        low = np.isfinite(rows.lower) & (rows.value - rows.lower <= tolerance * np.maximum(1.0, np.abs(rows.lower)))
+        high = np.isfinite(rows.upper) & (rows.upper - rows.value <= tolerance * np.maximum(1.0, np.abs(rows.upper)))
+    return low, high
 
 
 # Linear programs for one question at most: 2^10 pieces where programs are small, fewer where they are large.
@@ -278,10 +274,9 @@ def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: n
     held_second = np.concatenate([active.second_only, active.both[second_held]])
     equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
     rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[~second_held]].T]
-    kinds = np.array([0 if a is None and b is None else 1 if b is None else -1 for a, b in active.limits], dtype=int)
-    rows = active.normals.T.tocsr()
-    equal.append(rows[kinds == 0])
-    rising += [rows[kinds == 1], -rows[kinds == -1]]
+    rows, is_low, is_high = active.normals.T.tocsr(), active.highest > 0.0, active.lowest < 0.0
+    equal.append(rows[is_low & is_high])
+    rising += [rows[is_low & ~is_high], -rows[is_high & ~is_low]]
     a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
     answer = linprog(
         active.gradient / active.scale,
@@ -354,7 +349,7 @@ def _only_candidate(active: ActiveSet, tolerance: float) -> StationarityVerdict 
     count = len(active.both)
     low, high = limits(active, CHOICES[Stationarity.STRONG] * count)
     wrong = np.maximum(0.0, np.maximum(low - found.y, found.y - high))
-    own = float(np.max(wrong[: len(active.limits)], initial=0.0)) / active.scale
+    own = float(np.max(wrong[: len(active.lowest)], initial=0.0)) / active.scale
     pairs = pairs_of(active, found.y)
     kind = class_of(pairs, tolerance * active.scale) if own <= tolerance else Stationarity.NONE
     descent = 0.0

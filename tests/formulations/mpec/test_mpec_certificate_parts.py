@@ -23,17 +23,15 @@ from formulations.mpec.certificate.certificate import (
     _given_residual,
     _is_finite,
     _largest,
-    _size,
-    _violation,
 )
-from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair
+from formulations.mpec.certificate.derivatives import LocalModel, Pair, Rows
 from formulations.mpec.certificate.plan import PLAN_TOLERANCES
 from formulations.mpec.certificate.stationarity import (
     CHOICES,
     Stationarity,
-    _multiplier_limits,
     active_set,
     affordable,
+    at_bounds,
     class_of,
     limits,
     pairs_of,
@@ -74,18 +72,41 @@ def test_signs_are_missed_by_the_nearest(pair: tuple[float, float], kind: Statio
     assert wrong_by(pair, CHOICES[kind]) == wrong
 
 
-def row(value: float, lower: float = -INF, upper: float = INF, argument: int | None = None, name: str = "row") -> ConstraintRow:
-    return ConstraintRow(source=Source(name), value=value, lower=lower, upper=upper, argument=argument)
+@dataclass(frozen=True, eq=False)
+class Row:
+    """lower <= value <= upper of a source."""
+
+    value: float
+    lower: float = -INF
+    upper: float = INF
+    argument: int | None = None
+    source: Source = Source("row")
+
+
+def together(*items: Row) -> Rows:
+    value, lower, upper = (np.array([getattr(item, name) for item in items], dtype=float) for name in ("value", "lower", "upper"))
+    return Rows(
+        sources=tuple(item.source for item in items),
+        arguments=tuple(item.argument for item in items),
+        value=value,
+        lower=lower,
+        upper=upper,
+    )
+
+
+def row(value: float, lower: float = -INF, upper: float = INF, argument: int | None = None, name: str = "row") -> Row:
+    return Row(value=value, lower=lower, upper=upper, argument=argument, source=Source(name))
 
 
 @pytest.mark.parametrize(("item", "found"), [
-    (row(0.0), None), (row(1.125, lower=1.0), (0.0, None)), (row(1.13, lower=1.0), None), (row(-9.0, lower=1.0), (0.0, None)),
-    (row(4.5, lower=4.0), (0.0, None)), (row(4.51, lower=4.0), None), (row(-4.5, upper=-4.0), (None, 0.0)), (row(-4.51, upper=-4.0), None),
-    (row(0.875, upper=1.0), (None, 0.0)), (row(0.87, upper=1.0), None), (row(1.0, lower=1.0, upper=1.0), (None, None)),
-    (row(0.0, lower=-0.05, upper=5.0), (0.0, None)), (row(0.0, lower=-5.0, upper=0.05), (None, 0.0)),
+    (row(0.0), (False, False)), (row(1.125, lower=1.0), (True, False)), (row(1.13, lower=1.0), (False, False)), (row(-9.0, lower=1.0), (True, False)),
+    (row(4.5, lower=4.0), (True, False)), (row(4.51, lower=4.0), (False, False)), (row(-4.5, upper=-4.0), (False, True)), (row(-4.51, upper=-4.0), (False, False)),
+    (row(0.875, upper=1.0), (False, True)), (row(0.87, upper=1.0), (False, False)), (row(1.0, lower=1.0, upper=1.0), (True, True)),
+    (row(0.0, lower=-0.05, upper=5.0), (True, False)), (row(0.0, lower=-5.0, upper=0.05), (False, True)),
 ])  # fmt: skip
-def test_a_row_is_active_within_an_eighth_of_its_bound(item: ConstraintRow, found: tuple | None):
-    assert _multiplier_limits(item, 0.125) == found
+def test_a_row_is_active_within_an_eighth_of_its_bound(item: Row, found: tuple[bool, bool]):
+    low, high = at_bounds(together(item), 0.125)
+    assert (low.tolist(), high.tolist()) == ([found[0]], [found[1]])
 
 
 def pair(
@@ -95,7 +116,7 @@ def pair(
 
 
 def local(
-    x: Sequence[ConstraintRow], rows: Sequence[tuple[ConstraintRow, Sequence[float]]] = (),
+    x: Sequence[Row], rows: Sequence[tuple[Row, Sequence[float]]] = (),
     pairs: Sequence[tuple[Pair, Sequence[float], Sequence[float]]] = (), gradient: Sequence[float] | None = None, objective: float = 0.0,
 ) -> LocalModel:  # fmt: skip
     """Variables by their bounds; rows and pairs with their gradients."""
@@ -106,7 +127,7 @@ def local(
 
     return LocalModel(
         variables=tuple(item.source for item in x), objective=objective, gradient=np.zeros(n) if gradient is None else np.array(gradient, dtype=float),
-        rows=tuple(item for item, _ in rows), jacobian=matrix([slopes for _, slopes in rows]), bounds=tuple(x), pairs=tuple(item for item, *_ in pairs),
+        rows=together(*(item for item, _ in rows), *x), jacobian=matrix([slopes for _, slopes in rows]), pairs=tuple(item for item, *_ in pairs),
         first_jacobian=matrix([first for _, first, _ in pairs]), second_jacobian=matrix([second for *_, second in pairs]),
     )  # fmt: skip
 
@@ -122,7 +143,7 @@ def test_what_is_active_stands_in_its_columns():
         gradient=(3.0, -4.0, 0.5),
     )  # fmt: skip
     found = active_set(model, 0.1)
-    assert found.limits == ((0.0, None), (None, 0.0), (0.0, None), (None, 0.0))
+    assert (found.lowest.tolist(), found.highest.tolist()) == ([0, -INF, 0, -INF], [INF, 0, INF, 0])
     assert found.normals.toarray().T.tolist() == [[4, 5, 6], [7, 8, 9], [1, 0, 0], [0, 1, 0]]
     assert (found.first_only.tolist(), found.second_only.tolist(), found.both.tolist(), found.scale) == ([0], [1], [2], 4.0)
     assert found.matrix.toarray().T.tolist()[4:] == [[1, 0, 1], [0, 2, 1], [3, 0, 1], [0, 3, 1]]
@@ -153,24 +174,26 @@ def test_a_bound_that_is_a_side_of_a_pair_is_not_counted_twice(slopes: tuple[flo
     x = [row(0.01, lower=lower), row(3.0)]
     for first in (True, False):
         one = (pair(side, 5.0), slopes, (0, 9)) if first else (pair(5.0, side), (0, 9), slopes)
-        assert len(active_set(local(x, pairs=[one]), 0.1).limits) == counted
+        assert len(active_set(local(x, pairs=[one]), 0.1).lowest) == counted
     assert (
-        len(active_set(local([row(0.01, lower=0.0, upper=0.05), row(3.0)], pairs=[(pair(0.02, 5.0), (2, 0), (0, 9))]), 0.1).limits) == 1
+        len(active_set(local([row(0.01, lower=0.0, upper=0.05), row(3.0)], pairs=[(pair(0.02, 5.0), (2, 0), (0, 9))]), 0.1).lowest) == 1
     ), "an upper one is"
 
 
 @pytest.mark.parametrize(("item", "violation", "size"), [
     (row(1.0, 2.0, 5.0), 1.0, 5.0), (row(7.0, -6.0, 5.0), 2.0, 6.0), (row(3.0, 2.0, 5.0), 0.0, 5.0), (row(3.0), 0.0, 1.0), (row(0.0, 0.25), 0.25, 1.0),
 ])  # fmt: skip
-def test_a_violation_is_what_is_beyond_and_its_size_that_of_the_bounds(item: ConstraintRow, violation: float, size: float):
-    assert (_violation(item), _size(item)) == (violation, size)
+def test_a_violation_is_what_is_beyond_and_its_size_that_of_the_bounds(item: Row, violation: float, size: float):
+    rows = together(item)
+    assert (rows.violation(rows.value).tolist(), rows.size.tolist()) == ([violation], [size])
 
 
 @pytest.mark.parametrize("item", [row(math.nan, 0.0), row(0.0, math.nan), row(0.0, 0.0, math.nan)])
-def test_what_is_no_number_violates_by_no_number(item: ConstraintRow):
-    assert math.isnan(_violation(item))
-    assert math.isnan(_largest([1.0, _violation(item), 2.0]))
-    assert (_largest([]), _largest([-1.0, -2.0])) == (0.0, -1.0)
+def test_what_is_no_number_violates_by_no_number(item: Row):
+    rows = together(row(1.0), item, row(2.0))
+    assert np.isnan(rows.violation(rows.value)).tolist() == [False, True, False]
+    assert math.isnan(_largest(rows.violation(rows.value)))
+    assert (_largest(np.zeros(0)), _largest(np.array([-1.0, -2.0]))) == (0.0, -1.0)
 
 
 def test_a_point_is_finite_in_every_number():
@@ -191,7 +214,7 @@ BOX = local(
     [(row(3.0, lower=1.0), (1.0, 0.0)), (row(5.0, lower=5.0, upper=5.0), (0.0, 1.0))],
     [(pair(0.25, 0.5, flips=(-1.0, 1.0), arguments=(1, 0)), (1.0, 1.0), (2.0, -1.0))], gradient=(4.0, -8.0),
 )  # fmt: skip
-(_least, _equal), (_x, _y), (_pair,) = ((item.source for item in items) for items in (BOX.rows, BOX.bounds, BOX.pairs))
+(_least, _equal, _x, _y), _pair = BOX.rows.sources, BOX.pairs[0].source
 
 
 @pytest.mark.parametrize(("rows", "bounds", "pairs", "left"), [

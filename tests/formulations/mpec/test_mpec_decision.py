@@ -120,7 +120,7 @@ def random_point(random: np.random.Generator, count: int, n: int) -> tuple[Activ
     rows = random.integers(-2, 3, size=(n, 3)).astype(float)
     signs = [CHOICES[kind][k] for k in random.integers(len(CHOICES[kind]), size=count)]
     active = ActiveSet(
-        gradient=np.zeros(n), normals=sparse.csc_matrix(rows), limits=((None, None), (0.0, None), (None, 0.0)), first_only=np.arange(0),
+        gradient=np.zeros(n), normals=sparse.csc_matrix(rows), lowest=np.array([-np.inf, 0.0, -np.inf]), highest=np.array([np.inf, np.inf, 0.0]), first_only=np.arange(0),
         second_only=np.arange(0), both=np.arange(count), first_normals=sparse.csc_matrix(first), second_normals=sparse.csc_matrix(second),
         scale=1.0,
     )  # fmt: skip

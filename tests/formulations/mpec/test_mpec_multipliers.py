@@ -31,8 +31,8 @@ from formulations.mpec.certificate.stationarity import (
 
 S, M, C, A, W, NONE = Stationarity
 INF = math.inf
-Limits = tuple[float | None, float | None]
-RISES, FALLS, STAYS = (0.0, None), (None, 0.0), (None, None)
+Limits = tuple[float, float]
+RISES, FALLS, STAYS = (0.0, INF), (-INF, 0.0), (-INF, INF)
 
 
 def columns(*items: Sequence[float]) -> sparse.csc_matrix:
@@ -212,7 +212,8 @@ def active(
         return np.array([place for place, (_, _, kind) in enumerate(pairs) if kind in kinds], dtype=int)
 
     return ActiveSet(
-        gradient=np.array(gradient, dtype=float), normals=matrix([normal for normal, _ in rows]), limits=tuple(limit for _, limit in rows),
+        gradient=np.array(gradient, dtype=float), normals=matrix([normal for normal, _ in rows]),
+        lowest=np.array([limit[0] for _, limit in rows], dtype=float), highest=np.array([limit[1] for _, limit in rows], dtype=float),
         first_only=which("first"), second_only=which("second"), both=which("both"), first_normals=matrix([first for first, _, _ in pairs]),
         second_normals=matrix([second for _, second, _ in pairs]), scale=scale,
     )  # fmt: skip
