@@ -223,15 +223,17 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
     MissingValueError
         where a bound has no value
     """
-    pairs = []
-    for variable in variables:
-        try:
-            pairs.append(variable.bounds)
-        except ValueError as error:
-            raise MissingValueError(f"a bound of variable '{variable.name}' has no value") from error
-    lower = np.array([-np.inf if low is None else low for low, _ in pairs], dtype=float)
-    upper = np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
+    lower, upper = np.array([bounds_of(variable) for variable in variables], dtype=float).reshape(-1, 2).T.copy()
     return lower, upper
+
+
+def bounds_of(variable: Any) -> tuple[float, float]:
+    """Current bounds of a variable, infinite where there is none; MissingValueError where one has no value."""
+    try:
+        low, high = variable.bounds
+    except ValueError as error:
+        raise MissingValueError(f"a bound of variable '{variable.name}' has no value") from error
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
 
 
 def read_bound(expression: Any, kind: str, component: Any, unbounded: float) -> float:

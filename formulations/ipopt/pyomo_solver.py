@@ -140,15 +140,8 @@ class PyomoAnswer:
     wall: float
     pair_multipliers: tuple[tuple[Any, tuple[float, float]], ...] = ()
 
-    @property
-    def condition(self) -> tuple[SolverStatus, TerminationCondition]:
-        """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where its point is."""
-        if self.found.outcome is Outcome.STALLED and self.is_feasible:
-            return SolverStatus.warning, TerminationCondition.feasible
-        return _CONDITIONS[self.found.outcome]
-
     def results(self, solver: str, model: Any) -> SolverResults:
-        """Pyomo's report of the solve, without the point."""
+        """Pyomo's report of the solve, without the point; a stalled solve is `feasible` only where its point is."""
         results = SolverResults()
         facts = results.problem
         facts.name = model.name
@@ -164,7 +157,9 @@ class PyomoAnswer:
                 facts.lower_bound = self.found.objective
         report = results.solver
         report.name = solver
-        report.status, report.termination_condition = self.condition
+        report.status, report.termination_condition = _CONDITIONS[self.found.outcome]
+        if self.found.outcome is Outcome.STALLED and self.is_feasible:
+            report.termination_condition = TerminationCondition.feasible
         report.message = report.termination_message = self.found.message
         report.wallclock_time = self.wall
         report.statistics.black_box.number_of_iterations = self.found.iterations

@@ -26,7 +26,7 @@ from pyomo.mpec import Complementarity
 from pyomo.repn import generate_standard_repn
 
 from formulations.ipopt.graph import UNARY
-from formulations.ipopt.model import MissingValueError, read_number
+from formulations.ipopt.model import MissingValueError, bounds_of, read_number
 from formulations.ipopt.read import TermReader
 from formulations.ipopt.shapes import TermGroup, shape_of
 
@@ -413,7 +413,7 @@ def read_local(model: Any, near: float) -> LocalModel:
         [*bodies, *first, *second, goal], [*(value for _, _, value, _, _ in rows), *first_values, *second_values, objective]
     )
     m, k = len(rows), len(pairs)
-    rows += [(variable, None, number_of(variable), *_bounds_of(variable)) for variable in found.variables]
+    rows += [(variable, None, number_of(variable), *bounds_of(variable)) for variable in found.variables]
     sources, arguments, values, lower, upper = tuple(zip(*rows, strict=True)) or ((),) * 5
     flips = [sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k)) for name in ("first_flip", "second_flip")]
     return LocalModel(
@@ -428,11 +428,6 @@ def read_local(model: Any, near: float) -> LocalModel:
         notes=found.notes,
         slope_nearby=_slope_nearby(goal, found.variables, found.matrix[m + 2 * k].data),
     )
-
-
-def _bounds_of(variable: Any) -> tuple[float, float]:
-    low, high = variable.bounds
-    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
 
 
 def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
