@@ -159,8 +159,10 @@ def _not_asked(scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, .
     return (*sentences, *getattr(scene, "not_asked", ()))
 
 
-def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> tuple[float, float, float, float, str | None]:
-    """Value, error, scale, what printing allows and the unit of the component that decides a metric.
+def _worst(
+    measured: Measured | tuple[float, float] | float, units: tuple[str, ...], limited: bool
+) -> tuple[float, float, float, float, str | None]:
+    """Value, error, scale, what printing allows and the unit of the component that decides a metric; no unit of a norm over several.
 
     The largest value where the scene sets a limit; else the one that is largest against its own limit.
     """
@@ -174,7 +176,7 @@ def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> t
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
     error, scale, allows = (float(part[place]) for part in parts)
-    return float(values[place]), error, scale, allows, measured.units[place] if len(measured.units) == len(values) else None
+    return float(values[place]), error, scale, allows, units[place] if len(units) == len(values) else None
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:
@@ -189,7 +191,7 @@ def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     try:
         # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
         with np.errstate(over="ignore", invalid="ignore"):
-            value, error, scale, allowed, unit = _worst(entry.measure(case), own is not None and not waived)
+            value, error, scale, allowed, unit = _worst(entry.measure(case), entry.units(case.scene), own is not None and not waived)
         if not math.isfinite(value):
             raise LeavesBounds("the metric is too large to be a number.")
     except (Unmeasured, KernelError) as missing:

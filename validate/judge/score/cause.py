@@ -18,7 +18,7 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, Answer, Metric, Question, Verdict, is_of_feedback
+from validate.judge.score.verdict import EFFORT, MARGIN, SHARE, TRACKED, Answer, Metric, Question, Verdict, is_of_feedback
 
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
@@ -78,9 +78,8 @@ def cause_of(scored: ScoredPlan) -> str:
     if scored.verdict is not Verdict.VIOLATES:
         return ""
     first = _above(scored)[0]
-    name = first.name.removeprefix(TRACKED)
-    of_motion = first.question is Question.MOTION and name not in _NAMED
-    return _cause_of_motion(scored) if of_motion or _is_by_the_grid(name, scored) else name
+    of_motion = first.question is Question.MOTION and first.name not in _NAMED
+    return _cause_of_motion(scored) if of_motion or _is_by_the_grid(first.name, scored) else first.name
 
 
 _IMPULSES = ("ghost_impulse", "missed_impulse")
@@ -118,9 +117,8 @@ def _has_order(scored: ScoredPlan) -> bool:
 
 
 def _above(scored: ScoredPlan) -> list[Metric]:
-    """What fails, in the order of the questions; with feedback, where only that does."""
-    above = [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
-    return above or [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is False]
+    """What fails of the plan and the replay of its inputs alone, in the order of the questions."""
+    return [metric for metric in _judged(scored, False) if metric.question is not Question.JUDGE]
 
 
 def _unwell(scored: ScoredPlan) -> list[Metric]:
@@ -198,7 +196,7 @@ def _holds(scored: ScoredPlan) -> str:
 
 
 def _of_what_is_shown(scored: ScoredPlan) -> str:
-    asked = [str(question.number) for question, word in scored.questions.items() if question.number and word != NOT_ASKED]
+    asked = [str(question.number) for question, word in scored.questions.items() if question.number and word != "not asked"]
     return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
 
 
@@ -321,8 +319,8 @@ def _quote(metric: Metric) -> str:
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:
         return f"{metric.name}: {metric.reason.rstrip('.')}"
-    value = percent(metric.value) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.value, metric.unit)
-    limit = percent(metric.limit or 0.0) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.limit or 0.0, metric.unit)
+    is_share = name in ("unexplained_force", EFFORT, SHARE)
+    value, limit = (percent(of) if is_share else number(of, metric.unit) for of in (metric.value, metric.limit or 0.0))
     phrase = _ENTRIES[name].quote(value)
     if name != metric.name:
         phrase = "with feedback " + phrase.replace("driven by its inputs ", "")

@@ -137,13 +137,14 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
     return float(worst[node]), node
 
 
-def ghost_impulse(plan_lam: np.ndarray, largest: np.ndarray, h: np.ndarray) -> float:
-    """Planned impulse that the replay has not: sum over steps and contacts of h max(plan_lam - largest, 0).
+def excess_impulse(lam: np.ndarray, other: np.ndarray, h: np.ndarray) -> float:
+    """Impulse that one has and the other has not: sum over steps and contacts of h max(lam - other, 0).
+
+    Ghost impulse is that of the plan over the largest of the replay's `force_window`, missed impulse that of its least over the plan.
 
     Parameters
     ----------
-    plan_lam : (steps, nc) planned contact forces [N].
-    largest : (steps, nc) of `force_window` [N].
+    lam, other : (steps, nc) contact forces [N].
     h : (steps,) [s].
 
     Returns
@@ -154,27 +155,7 @@ def ghost_impulse(plan_lam: np.ndarray, largest: np.ndarray, h: np.ndarray) -> f
     ------
     ValueError : if the shapes do not fit.
     """
-    return float((h[:, None] * np.maximum(plan_lam - largest, 0.0)).sum())
-
-
-def missed_impulse(plan_lam: np.ndarray, least: np.ndarray, h: np.ndarray) -> float:
-    """Impulse of the replay that the plan has not: sum over steps and contacts of h max(least - plan_lam, 0).
-
-    Parameters
-    ----------
-    plan_lam : (steps, nc) planned contact forces [N].
-    least : (steps, nc) of `force_window` [N].
-    h : (steps,) [s].
-
-    Returns
-    -------
-    [N s]
-
-    Raises
-    ------
-    ValueError : if the shapes do not fit.
-    """
-    return float((h[:, None] * np.maximum(least - plan_lam, 0.0)).sum())
+    return float((h[:, None] * np.maximum(lam - other, 0.0)).sum())
 
 
 def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:

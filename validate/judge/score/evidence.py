@@ -115,17 +115,13 @@ class Evidence:
         return final + sum(part * (cost(row, one[None]) - final) for row, one, part in zip(rows, inputs, parts, strict=True))
 
     @cached_property
-    def phi(self) -> np.ndarray:
-        """Penetration at the start of each step of the plan, (steps, nc) [m]. Raises Unmeasured for somebody's FMU."""
-        return self.kernel.penetration(self.trajectory.q[:-1])
-
-    @cached_property
     def push(self) -> np.ndarray:
         """What the true force is the positive part of at the start of each step, (steps, nc) [N]: k phi, and with damping more or less.
 
         Raises Unmeasured for somebody's FMU, or where a damped contact needs velocities that the plan does not say.
         """
-        return self.kernel.contact_push(self.trajectory.q[:-1], self.v[:-1]) if self.equations.damped else self.k * self.phi
+        q = self.trajectory.q[:-1]
+        return self.kernel.contact_push(q, self.v[:-1]) if self.equations.damped else self.k * self.kernel.penetration(q)
 
     @cached_property
     def k(self) -> np.ndarray:
@@ -154,18 +150,8 @@ class Evidence:
 
     @property
     def lam(self) -> np.ndarray:
-        """Contact forces of the plan, (steps, nc) [N]. Raises Unmeasured if it does not say them."""
-        self._must_say("lam", "contact forces", self.scene.force_names[: self.scene.nc])
+        """Contact forces of the plan, (steps, nc) [N]; zeros where it does not say them."""
         return self.trajectory.lam[:, : self.scene.nc]
-
-    @property
-    def forces(self) -> np.ndarray:
-        """Contact forces, then friction forces of the plan, (steps, nc + nf) [N]. Raises Unmeasured if it does not say all of them."""
-        if self.scene.nf:
-            self.friction  # noqa: B018 - as below
-        if self.scene.nc:
-            self.lam  # noqa: B018 - refused where the plan does not say them
-        return self.trajectory.lam
 
     @property
     def planned_impulse(self) -> float:
@@ -228,12 +214,9 @@ class Evidence:
             return np.repeat(mass(q[0])[None], len(q), axis=0)
         return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
 
-    def printing(self, group: str) -> float:
-        """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
-        return self._printing[group]
-
     @cached_property
-    def _printing(self) -> dict[str, float]:
+    def printing(self) -> dict[str, float]:
+        """Half a unit of the last printed digit of the plan's t, q, v, u and lam; in the unit of the group."""
         plan, items = self.trajectory, self.scene.coordinates
         nominal = min((item.nominal for item in items), default=1.0)
         ranges = [item.upper - item.lower for item in self.scene.inputs]
@@ -251,8 +234,8 @@ class Evidence:
     @cached_property
     def printing_acceleration(self) -> float:
         """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
-        plan, size = self.trajectory, {group: self.printing(group) for group in ("q", "v", "u", "lam")}
-        if not any(size.values()):
+        plan, size = self.trajectory, self.printing
+        if not any(size[group] for group in ("q", "v", "u", "lam")):
             return 0.0
         random = np.random.default_rng(0)
 
@@ -283,8 +266,7 @@ class Evidence:
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction forces of the plan, (steps, nf) [N]. Raises Unmeasured if it does not say them."""
-        self._must_say("friction", "friction forces", self.scene.force_names[self.scene.nc :])
+        """Friction forces of the plan, (steps, nf) [N]; zeros where it does not say them."""
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
@@ -327,17 +309,16 @@ class Evidence:
 
     @cached_property
     def acceleration(self) -> np.ndarray:
-        """Acceleration by the plan's states, inputs and own contact forces, (steps, nq) [m/s^2 or rad/s^2]. Raises Unmeasured if one is missing."""
+        """Acceleration by the plan's states, inputs and own forces, (steps, nq) [m/s^2 or rad/s^2]. Raises Unmeasured without velocities or equations."""
         plan = self.trajectory
-        return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
+        return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, plan.lam))
 
     @property
     def collocation_defect(self) -> np.ndarray:
         """Largest misses of a collocation plan in its own step, (2*nq,) [m or rad], then [m/s or rad/s]; infinite where a step has no solution.
 
-        Raises Unmeasured without velocities or equations.
+        Raises Unmeasured without equations.
         """
-        self.v  # noqa: B018 - refused where the plan does not say it
         return collocation.defect(self.kernel, self.trajectory)
 
     @cached_property
@@ -389,13 +370,12 @@ class Evidence:
     @property
     def replay(self) -> Replay:
         """The replay, if it got to the end."""
-        if self._replay is None:
-            raise Unmeasured("the plan was not replayed.")
-        if self._replay.outcome is ReplayOutcome.DIVERGED:
-            raise LeavesBounds(f"driven by the plan's inputs the motion leaves every bound after {self._replay.t[-1]:.3g} s.")
-        if not self._replay.ok:
-            raise Unmeasured(f"the replay did not get to the end: {self._replay.outcome.value} {self._replay.message}".rstrip())
-        return self._replay
+        replay = self.opened
+        if replay.outcome is ReplayOutcome.DIVERGED:
+            raise LeavesBounds(f"driven by the plan's inputs the motion leaves every bound after {replay.t[-1]:.3g} s.")
+        if not replay.ok:
+            raise Unmeasured(f"the replay did not get to the end: {replay.outcome.value} {replay.message}".rstrip())
+        return replay
 
     @property
     def error(self) -> Difference:
@@ -417,12 +397,6 @@ class Evidence:
 
     @property
     def replay_v(self) -> np.ndarray:
-        """Velocities of the replay at the plan's nodes, (nodes, nq) [m/s or rad/s]. Raises Unmeasured without a whole replay."""
-        self.need("v")
-        return self.replay.v[self.replay.knots]
-
-    @property
-    def all_replay_v(self) -> np.ndarray:
         """Velocities of the replay at all its rows, (n, nq) [m/s or rad/s]. Raises Unmeasured without a whole replay."""
         self.need("v")
         return self.replay.v

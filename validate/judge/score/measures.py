@@ -30,7 +30,7 @@ _AT_REST = 1e-3
 class Measured:
     """What was measured of one metric.
 
-    values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
+    values (n,): of each component, in the units of its row; error: by the replay's own error; scales (n,): what counts as large of each
     component; allowed (n,): what printing may be the cause of, which is added to the limit.
     """
 
@@ -38,19 +38,10 @@ class Measured:
     error: float | np.ndarray = 0.0
     scales: np.ndarray | float = 1.0
     allowed: np.ndarray | float = 0.0
-    units: tuple[str, ...] = ()
 
 
 def _nominals(scene: Subject) -> np.ndarray:
     return np.array([item.nominal for item in scene.coordinates])
-
-
-def _position_units(scene: Subject) -> tuple[str, ...]:
-    return tuple(item.unit for item in scene.coordinates)
-
-
-def _velocity_units(scene: Subject) -> tuple[str, ...]:
-    return tuple(item.velocity_unit for item in scene.coordinates)
 
 
 # Question 1
@@ -68,8 +59,7 @@ def start_error(case: Evidence) -> Measured:
     return Measured(
         values=off if said else off[: case.scene.nq],
         scales=scales if said else scales[: case.scene.nq],
-        allowed=np.repeat([case.printing("q"), case.printing("v")], case.scene.nq) if said else case.printing("q"),
-        units=(*_position_units(case.scene), *_velocity_units(case.scene)),
+        allowed=np.repeat([case.printing["q"], case.printing["v"]], case.scene.nq) if said else case.printing["q"],
     )
 
 
@@ -85,10 +75,7 @@ def bound_violation(case: Evidence) -> Measured:
     lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
     plan = case.trajectory
     applied = np.vstack([plan.u, plan.u_end]) if plan.u_end is not None and plan.hold is Hold.LINEAR else plan.u
-    return Measured(
-        values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing("u"),
-        units=tuple(item.unit for item in inputs),
-    )  # fmt: skip
+    return Measured(values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing["u"])
 
 
 def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +87,7 @@ def velocity_bound_violation(case: Evidence) -> Measured:
     """At the starts of the steps: the end belongs to the goal."""
     bounds = _velocity_bounds(case)
     values = eq.outside(case.v[:-1], *bounds)
-    return Measured(values=values, scales=_ranges(*bounds), allowed=case.printing("v"), units=_velocity_units(case.scene))
+    return Measured(values=values, scales=_ranges(*bounds), allowed=case.printing["v"])
 
 
 def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -121,13 +108,13 @@ def terminal_error(case: Evidence) -> float:
 def terminal_position_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([distance(case.q[-1], case.goal[:nq])]), allowed=case.printing("q") * np.sqrt(nq))
+    return Measured(values=np.array([distance(case.q[-1], case.goal[:nq])]), allowed=case.printing["q"] * np.sqrt(nq))
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([distance(case.v[-1], case.goal[nq:])]), allowed=case.printing("v") * np.sqrt(nq))
+    return Measured(values=np.array([distance(case.v[-1], case.goal[nq:])]), allowed=case.printing["v"] * np.sqrt(nq))
 
 
 def cost(case: Evidence) -> float:
@@ -146,7 +133,7 @@ def physics(case: Evidence) -> float:
 def physics_scaled(case: Evidence) -> Measured:
     """Complementarity violation, the same on any grid [s]."""
     value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
-    p_lam, p_push = case.printing("lam"), case.k * case.printing("q")
+    p_lam, p_push = case.printing["lam"], case.k * case.printing["q"]
     rounded = p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push)) + np.abs(case.lam) * p_push + p_lam * (p_lam + p_push)
     allowed = float((case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum())
     return Measured(values=np.array([value]), scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
@@ -157,7 +144,7 @@ def contact_law_error(case: Evidence) -> Measured:
     within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
     value = eq.contact_law_error(lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h)
     touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
-    off = case.printing("lam") + case.k * case.printing("q")
+    off = case.printing["lam"] + case.k * case.printing["q"]
     allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
     return Measured(values=np.array([value]), scales=case.planned_impulse, allowed=allowed)
 
@@ -171,7 +158,7 @@ def force_sign_violation(case: Evidence) -> Measured:
     """Largest planned contact force that pulls [N]."""
     lam = case.lam
     return Measured(
-        values=np.array([max(float(-lam.min(initial=0.0)), 0.0)]), scales=float(np.abs(lam).max(initial=0.0)), allowed=case.printing("lam")
+        values=np.array([max(float(-lam.min(initial=0.0)), 0.0)]), scales=float(np.abs(lam).max(initial=0.0)), allowed=case.printing["lam"]
     )
 
 
@@ -182,7 +169,7 @@ def friction_violation(case: Evidence) -> Measured:
     mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
     return Measured(
         values=np.array([eq.friction_violation(case.friction, limit)]), scales=float(limit.max(initial=0.0)),
-        allowed=case.printing("lam") * (1.0 + float(mu.max(initial=0.0))),
+        allowed=case.printing["lam"] * (1.0 + float(mu.max(initial=0.0))),
     )  # fmt: skip
 
 
@@ -192,8 +179,8 @@ def friction_dissipation_error(case: Evidence) -> Measured:
     values = eq.friction_dissipation_error(case.friction, least, most, slip)
     nominal = np.array([item.nominal for item in case.scene.frictions])
     largest = most.max(axis=0, initial=0.0)
-    p_slip = 2.0 * (case.printing("v") + float(np.abs(case.v).max(initial=0.0)) * case.printing("q"))
-    allowed = 2.0 * largest * p_slip + 2.0 * case.printing("lam") * np.abs(slip).max(axis=0, initial=0.0)
+    p_slip = 2.0 * (case.printing["v"] + float(np.abs(case.v).max(initial=0.0)) * case.printing["q"])
+    allowed = 2.0 * largest * p_slip + 2.0 * case.printing["lam"] * np.abs(slip).max(axis=0, initial=0.0)
     return Measured(values=values, scales=largest * nominal, allowed=allowed)
 
 
@@ -202,10 +189,8 @@ def friction_dissipation_error(case: Evidence) -> Measured:
 
 def replay_error(case: Evidence) -> Measured:
     """Largest difference of plan and replay at the plan's nodes, of each position."""
-    scene, values = case.scene, np.abs(case.q - case.replay_q).max(axis=0)
-    return Measured(
-        values=values, error=case.error.position, scales=_nominals(scene), allowed=case.printing("q"), units=_position_units(scene)
-    )
+    values = np.abs(case.q - case.replay_q).max(axis=0)
+    return Measured(values=values, error=case.error.position, scales=_nominals(case.scene), allowed=case.printing["q"])
 
 
 def replay_terminal_error(case: Evidence) -> tuple[float, float]:
@@ -298,21 +283,19 @@ def _check_gaps(case: Evidence) -> None:
 
 def ghost_impulse(case: Evidence) -> Measured:
     """Planned contact impulse where the replay has none within a step [N s]."""
-    value = eq.ghost_impulse(plan_lam=case.lam, largest=case.force_window[1], h=case.h)
-    return _of_impulses(case, value)
+    return _of_impulses(case, eq.excess_impulse(case.lam, case.force_window[1], case.h))
 
 
 def missed_impulse(case: Evidence) -> Measured:
     """Contact impulse of the replay where the plan has none within a step [N s]."""
-    value = eq.missed_impulse(plan_lam=case.lam, least=case.force_window[0], h=case.h)
-    return _of_impulses(case, value)
+    return _of_impulses(case, eq.excess_impulse(case.force_window[0], case.lam, case.h))
 
 
 def _of_impulses(case: Evidence, value: float) -> Measured:
     """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all."""
     lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
     replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
-    printed = float(case.h.sum()) * case.scene.nc * case.printing("lam")
+    printed = float(case.h.sum()) * case.scene.nc * case.printing["lam"]
     return Measured(
         values=np.array([value]), error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case)
     )
@@ -331,8 +314,8 @@ def _impulse_error(case: Evidence) -> float:
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:
     """How far the replay's velocities leave their bounds, of each velocity."""
-    values = eq.outside(case.all_replay_v[:-1], *_velocity_bounds(case))
-    return Measured(values=values, error=case.error.state, scales=_nominals(case.scene), units=_velocity_units(case.scene))
+    values = eq.outside(case.replay_v[:-1], *_velocity_bounds(case))
+    return Measured(values=values, error=case.error.state, scales=_nominals(case.scene))
 
 
 # Question 6
@@ -340,7 +323,7 @@ def replay_velocity_bound_violation(case: Evidence) -> Measured:
 
 def defect(case: Evidence) -> Measured:
     """How far the plan misses its declared scheme, of each component of the state."""
-    p_q, p_v, h = case.printing("q"), case.printing("v"), float(case.h.max())
+    p_q, p_v, h = case.printing["q"], case.printing["v"], float(case.h.max())
     if case.trajectory.scheme is not Scheme.SEMI_IMPLICIT_EULER:
         # Stages are not stored: its forces are taken to be those of the true law there.
         values = case.collocation_defect
@@ -351,15 +334,12 @@ def defect(case: Evidence) -> Measured:
     nominals = _nominals(case.scene)
     position = 2.0 * p_q + h * p_v
     velocity = 2.0 * p_v + h * case.printing_acceleration
-    return Measured(
-        values=values, scales=np.concatenate([nominals, nominals]), allowed=np.repeat([position, velocity], case.scene.nq),
-        units=(*_position_units(case.scene), *_velocity_units(case.scene)),
-    )  # fmt: skip
+    return Measured(values=values, scales=np.concatenate([nominals, nominals]), allowed=np.repeat([position, velocity], case.scene.nq))
 
 
 def _explained(case: Evidence) -> float:
     """What a defect at its limit explains if each step has one and none grows or dies: steps times 1e-6 of the nominal."""
-    return case.trajectory.steps * DEFECT * float(_nominals(case.scene).min()) + case.trajectory.steps * case.printing("q")
+    return case.trajectory.steps * DEFECT * float(_nominals(case.scene).min()) + case.trajectory.steps * case.printing["q"]
 
 
 def law_error(case: Evidence) -> Measured:
@@ -372,26 +352,12 @@ def discrete_terminal_error(case: Evidence) -> float:
     return distance(case.true_end, case.goal)
 
 
-def discrete_terminal(part: str, value: Callable[[Evidence], float]) -> Callable[[Evidence], Measured]:
-    """Beyond what the plan itself may miss the goal by."""
-
-    def measure(case: Evidence) -> Measured:
-        own = case.scene.limit(f"terminal_{part}_error")
-        return Measured(
-            values=np.array([value(case)]), scales=_explained(case), allowed=0.0 if own is None or own.value is None else own.value
-        )
-
-    return measure
-
-
-def discrete_position(case: Evidence) -> float:
-    """The same of the positions alone."""
-    return distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
-
-
-def discrete_velocity(case: Evidence) -> float:
-    """The same of the velocities alone."""
-    return distance(case.true_end[case.scene.nq :], case.goal[case.scene.nq :])
+def discrete_terminal(case: Evidence, part: str) -> Measured:
+    """The same of the "position" or the "velocity" alone, beyond what the plan itself may miss the goal by."""
+    own, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
+    rows = slice(nq) if part == "position" else slice(nq, None)
+    allowed = 0.0 if own is None or own.value is None else own.value
+    return Measured(values=np.array([distance(case.true_end[rows], case.goal[rows])]), scales=_explained(case), allowed=allowed)
 
 
 # The judge

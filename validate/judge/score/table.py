@@ -11,7 +11,7 @@ plan that is to hold.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from validate.judge.score.verdict import EFFORT, SHARE, TRACKED, LeavesBounds, Q
 
 @dataclass(frozen=True, kw_only=True)
 class MetricEntry:
-    """One row. measure raises Unmeasured with a reason.
+    """One row. measure raises Unmeasured with a reason; units: one of each component that is measured, or those that a norm goes over.
 
     quoted: how the sentence of a verdict quotes it, {} being the value with its unit; without it `NAME is {}`.
     default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
@@ -38,7 +38,7 @@ class MetricEntry:
 
     name: str
     question: Question
-    unit: Callable[[Subject], str]
+    units: Callable[[Subject], tuple[str, ...]]
     meaning: str
     measure: Callable[[Evidence], Measured | tuple[float, float] | float]
     applies: Callable[[Subject], bool] = lambda scene: True
@@ -52,33 +52,33 @@ class MetricEntry:
         """By which metric a scene limits this one."""
         return self.name.removeprefix(TRACKED)
 
+    def unit(self, scene: Subject) -> str:
+        """Of all its components, each told once."""
+        return ", ".join(dict.fromkeys(self.units(scene)))
+
     def quote(self, value: str) -> str:
         """How the sentence of a verdict says this metric; value: with its unit."""
         return self.quoted.format(value) if self.quoted else f"{self.name} is {value}"
 
 
-def _units(*names: str) -> str:
-    return ", ".join(dict.fromkeys(names))
+def _positions(scene: Subject) -> tuple[str, ...]:
+    return tuple(item.unit for item in scene.coordinates)
 
 
-def _position_unit(scene: Subject) -> str:
-    return _units(*(item.unit for item in scene.coordinates))
+def _velocities(scene: Subject) -> tuple[str, ...]:
+    return tuple(item.velocity_unit for item in scene.coordinates)
 
 
-def _velocity_unit(scene: Subject) -> str:
-    return _units(*(item.velocity_unit for item in scene.coordinates))
+def _states(scene: Subject) -> tuple[str, ...]:
+    return (*_positions(scene), *_velocities(scene))
 
 
-def _state_unit(scene: Subject) -> str:
-    return _units(_position_unit(scene), _velocity_unit(scene))
+def _inputs(scene: Subject) -> tuple[str, ...]:
+    return tuple(item.unit for item in scene.inputs)
 
 
-def _input_unit(scene: Subject) -> str:
-    return _units(*(item.unit for item in scene.inputs))
-
-
-def _unit(text: str) -> Callable[[Subject], str]:
-    return lambda scene: text
+def _unit(text: str) -> Callable[[Subject], tuple[str, ...]]:
+    return lambda scene: (text,)
 
 
 def _has_contacts(scene: Subject) -> bool:
@@ -123,199 +123,199 @@ def _has_depths(scene: Subject) -> bool:
 
 TABLE = (
     MetricEntry(
-        name="start_error", question=Question.TASK, unit=_state_unit, measure=measures.start_error, applies=_is_scene, needs=("q",),
+        name="start_error", question=Question.TASK, units=_states, measure=measures.start_error, applies=_is_scene, needs=("q",),
         default=(1e-6, "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task"),
         meaning="largest distance of the plan's first state from the task's start",
         quoted="the plan starts {} away from the task's start",
     ),
     MetricEntry(
-        name="duration_error", question=Question.TASK, unit=_unit("s"), measure=measures.duration_error, applies=_has_duration,
+        name="duration_error", question=Question.TASK, units=_unit("s"), measure=measures.duration_error, applies=_has_duration,
         default=(0.5, "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task"),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
     MetricEntry(
-        name="bound_violation", question=Question.TASK, unit=_input_unit, measure=measures.bound_violation, applies=_has_bounds,
+        name="bound_violation", question=Question.TASK, units=_inputs, measure=measures.bound_violation, applies=_has_bounds,
         default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
         quoted="the inputs leave their bounds by {}",
     ),
     MetricEntry(
-        name="velocity_bound_violation", question=Question.TASK, unit=_velocity_unit, measure=measures.velocity_bound_violation,
+        name="velocity_bound_violation", question=Question.TASK, units=_velocities, measure=measures.velocity_bound_violation,
         applies=_has_velocity_bounds, needs=("v",), default=(1e-6, "1e-6 of the range, the solvers' own tolerance"),
         meaning="by how much the plan's velocities leave their bounds at the start of a step",
         quoted="the plan's velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="terminal_position_error", question=Question.GOAL, unit=_position_unit, measure=measures.terminal_position_error, applies=_has_goal_position,
+        name="terminal_position_error", question=Question.GOAL, units=_positions, measure=measures.terminal_position_error, applies=_has_goal_position,
         needs=("q",), meaning="norm of q_T - q_f in the plan",
         quoted="the plan itself ends {} from the goal",
     ),
     MetricEntry(
-        name="terminal_velocity_error", question=Question.GOAL, unit=_velocity_unit, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
+        name="terminal_velocity_error", question=Question.GOAL, units=_velocities, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
         needs=("v",), meaning="norm of v_T - v_f in the plan",
         quoted="the plan itself ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="cost", question=Question.GOAL, unit=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
+        name="cost", question=Question.GOAL, units=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
         meaning="the task's cost of the plan: sum of the running cost over the task's steps, parts of a step for their part, and the final cost",
         quoted="the plan itself costs {}",
     ),
     MetricEntry(
-        name="contact_law_error", question=Question.FORCES, unit=_unit("N s"), measure=measures.contact_law_error,
+        name="contact_law_error", question=Question.FORCES, units=_unit("N s"), measure=measures.contact_law_error,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "no scheme"),
         default=(0.01, "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range"),
         meaning="impulse by which the planned contact forces lie outside the range of the true law over their step",
         quoted="its contact forces are not those of its own motion: impulse {} outside what the contact law gives",
     ),
     MetricEntry(
-        name="physics_scaled", question=Question.FORCES, unit=_unit("s"), measure=measures.physics_scaled,
+        name="physics_scaled", question=Question.FORCES, units=_unit("s"), measure=measures.physics_scaled,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "scheme"),
         default=(2e-6, "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance"),
         meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: complementarity violation, the same on any grid",
         quoted="its contact forces are not those of contact: complementarity violation {} (scaled)",
     ),
     MetricEntry(
-        name="force_sign_violation", question=Question.FORCES, unit=_unit("N"), measure=measures.force_sign_violation, applies=_has_contacts, needs=("lam",),
+        name="force_sign_violation", question=Question.FORCES, units=_unit("N"), measure=measures.force_sign_violation, applies=_has_contacts, needs=("lam",),
         default=(1e-6, "1e-6 of the largest force: contact does not pull"), meaning="largest planned contact force that pulls",
         quoted="a planned contact force pulls with {}",
     ),
     MetricEntry(
-        name="friction_violation", question=Question.FORCES, unit=_unit("N"), measure=measures.friction_violation, applies=_has_friction,
+        name="friction_violation", question=Question.FORCES, units=_unit("N"), measure=measures.friction_violation, applies=_has_friction,
         needs=("friction", "q", "pressing"), default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
         quoted="a planned friction force exceeds mu N by {}",
     ),
     MetricEntry(
-        name="friction_dissipation_error", question=Question.FORCES, unit=_unit("W"), measure=measures.friction_dissipation_error, applies=_has_friction,
+        name="friction_dissipation_error", question=Question.FORCES, units=_unit("W"), measure=measures.friction_dissipation_error, applies=_has_friction,
         needs=("friction", "v", "pressing"), default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
         meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
         quoted="it slips without all of mu N holding it back, by {}",
     ),
     MetricEntry(
-        name="replay_error", question=Question.MOTION, unit=_position_unit, measure=measures.replay_error, needs=("q",), of_replay=True,
+        name="replay_error", question=Question.MOTION, units=_positions, measure=measures.replay_error, needs=("q",), of_replay=True,
         default=(1e-2, "1e-2 of the nominal"), meaning="largest position difference between plan and replay at the plan's nodes",
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="replay_terminal_position_error", question=Question.MOTION, unit=_position_unit, measure=measures.replay_terminal_position_error,
+        name="replay_terminal_position_error", question=Question.MOTION, units=_positions, measure=measures.replay_terminal_position_error,
         applies=_has_goal_position, of_replay=True, meaning="norm of q_T - q_f in the replay",
         quoted="driven by its inputs the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="replay_terminal_velocity_error", question=Question.MOTION, unit=_velocity_unit, measure=measures.replay_terminal_velocity_error,
+        name="replay_terminal_velocity_error", question=Question.MOTION, units=_velocities, measure=measures.replay_terminal_velocity_error,
         applies=_has_goal_velocity, of_replay=True, meaning="norm of v_T - v_f in the replay",
         quoted="driven by its inputs the motion ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="replay_cost", question=Question.MOTION, unit=_unit("1"), measure=measures.replay_cost, applies=_is_scene, of_replay=True,
+        name="replay_cost", question=Question.MOTION, units=_unit("1"), measure=measures.replay_cost, applies=_is_scene, of_replay=True,
         meaning="the task's cost of the replay, at the starts of the task's steps",
         quoted="driven by its inputs the motion costs {}",
     ),
     MetricEntry(
-        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
+        name="unexplained_force", question=Question.MOTION, units=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
         default=(LIMIT, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
         meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the peak contact force",
         quoted="its own motion needs a force that neither inputs nor contact give, {} of the peak contact force",
     ),
     MetricEntry(
-        name="max_penetration", question=Question.POSSIBLE, unit=_unit("m"), measure=measures.max_penetration,
+        name="max_penetration", question=Question.POSSIBLE, units=_unit("m"), measure=measures.max_penetration,
         applies=lambda scene: _has_contacts(scene) and _has_depths(scene), of_replay=True,
         default=(1.0, "the depth at which the model of the contact ends"), meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
         quoted="the bodies penetrate by {}",
     ),
     MetricEntry(
-        name="ghost_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
+        name="ghost_impulse", question=Question.POSSIBLE, units=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
         of_replay=True, default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
         quoted="contact that the replay does not have: impulse {}",
     ),
     MetricEntry(
-        name="missed_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.missed_impulse, applies=_has_contacts, needs=("lam",),
+        name="missed_impulse", question=Question.POSSIBLE, units=_unit("N s"), measure=measures.missed_impulse, applies=_has_contacts, needs=("lam",),
         of_replay=True, default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of the replay's contact force beyond what is planned at any time within a step of it",
         quoted="contact that the plan does not have: impulse {}",
     ),
     MetricEntry(
-        name="replay_velocity_bound_violation", question=Question.POSSIBLE, unit=_velocity_unit, measure=measures.replay_velocity_bound_violation,
+        name="replay_velocity_bound_violation", question=Question.POSSIBLE, units=_velocities, measure=measures.replay_velocity_bound_violation,
         applies=_has_velocity_bounds, of_replay=True, default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
         meaning="by how much the replay's velocities leave their bounds",
         quoted="driven by its inputs the velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="defect", question=Question.SCHEME, unit=_state_unit, measure=measures.defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),
+        name="defect", question=Question.SCHEME, units=_states, measure=measures.defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),
         default=(DEFECT, "1e-6 of the nominal: a plan with a larger residual does not satisfy its declared scheme"),
         meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
         quoted="it does not satisfy its declared scheme (residual {})",
     ),
     MetricEntry(
-        name="law_error", question=Question.SCHEME, unit=_position_unit, measure=measures.law_error, applies=_is_scene, needs=("q", "v", "scheme"),
+        name="law_error", question=Question.SCHEME, units=_positions, measure=measures.law_error, applies=_is_scene, needs=("q", "v", "scheme"),
         default=(10.0, "ten times what a defect of 1e-6 in every step explains"),
         meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
         quoted="with exact contact on its own grid the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="discrete_terminal_position_error", question=Question.SCHEME, unit=_position_unit,
-        measure=measures.discrete_terminal("position", measures.discrete_position), applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
+        name="discrete_terminal_position_error", question=Question.SCHEME, units=_positions,
+        measure=lambda case: measures.discrete_terminal(case, "position"), applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
         needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
         meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
         quoted="with exact contact on its own grid the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="discrete_terminal_velocity_error", question=Question.SCHEME, unit=_velocity_unit,
-        measure=measures.discrete_terminal("velocity", measures.discrete_velocity), applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
+        name="discrete_terminal_velocity_error", question=Question.SCHEME, units=_velocities,
+        measure=lambda case: measures.discrete_terminal(case, "velocity"), applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
         needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
         meaning="norm of v_T - v_f in the plan's own time step with the true contact law",
         quoted="with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
     ),
     MetricEntry(
-        name="answer_error", question=Question.JUDGE, unit=_unit("1"), measure=measures.answer_error, of_replay=False,
+        name="answer_error", question=Question.JUDGE, units=_unit("1"), measure=measures.answer_error, of_replay=False,
         applies=lambda scene: any(answer.measure for answer in scene.answers), default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
         quoted="the replay is {} tolerances off a closed form of the scene",
     ),
     MetricEntry(
-        name="energy_residual_relative", question=Question.JUDGE, unit=_unit("1"), measure=measures.energy_residual_relative, applies=_is_scene, of_replay=True,
+        name="energy_residual_relative", question=Question.JUDGE, units=_unit("1"), measure=measures.energy_residual_relative, applies=_is_scene, of_replay=True,
         default=(1e-6, "a replay whose energy does not balance to a millionth is wrong"),
         meaning="energy_residual over the largest energy that is there to be turned over",
         quoted="the replay's energy does not balance by {} of what is turned over",
     ),
     MetricEntry(
-        name="physics", question=Question.SHOWN, unit=_unit("N^2"), measure=measures.physics, applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        name="physics", question=Question.SHOWN, units=_unit("N^2"), measure=measures.physics, applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
         needs=("lam", "q"), meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
     ),
     MetricEntry(
-        name="terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.terminal_error, applies=_has_goal, needs=("q",),
+        name="terminal_error", question=Question.SHOWN, units=_states, measure=measures.terminal_error, applies=_has_goal, needs=("q",),
         meaning="norm of x_T - x_f in the plan, positions and velocities: the paper's stability",
     ),
     MetricEntry(
-        name="discrete_terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.discrete_terminal_error,
+        name="discrete_terminal_error", question=Question.SHOWN, units=_states, measure=measures.discrete_terminal_error,
         applies=lambda scene: _is_scene(scene) and _has_goal(scene), needs=("q", "v"),
         meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law",
     ),
     MetricEntry(
-        name="replay_terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.replay_terminal_error, applies=_has_goal, of_replay=True,
+        name="replay_terminal_error", question=Question.SHOWN, units=_states, measure=measures.replay_terminal_error, applies=_has_goal, of_replay=True,
         meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
     ),
     MetricEntry(
-        name="replay_error_time", question=Question.SHOWN, unit=_unit("s"), measure=measures.replay_error_time, needs=("q",),
+        name="replay_error_time", question=Question.SHOWN, units=_unit("s"), measure=measures.replay_error_time, needs=("q",),
         meaning="when plan and replay differ most",
     ),
     MetricEntry(
-        name="grid_error", question=Question.SHOWN, unit=_position_unit, measure=measures.grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=False,
+        name="grid_error", question=Question.SHOWN, units=_positions, measure=measures.grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=False,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     MetricEntry(
-        name="grid_order", question=Question.SHOWN, unit=_unit("1"), measure=measures.grid_order, applies=_is_scene, needs=("q", "v", "scheme"),
+        name="grid_order", question=Question.SHOWN, units=_unit("1"), measure=measures.grid_order, applies=_is_scene, needs=("q", "v", "scheme"),
         meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
     ),
     MetricEntry(
-        name="friction_impulse_error", question=Question.SHOWN, unit=_unit("N s"), measure=measures.friction_impulse_error, applies=_has_friction,
+        name="friction_impulse_error", question=Question.SHOWN, units=_unit("N s"), measure=measures.friction_impulse_error, applies=_has_friction,
         needs=("friction",), of_replay=True,
         meaning="impulse of the difference between planned and replayed friction forces (sticking forces are not unique)",
     ),
     MetricEntry(
-        name="energy_residual", question=Question.JUDGE, unit=_unit("J"), measure=measures.energy_residual, applies=_is_scene, of_replay=True,
+        name="energy_residual", question=Question.JUDGE, units=_unit("J"), measure=measures.energy_residual, applies=_is_scene, of_replay=True,
         meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
         quoted="the replay's energy does not balance by {}",
     ),
@@ -336,9 +336,9 @@ def feedback_entries(effort: Effort | None) -> list[MetricEntry]:
 
 
 def _twin(entry: MetricEntry) -> MetricEntry:
-    return MetricEntry(
-        name=f"{TRACKED}{entry.name}", question=entry.question, unit=entry.unit, meaning=f"with feedback: {entry.meaning}",
-        measure=lambda case: entry.measure(case.tracked), applies=entry.applies, needs=entry.needs, default=entry.default,
+    return replace(
+        entry, name=f"{TRACKED}{entry.name}", meaning=f"with feedback: {entry.meaning}", of_replay=False,
+        measure=lambda case: entry.measure(case.tracked),
     )  # fmt: skip
 
 
@@ -347,12 +347,6 @@ def _effort(case: Evidence) -> Effort:
     if replay is None or replay.effort is None:
         raise Unmeasured("the replay had no feedback.")
     return replay.effort
-
-
-def _bounded_effort(case: Evidence) -> float:
-    if not any(np.isfinite((item.lower, item.upper)).all() for item in case.scene.inputs):
-        raise Unmeasured("the inputs have no bounds.")
-    return _effort(case).rms_share
 
 
 def _plan_share(case: Evidence) -> float:
@@ -370,32 +364,32 @@ def _growth(case: Evidence) -> Growth:
 
 FEEDBACK = (
     MetricEntry(
-        name=EFFORT, question=Question.MOTION, unit=lambda scene: "1", measure=_bounded_effort,
+        name=EFFORT, question=Question.MOTION, units=_unit("1"), measure=lambda case: _effort(case).rms_share,
         applies=lambda scene: any(np.isfinite((item.lower, item.upper)).all() for item in scene.inputs), default=_MOST_EFFORT,
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
         quoted="the RMS effort of the feedback is {} of the half-range of the inputs",
     ),
     MetricEntry(
-        name=SHARE, question=Question.MOTION, unit=lambda scene: "1", measure=_plan_share, default=_MOST_SHARE,
+        name=SHARE, question=Question.MOTION, units=_unit("1"), measure=_plan_share, default=_MOST_SHARE,
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges",
         quoted="the RMS effort of the feedback is {} of that of the plan's own inputs",
     ),
     MetricEntry(
-        name="feedback_peak", question=Question.SHOWN, unit=lambda scene: "1", measure=lambda case: _effort(case).peak_share,
+        name="feedback_peak", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _effort(case).peak_share,
         meaning="largest value of what the feedback added, as a share of half the range",
     ),
     MetricEntry(
-        name="feedback_saturated", question=Question.SHOWN, unit=lambda scene: "1", measure=lambda case: _effort(case).saturated,
+        name="feedback_saturated", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _effort(case).saturated,
         meaning="share of the steps in which the feedback stood at a bound",
     ),
 )  # fmt: skip
 GROWTH = (
     MetricEntry(
-        name="amplification", question=Question.SHOWN, unit=lambda scene: "1", measure=lambda case: _growth(case).amplification,
+        name="amplification", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _growth(case).amplification,
         meaning="how many times larger an error of the positions may become along the plan in the open loop (nominals as units)",
     ),
     MetricEntry(
-        name="growth_rate", question=Question.SHOWN, unit=lambda scene: "1/s", measure=lambda case: _growth(case).rate,
+        name="growth_rate", question=Question.SHOWN, units=_unit("1/s"), measure=lambda case: _growth(case).rate,
         meaning="rate with which amplification = exp(rate T)",
     ),
 )  # fmt: skip

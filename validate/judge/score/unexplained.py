@@ -49,7 +49,7 @@ def _of_friction(case: Evidence) -> np.ndarray:
     own = case.own_steps(case.own_velocities[:-1])
     least, most = (array[:, nc:] for array in (own.least, own.most))
     least, most = np.minimum(least, np.vstack([least[1:], least[-1:]])), np.maximum(most, np.vstack([most[1:], most[-1:]]))
-    p_lam = case.printing("lam")
+    p_lam = case.printing["lam"]
 
     def differs(true: np.ndarray) -> np.ndarray:
         """(steps,) [N] between the claimed friction and a true one (steps, nf) [N]. Raises KernelError."""
@@ -66,11 +66,11 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
     """(steps,) the same of the motion alone."""
     plan, h = case.trajectory, np.diff(case.trajectory.t)
     if "v" not in plan.missing:
-        return _by_velocities(case, h, plan.v, case.printing("v"))
+        return _by_velocities(case, h, plan.v, case.printing["v"])
     if case.equations.relaxation_index is not None:
         return _without_inertia(case, h, case.departures.v)
     backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
-    found = _by_velocities(case, h, backward, 2.0 * case.printing("q") / float(h.min()))
+    found = _by_velocities(case, h, backward, 2.0 * case.printing["q"] / float(h.min()))
     if found.max() <= enough:
         return found
     return min(found, _by_departures(case, h), key=lambda forces: forces.max())
@@ -78,8 +78,8 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
 
 def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
     """(steps,) with velocities v (nodes, nq) printed to p_v."""
-    q, p_q, mass = case.q, case.printing("q"), case.masses
-    late = 2.0 * case.printing("t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
+    q, p_q, mass = case.q, case.printing["q"], case.masses
+    late = 2.0 * case.printing["t"]  # a node that is printed late has moved on by its speed, and its speed by its acceleration
     ends = case.own_steps(v[:-1]).ends
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
     moved = np.diff(q, axis=0)
@@ -98,7 +98,7 @@ def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray
     """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
     mass = case.masses[1:]
     missed = (case.q[1:] - case.own_steps(v).ends[:, : case.scene.nq]) / h[:, None]
-    allowed = (2.0 * case.printing("q") + 2.0 * case.printing("t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
+    allowed = (2.0 * case.printing["q"] + 2.0 * case.printing["t"] * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
     return (sizes(mass, missed) - allowed * sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
 
 
@@ -109,8 +109,8 @@ def _relaxation_time(case: Evidence) -> float:
 
 def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
-    p_q, mass, departing, gains = case.printing("q"), case.masses, case.departures.v, case.departures.gains
-    late = 2.0 * case.printing("t")
+    p_q, mass, departing, gains = case.printing["q"], case.masses, case.departures.v, case.departures.gains
+    late = 2.0 * case.printing["t"]
     arriving = case.own_steps(departing).ends[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
     spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 
 class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
@@ -153,10 +153,6 @@ MARGIN = 10.0
 EFFORT, SHARE = "feedback_effort", "feedback_share"
 # Metrics of the replay with feedback are called so.
 TRACKED = "tracked_"
-YES: Final = "yes"
-NO: Final = "no"
-UNDECIDED: Final = "undecided"
-NOT_ASKED: Final = "not asked"
 # Of the replay, and so only as sure as the judge is well.
 _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 # Of the plan alone, which feedback cannot mend.
@@ -178,31 +174,25 @@ def answer(metrics: Iterable[Metric]) -> Answer:
     """Of the judged metrics of one question."""
     judged = [metric.ok for metric in metrics if metric.is_judged]
     if not judged:
-        return NOT_ASKED
-    return NO if False in judged else UNDECIDED if None in judged else YES
+        return "not asked"
+    return "no" if False in judged else "undecided" if None in judged else "yes"
 
 
-def answers(metrics: Sequence[Metric]) -> dict[Question, Answer]:
-    """Of every question, by metrics of the plan and of the replay of its inputs alone; what feedback did is left out."""
-    return _by_question([metric for metric in metrics if not is_of_feedback(metric.name)])
+def answers(metrics: Sequence[Metric], *, with_feedback: bool = False) -> dict[Question, Answer]:
+    """Of every question, by metrics of the plan and of the replay of its inputs alone.
 
-
-def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, Answer]:
-    """The same with questions 4 and 5 asked of the replay with feedback; what it took belongs to question 4."""
-    own = [metric for metric in metrics if not is_of_feedback(metric.name)]
-    replaced = {metric.name.removeprefix(TRACKED) for metric in metrics if metric.name.startswith(TRACKED)}
-    followed = [metric for metric in own if metric.name not in replaced] + [metric for metric in metrics if is_of_feedback(metric.name)]
-    return _by_question(followed)
-
-
-def _by_question(metrics: Sequence[Metric]) -> dict[Question, Answer]:
+    with_feedback: questions 4 and 5 are asked of the replay with feedback instead; what it took belongs to question 4.
+    """
+    followed = [metric for metric in metrics if with_feedback and is_of_feedback(metric.name)]
+    replaced = {metric.name.removeprefix(TRACKED) for metric in followed}
+    asked = [*followed, *(metric for metric in metrics if not is_of_feedback(metric.name) and metric.name not in replaced)]
     found: dict[Question, Answer] = {
-        question: answer(metric for metric in metrics if metric.question is question) for question in Question if question.value
+        question: answer(metric for metric in asked if metric.question is question) for question in Question if question.value
     }
-    if found[Question.JUDGE] in (NO, UNDECIDED):
+    if found[Question.JUDGE] in ("no", "undecided"):
         for question in _OF_REPLAY:
-            if found[question] != NOT_ASKED:
-                found[question] = UNDECIDED
+            if found[question] != "not asked":
+                found[question] = "undecided"
     return found
 
 
@@ -218,7 +208,7 @@ def wants_feedback(metrics: Sequence[Metric]) -> bool:
     fails.
     """
     found = answers(metrics)
-    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in [found[question] for question in _NOT_MENDED]:
+    if found[Question.MOTION] not in ("no", "undecided") or "no" in [found[question] for question in _NOT_MENDED]:
         return False
     consistency = [metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged]
     return bool(consistency) and all(ok is True for ok in consistency)
@@ -227,9 +217,9 @@ def wants_feedback(metrics: Sequence[Metric]) -> bool:
 def verdict_of(found: dict[Question, Answer]) -> Verdict:
     """Of one set of answers."""
     asked = [word for question, word in found.items() if question is not Question.JUDGE]
-    if NO in asked:
+    if "no" in asked:
         return Verdict.VIOLATES
-    if UNDECIDED in asked or found[Question.JUDGE] in (NO, UNDECIDED):
+    if "undecided" in asked or found[Question.JUDGE] in ("no", "undecided"):
         return Verdict.UNDECIDED
     return Verdict.HOLDS
 
@@ -250,7 +240,7 @@ def decide(metrics: Sequence[Metric], has_feedback: bool) -> tuple[Verdict, dict
     alone = answers(metrics)
     verdict = verdict_of(alone)
     if has_feedback and wants_feedback(metrics):
-        followed = answers_with_feedback(metrics)
+        followed = answers(metrics, with_feedback=True)
         verdict = verdict_with_feedback(verdict, followed)
         if verdict is Verdict.HOLDS_WITH_FEEDBACK:
             return verdict, followed, "feedback"

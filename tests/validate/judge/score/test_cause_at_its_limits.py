@@ -33,7 +33,7 @@ def test_why_inputs_do_not_give_the_motion(law: float | None, grid: float | None
         metric(name, value) for name, value in (("law_error", law), ("grid_error", grid), ("amplification", growth)) if value is not None
     ]
     shown += [metric("defect", 1.0, Question.SCHEME, limit=1.0, ok=defect)] if defect is not None else []
-    for missed in ("replay_error", "replay_terminal_position_error", "tracked_replay_error"):
+    for missed in ("replay_error", "replay_terminal_position_error"):
         assert cause(metric(missed, 2.0, Question.MOTION, limit=1.0, ok=False), *shown) == word
 
 
@@ -44,9 +44,7 @@ def test_of_the_motion_these_say_their_cause_by_their_own_name(name: str):
 
 @pytest.mark.parametrize("question", [Question.TASK, Question.GOAL, Question.FORCES, Question.POSSIBLE])
 def test_what_fails_of_another_question_is_named_itself(question: Question):
-    """Of the replay with feedback by the name of its twin."""
     assert cause(metric("ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
-    assert cause(metric("tracked_ghost_impulse", 2.0, question, limit=1.0, ok=False), metric("grid_error", 1.0)) == "ghost_impulse"
 
 
 @pytest.mark.parametrize(

@@ -431,7 +431,7 @@ PUSHES = both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
 def test_what_was_printed_excuses_what_it_may_be_the_cause_of(name: str, change: Change, allowed: Any, scales: Any):
     case = Case(1.0)
     change(case)
-    found = getattr(measures, name)(case.evidence(_printing=PRINTED, printing_acceleration=0.7))
+    found = getattr(measures, name)(case.evidence(printing=PRINTED, printing_acceleration=0.7))
     assert found.allowed == pytest.approx(allowed, rel=1e-9)
     assert found.scales == pytest.approx(scales, rel=1e-9)
 

@@ -114,27 +114,27 @@ def test_each_group_has_its_own_last_digit():
     q, v, u, lam = random.normal(size=(5, 3)), random.normal(size=(5, 3)), random.normal(size=(4, 2)), 20.0 * random.normal(size=(4, 2))
     printed = {"q": np.round(q, 4), "v": np.round(v, 5), "u": np.round(u, 3), "lam": np.round(lam, 2)}
     case = carts(0.01 * np.arange(5), **printed)
-    assert [case.printing(group) for group in ("t", "q", "v", "u", "lam")] == pytest.approx([0.0, 5e-5, 5e-6, 5e-4, 5e-3])
+    assert [case.printing[group] for group in ("t", "q", "v", "u", "lam")] == pytest.approx([0.0, 5e-5, 5e-6, 5e-4, 5e-3])
     with pytest.raises(KeyError):
-        case.printing("x")
+        case.printing["x"]
     late = carts([0.0, 0.0101, 0.0213, 0.0318, 0.0402], **printed)
-    assert late.printing("t") == pytest.approx(5e-5)
-    assert carts([0.0, 1.01, 2.13, 3.18, 4.02], **printed).printing("t") == pytest.approx(5e-3)
-    assert carts([0.0, 0.01, 0.02, 0.04, 0.05], **printed).printing("t") == 0.0, "a hundredth is more than a tenth of a step"
+    assert late.printing["t"] == pytest.approx(5e-5)
+    assert carts([0.0, 1.01, 2.13, 3.18, 4.02], **printed).printing["t"] == pytest.approx(5e-3)
+    assert carts([0.0, 0.01, 0.02, 0.04, 0.05], **printed).printing["t"] == 0.0, "a hundredth is more than a tenth of a step"
 
 
 @pytest.mark.parametrize(("group", "expected"), [("u", 0.5), ("lam", 1.0), ("v", 2.0 * 0.5)])
 def test_what_printing_does_to_an_acceleration(group: str, expected: float):
     """Of 1 kg each: inputs push one cart, a force two of which the middle one may be pushed twice; damping makes 2 m/s^2 of 1 m/s."""
     case = carts(0.01 * np.arange(21))
-    case.__dict__["_printing"] = dict.fromkeys(("t", "q", "v", "u", "lam"), 0.0) | {group: 0.5}
+    case.__dict__["printing"] = dict.fromkeys(("t", "q", "v", "u", "lam"), 0.0) | {group: 0.5}
     assert case.printing_acceleration == pytest.approx(expected, rel=1e-6)
 
 
 def test_printed_positions_change_the_forces_of_contacts():
     """Pressed 0.1 m together: 0.01 m each make at most 0.6 N on either side of the middle cart."""
     case = carts(0.01 * np.arange(21), q=np.tile([2.0, 2.4, 2.8], (21, 1)))
-    case.__dict__["_printing"] = {"q": 0.01, "v": 0.0, "u": 0.0, "lam": 0.0}
+    case.__dict__["printing"] = {"q": 0.01, "v": 0.0, "u": 0.0, "lam": 0.0}
     assert case.printing_acceleration == pytest.approx(30.0 * 0.04, rel=1e-6)
 
 

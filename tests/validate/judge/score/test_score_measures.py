@@ -20,9 +20,9 @@ def test_a_start_without_velocities_is_one_of_positions():
 
     def case(missing: frozenset[str], relaxation: int | None) -> Any:
         return SimpleNamespace(
-            scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5, unit="m", velocity_unit="m/s")], task=SimpleNamespace(start=(1.0, 2.0))),
+            scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)], task=SimpleNamespace(start=(1.0, 2.0))),
             equations=SimpleNamespace(task=SimpleNamespace(start=(1.0, 2.0), goal=(1.0, 2.25)), relaxation_index=relaxation),
-            trajectory=SimpleNamespace(missing=missing, start=np.array([0.9, 2.3])), printing={"q": 0.01, "v": 0.02}.get,
+            trajectory=SimpleNamespace(missing=missing, start=np.array([0.9, 2.3])), printing={"q": 0.01, "v": 0.02},
         )  # fmt: skip
 
     whole = measures.start_error(case(frozenset(), None))
@@ -30,7 +30,6 @@ def test_a_start_without_velocities_is_one_of_positions():
     for given in ((frozenset({"v"}), None), (frozenset(), 0)):
         found = measures.start_error(case(*given))
         assert (found.values.tolist(), found.scales.tolist(), found.allowed) == (pytest.approx([0.1]), [0.5], 0.01)
-        assert found.units == ("m", "m/s")
 
 
 def test_a_range_with_one_end_or_none_is_as_large_as_what_is_given():
@@ -150,21 +149,22 @@ def test_a_replay_costs_what_its_rows_cost_and_is_as_wrong_as_they_are(own: bool
 def test_the_end_on_its_own_grid_may_miss_what_the_plan_may():
     def case(limit: Any) -> Any:
         scene = SimpleNamespace(
-            limit=lambda name: limit if name == "terminal_velocity_error" else None, coordinates=[SimpleNamespace(nominal=0.5)]
+            limit=lambda name: limit if name == "terminal_velocity_error" else None, coordinates=[SimpleNamespace(nominal=0.5)], nq=1
         )
-        return SimpleNamespace(scene=scene, trajectory=SimpleNamespace(steps=4), printing={"q": 0.01}.get)
+        end, goal = np.array([5.0, 1.0]), np.array([0.5, 0.25])
+        return SimpleNamespace(scene=scene, trajectory=SimpleNamespace(steps=4), printing={"q": 0.01}, true_end=end, goal=goal)
 
-    measure = measures.discrete_terminal("velocity", lambda case: 0.75)
     for limit, allowed in ((None, 0.0), (SimpleNamespace(value=None), 0.0), (SimpleNamespace(value=0.3), 0.3)):
-        found = measure(case(limit))
+        found = measures.discrete_terminal(case(limit), "velocity")
         assert (found.values.tolist(), found.allowed, found.scales) == ([0.75], allowed, pytest.approx(4 * (1e-6 * 0.5 + 0.01)))
+    assert measures.discrete_terminal(case(None), "position").values.tolist() == [4.5]
 
 
 def test_a_collocation_plan_without_a_solution_has_left_its_scheme():
     finite = np.array([0.1, 0.2])
     case: Any = SimpleNamespace(
-        printing=PRINTED.get, h=np.array([0.1, 0.2]), trajectory=SimpleNamespace(scheme=Scheme.RADAU_IIA_2), collocation_defect=finite,
-        scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5, unit="m", velocity_unit="m/s")]), printing_acceleration=0.7,
+        printing=PRINTED, h=np.array([0.1, 0.2]), trajectory=SimpleNamespace(scheme=Scheme.RADAU_IIA_2), collocation_defect=finite,
+        scene=SimpleNamespace(nq=1, coordinates=[SimpleNamespace(nominal=0.5)]), printing_acceleration=0.7,
     )  # fmt: skip
     found = measures.defect(case)
     assert (found.values.tolist(), found.allowed.tolist()) == ([0.1, 0.2], pytest.approx([0.02 + 0.2 * 0.02, 0.04 + 0.2 * 0.7]))

@@ -209,7 +209,7 @@ def test_a_scene_without_inertia_is_forgiven_what_was_printed():
     ends = np.array([[1.0, 1.0, 9.0, 9.0], [2.0, 2.0, 9.0, 9.0]])
     asked: list[np.ndarray] = []
     case = SimpleNamespace(
-        q=q, masses=np.array([np.diag([4.0, 9.0])] * 3), scene=SimpleNamespace(nq=2), printing=told.get, printing_acceleration=0.02,
+        q=q, masses=np.array([np.diag([4.0, 9.0])] * 3), scene=SimpleNamespace(nq=2), printing=told, printing_acceleration=0.02,
         own_steps=lambda v: asked.append(v) or SimpleNamespace(ends=ends),
         equations=SimpleNamespace(relaxation_index=1, parameters=[SimpleNamespace(value=7.0), SimpleNamespace(value=0.5)]),
     )  # fmt: skip
@@ -235,7 +235,7 @@ def by_hand(ends: np.ndarray, **more: Any) -> Any:
     return SimpleNamespace(
         **{
             "q": np.array([[0.0, 0.0], [1.0, -1.0], [2.0, 0.5]]), "masses": np.array([np.diag([4.0, 9.0])] * 3), "scene": SimpleNamespace(nq=2, nf=1),
-            "printing": TOLD.get, "printing_acceleration": 0.7, "own_steps": lambda v: SimpleNamespace(ends=ends, least=None, most=None),
+            "printing": TOLD, "printing_acceleration": 0.7, "own_steps": lambda v: SimpleNamespace(ends=ends, least=None, most=None),
             "equations": SimpleNamespace(relaxation_index=None), "trajectory": SimpleNamespace(missing=frozenset(), scheme=None),
         } | more
     )  # fmt: skip
@@ -250,7 +250,7 @@ def test_a_velocity_that_jumps_takes_its_change_of_momentum_in_a_step(side: floa
     case.q = side * case.q
     allowed = 2 * 0.02 + 0.5 * 0.7 + 0.01 * (1.0 / 0.5)
     assert _by_velocities(case, H2, v, 0.02) == pytest.approx([(2.0 * 1.5 - allowed * UNIT) / 0.5, 0.0])
-    case.printing = dict.fromkeys(TOLD, 0.0).get
+    case.printing = dict.fromkeys(TOLD, 0.0)
     case.printing_acceleration = 0.0
     assert _by_velocities(case, H2, v, 0.0) == pytest.approx([2.0 * 1.5 / 0.5, 0.0])
 
@@ -275,7 +275,7 @@ def test_a_position_beyond_both_its_velocities_and_the_true_motion_is_missed(sid
 def test_without_inertia_a_position_beyond_its_velocities_counts_too():
     case = by_hand(np.array([[1.0, -0.6, 9.0, 9.0], [2.0, 0.5, 9.0, 9.0]]))
     case.equations = SimpleNamespace(relaxation_index=0, parameters=[SimpleNamespace(value=0.5)])
-    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0).get, 0.0
+    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0), 0.0
     v = np.array([[2.0, -0.5], [2.0, -1.0], [4.0, 6.0]])
     assert _by_velocities(case, H2, v, 0.0) == pytest.approx([3.0 * 0.4 / 0.5 / 0.5, 0.0])
     mean = np.array([[2.0, -1.0], [4.0, 5.0], [4.0, 7.0]])  # what it moves by is within these, and the true motion does not move so
@@ -294,7 +294,7 @@ def test_velocities_that_lead_to_the_next_position_jump_at_the_nodes(side: float
     jumps = [(2.0 * 0.5 - allowed[0] * UNIT) / 0.5, (3.0 * 0.3 - allowed[1] * UNIT) / 0.375]
     misses = [-1.0, (2.0 * 0.05 - 2 * 0.01 * UNIT) / 0.25**2]
     assert _by_departures(case, H2) == pytest.approx(np.maximum(np.maximum(jumps, misses), 0.0))
-    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0).get, 0.0
+    case.printing, case.printing_acceleration = dict.fromkeys(TOLD, 0.0), 0.0
     assert _by_departures(case, H2) == pytest.approx([2.0 * 0.5 / 0.5, max(3.0 * 0.3 / 0.375, 2.0 * 0.05 / 0.25**2)])
     case.departures.missed = missed * 0.0
     assert _by_departures(case, H2) == pytest.approx([2.0 * 0.5 / 0.5, 3.0 * 0.3 / 0.375])
@@ -312,7 +312,7 @@ def rubbed(claimed: list[float], least: list[float], most: list[float]) -> Any:
     return SimpleNamespace(
         kernel=SimpleNamespace(acceleration=acceleration), trajectory=SimpleNamespace(lam=lam, u="inputs", missing=frozenset(), scheme=None),
         scene=SimpleNamespace(nc=1, nf=1), own_steps=lambda v: within, own_velocities=np.ones((4, 2)), q=np.zeros((4, 2)),
-        masses=np.array([np.diag([4.0, 9.0])] * 4), friction=lam[:, 1:], printing={"lam": 0.25}.get,
+        masses=np.array([np.diag([4.0, 9.0])] * 4), friction=lam[:, 1:], printing={"lam": 0.25},
     )  # fmt: skip
 
 

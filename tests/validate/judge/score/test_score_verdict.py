@@ -18,7 +18,6 @@ from validate.judge.score.verdict import (
     EFFORT,
     SHARE,
     answers,
-    answers_with_feedback,
     compare,
     verdict_of,
     verdict_with_feedback,
@@ -164,7 +163,7 @@ def followed(**ok: bool | None) -> tuple[Metric, ...]:
 )
 def test_questions_four_and_five_are_asked_of_the_replay_with_feedback(metrics: tuple[Metric, ...], verdict: Verdict):
     assert verdict_of(answers(metrics)) is Verdict.VIOLATES, "for the inputs alone nothing changes"
-    assert verdict_of(answers_with_feedback(metrics)) is verdict
+    assert verdict_of(answers(metrics, with_feedback=True)) is verdict
 
 
 @pytest.mark.parametrize(
