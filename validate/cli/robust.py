@@ -112,8 +112,8 @@ def _worlds(found: Robustness) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["world", *(cause.name for cause in found.causes), *(f"share of limit, {way.name}" for way in found.ways)])
-    for number in range(len(found.alone.ratios)):
-        shares = (repr(float(way.ratios[number])) if number < len(way.ratios) else "" for way in found.ways)
+    for number in range(len(found.alone.tried)):
+        shares = (repr(float(way.tried[number])) if number < len(way.tried) else "" for way in found.ways)
         rows.writerow([number, *(repr(float(size)) for size in found.points[number]), *shares])
     return text.getvalue()
 

@@ -16,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -128,20 +128,15 @@ class Way:
     curve: Curve | None = None
     checked: Checked | None = None
 
-    @cached_property
-    def ratios(self) -> np.ndarray:
-        """(samples,) what was tried [-], once all worlds were."""
-        return np.array(self.tried)
-
     @property
     def share(self) -> Share:
         """How many arrive."""
         return Share(arrived=sum(ratio <= 1.0 for ratio in self.tried), samples=len(self.tried))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Robustness:
-    """What was measured of a plan; complete: False where it was interrupted.
+    """What was measured of a plan, and grows while it is measured; complete: False where that was interrupted.
 
     fineness: internal steps a plan step; ways: inputs alone, then with feedback; trials: replays in all; seconds: CPU time [s]; points (samples, causes):
     the worlds in sizes; motions: (number of the world, what happened) of the first worlds, inputs alone.
@@ -150,14 +145,14 @@ class Robustness:
     judgement: Judgement
     causes: tuple[Perturbation, ...]
     seed: int
-    fineness: int
-    ways: tuple[Way, ...]
-    failures: tuple[FirstFailure, ...]
-    trials: int
-    seconds: float
-    complete: bool
     points: np.ndarray
-    motions: tuple[tuple[int, WorldTrial], ...]
+    ways: list[Way] = field(default_factory=lambda: [Way(name="inputs alone")])
+    failures: list[FirstFailure] = field(default_factory=list)
+    motions: list[tuple[int, WorldTrial]] = field(default_factory=list)
+    fineness: int = 0
+    trials: int = 0
+    seconds: float = 0.0
+    complete: bool = True
 
     @property
     def scene(self) -> str:
@@ -193,15 +188,6 @@ class Robustness:
     def weakest(self) -> FirstFailure | None:
         """The perturbation of which the plan takes the fewest sizes."""
         return min((item for item in self.failures if item.sizes is not None), key=lambda item: item.sizes or 0.0, default=None)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Progress:
-    """What was found so far: kept when the work is interrupted. ways: by whether they are with feedback."""
-
-    ways: Mapping[bool, Way] = field(default_factory=lambda: {False: Way(name="inputs alone"), True: Way(name="with feedback")})
-    failures: list[FirstFailure] = field(default_factory=list)
-    motions: list[tuple[int, WorldTrial]] = field(default_factory=list)
 
 
 def robustness(
@@ -256,42 +242,41 @@ def robustness(
         raise TrajectoryError(
             f"plan: it does not hold to begin with ({judgement.score.sentence.rstrip('.')}); what it takes beyond is measured with --anyway (anyway=True)."
         )
-    began, found, complete, worlds = time.process_time(), _Progress(), True, draw(causes, samples, seed)
-    followed = judgement.verdict is Verdict.HOLDS_WITH_FEEDBACK
-    with arena_of(asked_limits(judgement.score), followed=followed) as arena:
+    began, worlds = time.process_time(), draw(causes, samples, seed)
+    found = Robustness(judgement=judgement, causes=causes, seed=seed, points=worlds.points)
+    with arena_of(asked_limits(judgement.score), followed=found.followed) as arena:
         try:
             _measure(arena, worlds, found, tell)
         except KeyboardInterrupt:
-            complete = False
-        return Robustness(
-            judgement=judgement, causes=causes, seed=seed, fineness=arena.fineness,
-            ways=tuple(way for feedback, way in found.ways.items() if way.tried or not feedback), failures=tuple(found.failures),
-            trials=arena.trials, seconds=time.process_time() - began + arena.seconds, complete=complete, points=worlds.points, motions=tuple(found.motions),
-        )  # fmt: skip
+            found.complete = False
+        found.fineness, found.trials, found.seconds = arena.fineness, arena.trials, time.process_time() - began + arena.seconds
+    return found
 
 
-def _measure(arena: Arena, worlds: Draw, found: _Progress, tell: Callable[[str], None]) -> None:
-    samples = {False: len(worlds.points)} | ({} if arena.feedback is None else {True: max(_LEAST, len(worlds.points) // OF_FEEDBACK)})
-    for feedback, count in samples.items():
-        way = found.ways[feedback]
+def _measure(arena: Arena, worlds: Draw, found: Robustness, tell: Callable[[str], None]) -> None:
+    samples = len(worlds.points)
+    for feedback in (False,) if arena.feedback is None else (False, True):
+        way, count = (Way(name="with feedback"), max(_LEAST, samples // OF_FEEDBACK)) if feedback else (found.alone, samples)
         tell(f"{count} worlds, {way.name}")
         for number in range(count):
             trial = arena.trial(worlds.world(number, arena.nominal), feedback=feedback)
             way.tried.append(trial.ratio)
+            if way not in found.ways:
+                found.ways.append(way)
             if not trial.arrives:
                 way.fails_by[trial.fails_by] += 1
             if not feedback and number < _SHOWN:
                 found.motions.append((number, trial))
-    for feedback in samples:
+    for feedback, way in enumerate(found.ways):
         tell(f"some of these {arena.by} too")
-        found.ways[feedback].checked = check_by_reference(arena, worlds, found.ways[feedback].tried, feedback)
+        way.checked = check_by_reference(arena, worlds, way.tried, bool(feedback))
     for cause in worlds.causes:
         if cause.kind is not PerturbationKind.NOISE:
             tell(f"{cause.name} by itself")
             found.failures.extend(_failures(arena, cause))
-    for feedback, count in samples.items():
+    for feedback, way in enumerate(found.ways):
         tell("shares against size")
-        found.ways[feedback].curve = _curve(arena, worlds, min(count, _OF_A_CURVE), feedback)
+        way.curve = _curve(arena, worlds, min(len(way.tried), _OF_A_CURVE), bool(feedback))
 
 
 def check_by_reference(arena: Arena, worlds: Draw, ratios: Sequence[float], feedback: bool) -> Checked:
@@ -350,7 +335,8 @@ def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
     own, one_sided = _at(arena, cause, 0.0), cause.below == 0.0
     near = [_at(arena, cause, size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
     known = all(trial.shares for trial in (own, *near))
-    series = [_series(parts, one_sided) for parts in zip(*(trial.parts for trial in (own, *near)), strict=True)] if known else []
+    parts = [(trial.states, trial.gaps, trial.cost) for trial in (own, *near)]
+    series = [_series(values, one_sided) for values in zip(*parts, strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)
         sizes, failed = _along(arena, cause, direction, tried) or (None, None)

@@ -149,11 +149,6 @@ class WorldTrial:
     outcome: ReplayOutcome
 
     @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """What the shares are of: (rows, 2*nq) [m or rad, then per second], (rows, nc) [m], the cost. Raises nothing."""
-        return self.states, self.gaps, self.cost
-
-    @property
     def ratio(self) -> float:
         """The largest share; infinite where the motion did not come to its end."""
         return max(self.shares.values()) if self.shares else math.inf
