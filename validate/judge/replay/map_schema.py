@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import difflib
 import heapq
-import math
 import unicodedata
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -27,7 +26,6 @@ from models.plan_table import Table
 from models.scene.values import base_exponents
 from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.subject import ForeignParameter
 from validate.plan.toml_text import TomlError, read_toml
 
 
@@ -225,11 +223,8 @@ def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
     """The model of which the last part of this place would be a key."""
     if len(place) == 1:
         return MapFile
-    inside: dict[str, type[BaseModel]] = {
-        "plan": PlanEntry, "task": TaskEntry, "accuracy": AccuracyEntry, "inputs": InputSignal,
-        "velocities": VelocitySignal, "limits": MapLimit, "contacts": ContactEntry, "uncertainty": UncertaintyEntry,
-    }  # fmt: skip
-    return Signal if len(place) == 4 else inside.get(str(place[0]), Signal)
+    section: Any = MapFile.model_fields[str(place[0])].annotation
+    return Signal if len(place) == 4 else (get_args(section) or (section,))[-1]
 
 
 # What each quantity may be in, but for a factor. Pure numbers and radians pass for any: an arm of 1 m is often left out.
@@ -316,36 +311,6 @@ class Named:
     def numbers(self) -> list[str]:
         """Names of the variables that are numbers."""
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
-
-
-def uncertain(given: MapFile, named: Named, internal: str | None, check: Callable[..., int]) -> list[ForeignParameter]:
-    """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step. check: refuses one (path, name, value). Raises MapError."""
-    stated, found = given.uncertainty, []
-    for name in stated:
-        check(f"uncertainty.{name}", name)
-    for name, item in named.by_name.items():
-        is_one = item.causality == "parameter" and item.type in REAL and not getattr(item, "dimensions", None)
-        value = given.parameters.get(name, item.start) if is_one and name != internal else None
-        if value is None or name in named.twice:
-            continue
-        lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
-        size, reason = (stated[name].value, stated[name].reason) if name in stated else (None, "")
-        for end in (float(value) - size, float(value) + size) if size else ():
-            check(f"uncertainty.{name}", name, end)
-        told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
-        found.append(ForeignParameter(name=name, value=float(value), **told))
-    return found
-
-
-def begin_of(given: MapFile, named: Named, settings: Mapping[int, float], signals: list[Signal]) -> dict[str, Any]:
-    """Where a simulation starts, in the plan's units, and the places in that which can be set; settings: what the plan and the map set, by reference."""
-    begin, startable = [0.0] * (2 * len(given.positions)), []
-    for place, signal in enumerate(signals):
-        variable = named.by_name[signal.variable]
-        if variable.initial in ("exact", "approx") and variable.start is not None:
-            startable.append(place)
-            begin[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
-    return {"begin": tuple(begin), "startable": tuple(startable)}
 
 
 def by_equal_names(named: Named, table: Table) -> MapFile:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,15 @@ from validate.fmi.description import REAL, Package
 from validate.judge.replay import map_schema
 from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
-from validate.judge.replay.subject import Foreign, ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.subject import (
+    Foreign,
+    ForeignContact,
+    ForeignCoordinate,
+    ForeignInput,
+    ForeignModel,
+    ForeignParameter,
+    ForeignTask,
+)
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
@@ -98,10 +105,7 @@ class _Wiring:
         driven: dict[int, str] = {}
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
-            reference = self._reference(path, signal.variable)
-            if reference in driven:
-                raise self._fail(path, f"{signal.variable!r} is driven by the column {driven[reference]!r} already.")
-            driven[reference] = name
+            self._check_once(driven, path, signal.variable)
             if self._variable(path, signal.variable).causality != "input":
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
@@ -233,28 +237,16 @@ class _Wiring:
 
     def _lacks(self) -> Mapping[str, str]:
         """What cannot be shown, and why."""
-        given, names = self.map, self._table.names
+        given, lacks = self.map, {}
         contacts = given.contacts.values()
-        lacks = {}
-        driven = {signal.variable for signal in given.inputs.values()}
-        inputs = [name for name, variable in self._by_name.items() if variable.causality == "input" and variable.type in REAL]
-        idle = [name for name in inputs if name not in driven]
-        if idle:
-            lacks["inputs"] = (
-                f"the plan says nothing of inputs of the FMU, which keep their start values: {', '.join(idle[:5])}{' ...' * (len(idle) > 5)}"
-            )
         if not given.positions:
             lacks["q"] = "no positions are named"
-        elif not any(name in names for name in given.positions):
-            lacks["plan q"] = "the plan has no positions"
         if not given.velocities.keys() >= given.positions.keys():
             lacks["v"] = "not every position has a velocity named"
         if any(entry.gap is None for entry in contacts):
             lacks["gap"] = "not every contact has a gap named"
         if any(entry.force is None for entry in contacts):
             lacks["lam"] = "not every contact has a force named"
-        if not contacts:
-            lacks["contacts"] = "no contacts are named: ghost and missed impulse and penetration cannot be shown"
         return lacks
 
     # What comes of it
@@ -272,10 +264,9 @@ class _Wiring:
             group: tuple(self._place(signal.variable) for signal in found) for group, found in {**read, "u": driven}.items()
         }
         settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
-        parameters = map_schema.uncertain(given, self._named, internal, self._parameter)
-        begin = map_schema.begin_of(given, self._named, dict(settings), [*read["q"], *read["v"]])
+        parameters, begin = self._uncertain(internal), self._begin(dict(settings), [*read["q"], *read["v"]])
         return Foreign(
-            model=replace(self._model(), parameters=tuple(parameters), **begin),
+            model=self._model(parameters, begin),
             parameters=tuple(self._place(item.name) for item in parameters),
             variables=Variables(
                 **references,
@@ -313,7 +304,35 @@ class _Wiring:
                 found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
         return list(found.items())
 
-    def _model(self) -> ForeignModel:
+    def _uncertain(self, internal: str | None) -> tuple[ForeignParameter, ...]:
+        """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
+        given, found = self.map, []
+        for name in given.uncertainty:
+            self._parameter(f"uncertainty.{name}", name)
+        for name, item in self._by_name.items():
+            is_one = item.causality == "parameter" and item.type in REAL and not getattr(item, "dimensions", None)
+            value = given.parameters.get(name, item.start) if is_one and name != internal else None
+            if value is None or name in self._named.twice:
+                continue
+            lower, upper = (sign * math.inf if end is None else float(end) for sign, end in ((-1, item.min), (1, item.max)))
+            entry = given.uncertainty.get(name)
+            size, reason = (None, "") if entry is None else (entry.value, entry.reason)
+            for end in (float(value) - size, float(value) + size) if size else ():
+                self._parameter(f"uncertainty.{name}", name, end)
+            told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
+            found.append(ForeignParameter(name=name, value=float(value), **told))
+        return tuple(found)
+
+    def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[int, float]:
+        """Where a simulation starts, in the plan's units, by the places that can be set; settings: what the plan and the map set, by reference."""
+        found = {}
+        for place, signal in enumerate(signals):
+            variable = self._by_name[signal.variable]
+            if variable.initial in ("exact", "approx") and variable.start is not None:
+                found[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
+        return found
+
+    def _model(self, parameters: tuple[ForeignParameter, ...], begin: Mapping[int, float]) -> ForeignModel:
         given = self.map
         coordinates = tuple(
             ForeignCoordinate(
@@ -333,13 +352,7 @@ class _Wiring:
             coordinates=coordinates,
             inputs=tuple(self._input(name, signal) for name, signal in given.inputs.items()),
             contacts=tuple(
-                ForeignContact(
-                    name=name,
-                    force_name=self._force_column(name),
-                    gap_name=f"gap_{name}",
-                    depth=entry.depth,
-                    depth_reason=entry.depth_reason,
-                )
+                ForeignContact(name=name, force_name=self._force_column(name), gap_name=f"gap_{name}", depth=entry.depth)
                 for name, entry in given.contacts.items()
             ),
             task=ForeignTask(
@@ -353,6 +366,9 @@ class _Wiring:
             accuracy=self._accuracy(),
             not_asked=self._not_asked(),
             notes=self._notes(),
+            parameters=parameters,
+            begin=tuple(begin.get(place, 0.0) for place in range(2 * len(coordinates))),
+            startable=tuple(begin),
         )
 
     def _start(self) -> tuple[float | None, ...]:

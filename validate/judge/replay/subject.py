@@ -63,10 +63,8 @@ class ForeignContact:
     name: str
     force_name: str
     gap_name: str
-    nominal: float = 1.0
     description: str = ""
     depth: float | None = None
-    depth_reason: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +104,7 @@ class ForeignTask:
 class ForeignModel(Counted):
     """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
 
-    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap. accuracy: how wrong the author says its
+    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are q, v, lam, gap. accuracy: how wrong the author says its
     Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence for each question of the verdict that cannot
     be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be reported.
     parameters: those that may be otherwise; begin (2*nq,): where a simulation starts, in the plan's units, 0 where nobody says; startable: the places

@@ -114,8 +114,8 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
         ("F", "N", -100.0, 1500.0),
         ("M", "1", -math.inf, 3.5),
     ]
-    assert [(item.name, item.force_name, item.gap_name, item.depth, item.depth_reason) for item in model.contacts] == [
-        ("stop", "lam_stop", "gap_stop", 0.5, "its spring"), ("wall", "pressed", "gap_wall", None, ""),
+    assert [(item.name, item.force_name, item.gap_name, item.depth) for item in model.contacts] == [
+        ("stop", "lam_stop", "gap_stop", 0.5), ("wall", "pressed", "gap_wall", None),
     ]  # fmt: skip
     assert (model.name, model.task.goal, model.task.horizon, model.task.step) == ("whole", (1.25, None, None, 2.25), 3.0, 3.0 / 500)
     assert model.task.start == (pytest.approx(0.001 * 300 + 7.0), None, None, None)
@@ -123,7 +123,7 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
         ("replay_terminal_position_error", 0.1, "near"), ("replay_terminal_velocity_error", 0.2, "set in the map"), ("terminal_velocity_error", 0.3, "own"),
         ("terminal_position_error", 0.1, "near"),
     ]  # fmt: skip
-    assert dict(model.lacks) == {"inputs": "the plan says nothing of inputs of the FMU, which keep their start values: idle"}
+    assert dict(model.lacks) == {}
     assert [sentence.partition(":")[0] + sentence.partition(":")[2][:30] for sentence in model.not_asked[:-1]] == [
         "start_error the map's [start] gives no nu", "bound_violation input M has no lower bound, n", "max_penetration contact wall has no depth in ",
     ]  # fmt: skip
@@ -150,7 +150,7 @@ def test_what_a_map_leaves_out_is_left_out_of_all(whole):
     variables, model = foreign.variables, foreign.model
     assert (variables.q, variables.v, variables.lam, variables.gap) == ((10, 50), (), (), ())
     assert foreign.scale.tolist() == [0.001, -3.0]
-    assert set(model.lacks) == {"inputs", "v", "gap", "lam"}
+    assert set(model.lacks) == {"v", "gap", "lam"}
     assert (model.task.horizon, model.task.step, model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
         None,
         1.0,
@@ -172,7 +172,7 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
     plan = "\n".join(",".join(row.split(",")[:-2]) for row in ROWS.splitlines()) + "\n"
     foreign, _ = whole(given, plan)
     assert any(sentence.startswith("ghost_impulse, missed_impulse: not every contact") for sentence in foreign.model.not_asked)
-    assert set(foreign.model.lacks) - {"inputs"} == {"lam" if "force" in line else "gap"}
+    assert set(foreign.model.lacks) == {"lam" if "force" in line else "gap"}
     assert len(foreign.variables.outputs) == 6
 
 
@@ -182,7 +182,7 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
         (WHOLE.replace('"torque"', '"torqe"'), "inputs.M: … no variable 'torqe' (near it: torque)"),
         (WHOLE.replace('"torque"', '"label"'), "inputs.M: 'label' is of type String … number"),
         (WHOLE.replace('"torque"', '"arm"'), "inputs.M: 'arm' is no input of the FMU"),
-        (WHOLE.replace('"torque"', '"drive.force"'), "inputs.M: 'drive.force' … column 'F' already"),
+        (WHOLE.replace('"torque"', '"drive.force"'), "inputs.M: 'drive.force' is inputs.F already"),
         (WHOLE.replace("[velocities]\na =", "[velocities]\nb ="), "velocities.b: … no position"),
         (WHOLE.replace("gain = 2.5", "gain = 3.5"), "parameters.gain: 3.5 … at most 3"),
         (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 … at least -2"),
