@@ -128,7 +128,7 @@ class _Integration:
         self.y = np.concatenate([x, np.zeros(self.model.accumulated)])
         self.record(times[0], self.y, knot=True)
         self.renew(times[0], self.y)
-        stop = times[self.inputs.stop_after(0)]
+        stop = times[self.inputs.stops[0]]
         for step in range(len(values)):
             self.step = step
             feedback = self.inputs.feedback
@@ -139,7 +139,7 @@ class _Integration:
             if step and self.inputs.breaks[step]:
                 # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
                 self.jump(times[step], values[step], is_event=not self.inputs.linear or feedback is not None)
-                stop = times[self.inputs.stop_after(step)]
+                stop = times[self.inputs.stops[step]]
             self.over_points(stop)
 
     def jump(self, time: float, values: np.ndarray, is_event: bool) -> None:

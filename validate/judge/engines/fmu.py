@@ -10,7 +10,7 @@ import numpy as np
 
 from models.fmu import build_fmu
 from validate.fmi.description import Package, read_package, unpacked
-from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
+from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import Run
 from validate.judge.replay.run import EVENT_BUDGET
 from validate.judge.replay.subject import find_variables
@@ -26,7 +26,7 @@ def simulate(drive: Drive) -> SimulatedMotion:
     def steps(package: Package, variables: Variables, inputs: HeldInputs) -> Run:
         """Of its Model Exchange. Raises FmuError."""
         with closing(ExchangeModel(package, variables)) as model:
-            return integrate(model, drive.start, inputs, drive.tolerance, EVENT_BUDGET, parts=PARTS)
+            return integrate(model, drive.start, inputs, drive.tolerance, EVENT_BUDGET)
 
     return motion_of(drive, steps)
 

@@ -76,7 +76,8 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
 
     Parameters
     ----------
-    request : path of the FMU; loops, the compiled ones, where they are not to be looked for.
+    request : path of the FMU; loops, the compiled ones, where they are not to be looked for; kept, whether the child is called many times, and reads and
+        unpacks the FMU once.
     arrays : Simulations, and their feedback or None, packed.
 
     Returns
@@ -87,18 +88,8 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
     ------
     FmuError : if the FMU cannot be opened, or misbehaves.
     """
-    before = surroundings()
-    return _told(request, arrays, read_package(Path(request["path"])), before)
-
-
-def simulate_again(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """`simulate` in a child that is called many times: the FMU is read and unpacked once."""
-    return _told(request, arrays, _kept(request["path"]), None)
-
-
-def _told(
-    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package, before: dict[str, Any] | None
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    before = None if request["kept"] else surroundings()
+    package = _kept(request["path"]) if request["kept"] else read_package(Path(request["path"]))
     adopt(Path(request["loops"]))
     job, feedback = unpacked_from(arrays)
     done = _simulate(job, package, feedback, before)
@@ -216,17 +207,16 @@ class Job(Simulations):
 
     def _in_child(self, feedback: Feedback | None) -> Simulated:
         package = self.package
-        request = {"path": str(package.path.resolve()), "loops": str(library_path())}  # compiled here, where no limit of the FMU's holds
-        if self.child is None or _only_once(package):
-            call = partial(
-                run_isolated, "validate.judge.replay.job:simulate", limits=self.limits, what=f"FMU {package.path}", ours=self.ours
-            )
-        else:
-            call = partial(self.child, "validate.judge.replay.job:simulate_again")
+        child = None if _only_once(package) else self.child
+        # The loops are compiled here, where no limit of the FMU's holds.
+        request = {"path": str(package.path.resolve()), "loops": str(library_path()), "kept": child is not None}
+        call = child or partial(run_isolated, limits=self.limits, what=f"FMU {package.path}", ours=self.ours)
 
         def ask(rolls_back: bool) -> Isolated:
             asked = {field.name: getattr(self, field.name) for field in fields(Simulations)}
-            return call(request, arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback))
+            return call(
+                "validate.judge.replay.job:simulate", request, arrays=packed(Simulations(**{**asked, "rolls_back": rolls_back}), feedback)
+            )
 
         done, retried = ask(self.rolls_back), ""
         if done.ending in _RETRIED and self.rolls_back and offers_rollback(package, self.variables):

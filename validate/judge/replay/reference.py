@@ -240,7 +240,7 @@ class _Integration:
         self.y[:] = np.concatenate([x, np.zeros(model.accumulated)])
         self._record(times[0], knot=True)
         self._renew(times[0])
-        stop = times[inputs.stop_after(0)]
+        stop = times[inputs.stops[0]]
         for step in range(len(inputs.values)):
             self.step = step
             feedback = inputs.feedback
@@ -251,7 +251,7 @@ class _Integration:
             if step and inputs.breaks[step]:
                 # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
                 self._jump(times[step], is_event=not inputs.linear or feedback is not None)
-                stop = times[inputs.stop_after(step)]
+                stop = times[inputs.stops[step]]
             self._over_points(stop)
 
     def close(self) -> None:

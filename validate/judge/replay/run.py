@@ -121,7 +121,6 @@ def replay_foreign(
     trajectory: Trajectory,
     *,
     limits: Limits,
-    fineness: tuple[int, ...] = FINENESS,
     track: Track = False,
     own_step: bool = False,
 ) -> Replay:
@@ -131,7 +130,7 @@ def replay_foreign(
     A plan whose inputs are lines is replayed as without.
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
-    job = foreign_job(foreign, package, trajectory, limits, own_step, fineness)
+    job = foreign_job(foreign, package, trajectory, limits, own_step)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
         """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
@@ -142,14 +141,12 @@ def replay_foreign(
     return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
 
 
-def foreign_job(
-    foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool, fineness: tuple[int, ...] = FINENESS
-) -> Job:
+def foreign_job(foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool) -> Job:
     """The simulations of `replay_foreign`. Raises TrajectoryError for a plan of another shape, FmuError for own_step without Co-Simulation."""
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     job = Job(
         package=package, variables=foreign.variables, plan=trajectory.with_inputs_in(*foreign.units[1]), start=foreign.start, limits=limits,
-        tolerances=(LOOSE, TIGHT), fineness=fineness, event_budget=EVENT_BUDGET,
+        tolerances=(LOOSE, TIGHT), fineness=FINENESS, event_budget=EVENT_BUDGET,
     )  # fmt: skip
     if own_step and trajectory.hold is not Hold.LINEAR:  # lines are stairs of many calls
         if package.cosimulation is None:

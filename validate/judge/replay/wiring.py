@@ -153,7 +153,8 @@ class HeldInputs:
     """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it; grid: the plan's own times [s].
 
     breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must start afresh there. With feedback every step begins
-    with a jump, and `values` are those of the run in progress: `begin` sets them.
+    with a jump, and `values` are those of the run in progress: `begin` sets them. stops (steps,): the first node after the start of each step beyond which
+    no integration may go.
     """
 
     def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
@@ -174,7 +175,7 @@ class HeldInputs:
         steps = np.arange(trajectory.steps)
         # The first break at or after each step, and the end of the plan.
         following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[::-1]
-        self._stops = [*following[1:].tolist(), trajectory.steps]
+        self.stops: list[int] = [*following[1:].tolist(), trajectory.steps]
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
         """The input at the start of a step.
@@ -199,10 +200,6 @@ class HeldInputs:
                 u = np.clip(u, self.feedback.lower - np.minimum(change, 0.0), self.feedback.upper - np.maximum(change, 0.0))
             self.values[step] = u
         return self.values[step]
-
-    def stop_after(self, step: int) -> int:
-        """The first node after the start of `step` beyond which no integration may go."""
-        return self._stops[step]
 
 
 # Breaks of the inputs that are nearer to one another than this share of a step are one.
@@ -256,7 +253,7 @@ class WorldInputs(HeldInputs):
             )
             self.times, self.values, self.rows = plan.t, means - self.slopes * h / 2.0, np.arange(len(plan.t))
             begins = plan.t[:-1]
-        self.breaks, self._stops = np.full(len(begins), True), list(range(1, len(self.times)))
+        self.breaks, self.stops = np.full(len(begins), True), list(range(1, len(self.times)))
 
     @property
     def commands(self) -> np.ndarray:

@@ -79,7 +79,7 @@ def test_a_child_is_asked_for_all_of_a_job(monkeypatch: pytest.MonkeyPatch):
     )
     ((function, request, job, feedback, limits, what),) = requests
     assert (function, limits.seconds, what, feedback) == ("validate.judge.replay.job:simulate", 3.0, "FMU some.fmu", None)
-    assert request == {"path": str(Path("some.fmu").resolve()), "loops": "loops.so"}
+    assert request == {"path": str(Path("some.fmu").resolve()), "loops": "loops.so", "kept": False}
     assert type(job) is Simulations, "the child has its own FMU, and no limits of its own to set"
     names = ("variables", "tolerances", "fineness", "event_budget", "parts", "max_step", "rolls_back", "world")
     assert [getattr(job, name) for name in names] == [VARIABLES, (1e-11, 1e-13), (50, 100), 7, 4, 0.25, True, None]

@@ -95,14 +95,14 @@ def test_an_integrator_stops_where_any_input_jumps():
     """Two inputs of which the second jumps into the third step, the first into the fifth: no integration may go on beyond the next jump."""
     held = inputs_of([[1.0, 2.0], [1.0, 2.0], [1.0, 3.0], [1.0, 3.0], [0.0, 3.0]])
     assert held.breaks.tolist() == [True, False, True, False, True]
-    assert [held.stop_after(step) for step in range(5)] == [2, 2, 4, 4, 5]
+    assert held.stops == [2, 2, 4, 4, 5]
     assert (held.linear, held.slopes.any(), held.begin(2, None).tolist()) == (False, False, [1.0, 3.0])
 
 
 def test_lines_that_go_on_are_no_jump_and_those_that_turn_are():
     held = inputs_of([[0.0], [1.0], [2.0], [2.0]], Hold.LINEAR, end=[2.0])
     assert (held.slopes.ravel().tolist(), held.breaks.tolist()) == ([2.0, 2.0, 0.0, 0.0], [True, False, True, False])
-    assert [held.stop_after(step) for step in range(4)] == [2, 2, 4, 4]
+    assert held.stops == [2, 2, 4, 4]
     assert held.linear
 
 

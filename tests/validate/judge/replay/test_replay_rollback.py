@@ -14,6 +14,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
 from validate.fmi.description import FmuError, read_package, unpacked
 from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay import run as run_module
 from validate.judge.replay.everyday import offers_rollback, simulate
 from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire
@@ -87,12 +88,12 @@ def test_beside_a_reference_it_is_told_and_changes_nothing():
     assert replay(scene, build_fmu(scene), plan, fineness=(100, 200)).error.step_source == "second run and rollback"
 
 
-def foreign_replay(folder: Path, kinds: str, *defines: str, **options) -> Replay:
+def foreign_replay(folder: Path, kinds: str, *defines: str) -> Replay:
     path = build_foreign(folder / "cart.fmu", kinds=kinds, defines=defines)
     (folder / "cart.toml").write_text(FULL_MAP)
     package = read_package(path)
     foreign, plan = wire(package, PlanTable(write_plan(folder / "plan.csv")), read_map(folder / "cart.toml"), None, "map")
-    return replay_foreign(foreign, package, plan, limits=Limits(seconds=60.0), **options)
+    return replay_foreign(foreign, package, plan, limits=Limits(seconds=60.0))
 
 
 def error_against_closed_form(result: Replay) -> float:
@@ -109,8 +110,9 @@ def test_a_foreign_fmu_that_heeds_its_step(tmp_path: Path):
 
 
 @pytest.mark.parametrize("fineness", [(50, 100, 200), (200,)])
-def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fineness: tuple[int, ...]):
-    error = foreign_replay(tmp_path, CS, "SAVES=1", fineness=fineness).error
+def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fineness: tuple[int, ...], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(run_module, "FINENESS", fineness)
+    error = foreign_replay(tmp_path, CS, "SAVES=1").error
     assert (error.estimate, error.rollback, error.step_source) == (None, None, "none")
 
 

@@ -116,7 +116,7 @@ def test_a_held_input_arrives_later(delay: float, times: list[float], values: li
     assert (found.times.tolist(), found.values[:, 0].tolist(), found.linear) == (times, values, False)
     assert found.times[found.rows].tolist() == [0, 1, 2, 3]
     assert [found.begin(step, None)[0] for step in range(len(values))] == values
-    assert [found.stop_after(step) for step in range(len(values))] == list(range(1, len(times)))
+    assert found.stops == list(range(1, len(times)))
 
 
 def test_a_line_arrives_later_and_rises_from_then_on():
@@ -166,4 +166,4 @@ def test_who_takes_whole_steps_alone_gets_their_means(hold: Hold, delay: float, 
     assert found.values[:, 0] == pytest.approx(values)
     assert found.slopes[:, 0] == pytest.approx(slopes)
     assert found.rows.tolist() == [0, 1, 2, 3]
-    assert [found.stop_after(step) for step in range(3)] == [1, 2, 3]
+    assert found.stops == [1, 2, 3]
