@@ -23,7 +23,7 @@ from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import MEASURES
-from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, Measured, MetricEntry, feedback_entries
+from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict, decide, wants_feedback
 
 __all__ = ["Metric", "Question", "Score", "Verdict", "check_limits", "metric_names", "score", "wants_feedback"]
@@ -85,9 +85,9 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
         _check_belongs(scene, trajectory, replay)
     case = Evidence(scene, trajectory, replay)
     effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
-    rows = [entry for entry in TABLE if entry.applies(scene)]
-    rows += GROWTH if replay is not None and replay.growth is not None else ()
-    rows += [entry for entry in feedback_entries(effort) if entry.applies(scene)]
+    growth = replay.growth if replay is not None else None
+    known = (*TABLE, *(GROWTH if growth is not None else ()), *(FOLLOWED if effort is not None else ()))
+    rows = [entry for entry in known if entry.applies(scene)]
     metrics = tuple(_metric(entry, case) for entry in rows)
     verdict, found, judged = decide(metrics, effort is not None)
     verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
@@ -168,8 +168,8 @@ def _worst(
     """
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
-        measured = Measured(values=np.array([value]), error=error)
-    values = np.asarray(measured.values, dtype=float)
+        measured = Measured(values=value, error=error)
+    values = np.atleast_1d(np.asarray(measured.values, dtype=float))
     parts = [np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)]
     _, scales, allowed = parts
     with np.errstate(divide="ignore", invalid="ignore"):

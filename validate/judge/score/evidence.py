@@ -145,8 +145,8 @@ class Evidence:
 
     @cached_property
     def length(self) -> np.ndarray:
-        """L, the scene's nominal penetration of each contact, (nc,) [m]."""
-        return np.array([contact.nominal for contact in self.scene.contacts])
+        """L, the scene's nominal penetration of each contact, (nc,) [m]. Raises Unmeasured for somebody's FMU."""
+        return np.array([contact.nominal for contact in self.equations.contacts])
 
     @property
     def lam(self) -> np.ndarray:
@@ -166,7 +166,7 @@ class Evidence:
     @cached_property
     def stepper(self) -> Stepper:
         """The true motion over the plan's steps. Raises Unmeasured for somebody's FMU."""
-        return Stepper(self.kernel, self.held_inputs, self.trajectory.t, np.diff(self.trajectory.t))
+        return Stepper(self.kernel, self.held_inputs)
 
     @cached_property
     def departures(self) -> Departures:

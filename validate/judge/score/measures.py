@@ -30,12 +30,12 @@ _AT_REST = 1e-3
 class Measured:
     """What was measured of one metric.
 
-    values (n,): of each component, in the units of its row; error: by the replay's own error; scales (n,): what counts as large of each
+    values (n,): of each component, in the units of its row, or one number; error: by the replay's own error; scales (n,): what counts as large of each
     component; allowed (n,): what printing may be the cause of, which is added to the limit.
     """
 
-    values: np.ndarray
-    error: float | np.ndarray = 0.0
+    values: np.ndarray | float
+    error: np.ndarray | float = 0.0
     scales: np.ndarray | float = 1.0
     allowed: np.ndarray | float = 0.0
 
@@ -66,7 +66,7 @@ def start_error(case: Evidence) -> Measured:
 def duration_error(case: Evidence) -> Measured:
     """Difference of the plan's duration and the task's [s]."""
     asked = float(case.scene.task.horizon or 0.0)
-    return Measured(values=np.array([abs(case.trajectory.duration - asked)]), scales=case.scene.task.step)
+    return Measured(values=abs(case.trajectory.duration - asked), scales=case.scene.task.step)
 
 
 def bound_violation(case: Evidence) -> Measured:
@@ -108,13 +108,13 @@ def terminal_error(case: Evidence) -> float:
 def terminal_position_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last positions from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([distance(case.q[-1], case.goal[:nq])]), allowed=case.printing["q"] * np.sqrt(nq))
+    return Measured(values=distance(case.q[-1], case.goal[:nq]), allowed=case.printing["q"] * np.sqrt(nq))
 
 
 def terminal_velocity_error(case: Evidence) -> Measured:
     """Euclidean distance of the plan's last velocities from the goal."""
     nq = case.scene.nq
-    return Measured(values=np.array([distance(case.v[-1], case.goal[nq:])]), allowed=case.printing["v"] * np.sqrt(nq))
+    return Measured(values=distance(case.v[-1], case.goal[nq:]), allowed=case.printing["v"] * np.sqrt(nq))
 
 
 def cost(case: Evidence) -> float:
@@ -136,7 +136,7 @@ def physics_scaled(case: Evidence) -> Measured:
     p_lam, p_push = case.printing["lam"], case.k * case.printing["q"]
     rounded = p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push)) + np.abs(case.lam) * p_push + p_lam * (p_lam + p_push)
     allowed = float((case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum())
-    return Measured(values=np.array([value]), scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
+    return Measured(values=value, scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
 
 
 def contact_law_error(case: Evidence) -> Measured:
@@ -146,7 +146,7 @@ def contact_law_error(case: Evidence) -> Measured:
     touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
     off = case.printing["lam"] + case.k * case.printing["q"]
     allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
-    return Measured(values=np.array([value]), scales=case.planned_impulse, allowed=allowed)
+    return Measured(values=value, scales=case.planned_impulse, allowed=allowed)
 
 
 def _grazing(case: Evidence) -> float:
@@ -156,10 +156,8 @@ def _grazing(case: Evidence) -> float:
 
 def force_sign_violation(case: Evidence) -> Measured:
     """Largest planned contact force that pulls [N]."""
-    lam = case.lam
-    return Measured(
-        values=np.array([max(float(-lam.min(initial=0.0)), 0.0)]), scales=float(np.abs(lam).max(initial=0.0)), allowed=case.printing["lam"]
-    )
+    pulls = max(float(-case.lam.min(initial=0.0)), 0.0)
+    return Measured(values=pulls, scales=float(np.abs(case.lam).max(initial=0.0)), allowed=case.printing["lam"])
 
 
 def friction_violation(case: Evidence) -> Measured:
@@ -167,10 +165,8 @@ def friction_violation(case: Evidence) -> Measured:
     limit = case.friction_limits[1]
     pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
     mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
-    return Measured(
-        values=np.array([eq.friction_violation(case.friction, limit)]), scales=float(limit.max(initial=0.0)),
-        allowed=case.printing["lam"] * (1.0 + float(mu.max(initial=0.0))),
-    )  # fmt: skip
+    allowed = case.printing["lam"] * (1.0 + float(mu.max(initial=0.0)))
+    return Measured(values=eq.friction_violation(case.friction, limit), scales=float(limit.max(initial=0.0)), allowed=allowed)
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
@@ -296,9 +292,7 @@ def _of_impulses(case: Evidence, value: float) -> Measured:
     lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
     replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
     printed = float(case.h.sum()) * case.scene.nc * case.printing["lam"]
-    return Measured(
-        values=np.array([value]), error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case)
-    )
+    return Measured(values=value, error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case))
 
 
 def _impulse_error(case: Evidence) -> float:
@@ -344,7 +338,7 @@ def _explained(case: Evidence) -> float:
 
 def law_error(case: Evidence) -> Measured:
     """Largest difference of the plan and its own time step under the true contact law [m or rad]."""
-    return Measured(values=np.array([eq.largest_difference(case.q, case.true_motion[0])[0]]), scales=_explained(case))
+    return Measured(values=eq.largest_difference(case.q, case.true_motion[0])[0], scales=_explained(case))
 
 
 def discrete_terminal_error(case: Evidence) -> float:
@@ -357,7 +351,7 @@ def discrete_terminal(case: Evidence, part: str) -> Measured:
     own, nq = case.scene.limit(f"terminal_{part}_error"), case.scene.nq
     rows = slice(nq) if part == "position" else slice(nq, None)
     allowed = 0.0 if own is None or own.value is None else own.value
-    return Measured(values=np.array([distance(case.true_end[rows], case.goal[rows])]), scales=_explained(case), allowed=allowed)
+    return Measured(values=distance(case.true_end[rows], case.goal[rows]), scales=_explained(case), allowed=allowed)
 
 
 # The judge

@@ -53,10 +53,10 @@ class Departures:
 
 
 class Stepper:
-    """Of one plan's inputs and grid. h (steps,) [s]; t (nodes,) [s], for sentences."""
+    """Of one plan's inputs and their grid."""
 
-    def __init__(self, kernel: Kernel, held: HeldInputs, t: np.ndarray, h: np.ndarray) -> None:
-        self._kernel, self._held, self._t, self._h = kernel, held, t, h
+    def __init__(self, kernel: Kernel, held: HeldInputs) -> None:
+        self._kernel, self._held, self._h = kernel, held, np.diff(held.times)
 
     def run(self, x: np.ndarray, size: Size, scale: float) -> OwnSteps:
         """The true motion over each step, in as many parts as it takes.
@@ -86,7 +86,7 @@ class Stepper:
             if not len(steps):
                 return OwnSteps(ends=ends, least=least, most=most)
         raise Unmeasured(
-            f"the true motion from the plan's own state at t = {self._t[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
+            f"the true motion from the plan's own state at t = {self._held.times[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
             "parts of the step do not tell it."
         )
 

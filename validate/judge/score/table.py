@@ -89,20 +89,12 @@ def _has_friction(scene: Subject) -> bool:
     return scene.nf > 0
 
 
-def _has_bounds(scene: Subject) -> bool:
-    return any(np.isfinite((item.lower, item.upper)).any() for item in scene.inputs)
-
-
 def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
 
 def _is_scene(scene: Subject) -> bool:
     return isinstance(scene, Scene)
-
-
-def _has_duration(scene: Subject) -> bool:
-    return scene.task.horizon is not None
 
 
 def _has_goal(scene: Subject) -> bool:
@@ -117,10 +109,6 @@ def _has_goal_velocity(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[scene.nq :])
 
 
-def _has_depths(scene: Subject) -> bool:
-    return any(depth is not None for depth in scene.depths)
-
-
 TABLE = (
     MetricEntry(
         name="start_error", question=Question.TASK, units=_states, measure=measures.start_error, applies=_is_scene, needs=("q",),
@@ -129,13 +117,15 @@ TABLE = (
         quoted="the plan starts {} away from the task's start",
     ),
     MetricEntry(
-        name="duration_error", question=Question.TASK, units=_unit("s"), measure=measures.duration_error, applies=_has_duration,
+        name="duration_error", question=Question.TASK, units=_unit("s"), measure=measures.duration_error,
+        applies=lambda scene: scene.task.horizon is not None,
         default=(0.5, "half a step of the task, of an FMU a thousandth of its duration: a plan that lasts another time solves another task"),
         meaning="by how much the plan is longer or shorter than the task",
         quoted="the plan and the task differ in duration by {}",
     ),
     MetricEntry(
-        name="bound_violation", question=Question.TASK, units=_inputs, measure=measures.bound_violation, applies=_has_bounds,
+        name="bound_violation", question=Question.TASK, units=_inputs, measure=measures.bound_violation,
+        applies=lambda scene: any(np.isfinite((item.lower, item.upper)).any() for item in scene.inputs),
         default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
         quoted="the inputs leave their bounds by {}",
@@ -220,7 +210,7 @@ TABLE = (
     ),
     MetricEntry(
         name="max_penetration", question=Question.POSSIBLE, units=_unit("m"), measure=measures.max_penetration,
-        applies=lambda scene: _has_contacts(scene) and _has_depths(scene), of_replay=True,
+        applies=lambda scene: _has_contacts(scene) and any(depth is not None for depth in scene.depths), of_replay=True,
         default=(1.0, "the depth at which the model of the contact ends"), meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
         quoted="the bodies penetrate by {}",
     ),
@@ -328,13 +318,6 @@ _MOST_EFFORT = (0.25, "a quarter of what the inputs can give, in the root mean s
 _MOST_SHARE = (0.5, "half of what the plan itself gives, in the root mean square, corrects a plan; more makes another one")
 
 
-def feedback_entries(effort: Effort | None) -> list[MetricEntry]:
-    """Rows of the replay with feedback; effort: None where there was no feedback."""
-    if effort is None:
-        return []
-    return [*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK]
-
-
 def _twin(entry: MetricEntry) -> MetricEntry:
     return replace(
         entry, name=f"{TRACKED}{entry.name}", meaning=f"with feedback: {entry.meaning}", of_replay=False,
@@ -383,6 +366,8 @@ FEEDBACK = (
         meaning="share of the steps in which the feedback stood at a bound",
     ),
 )  # fmt: skip
+# Rows of the replay with feedback, asked where there was one.
+FOLLOWED = (*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK)
 GROWTH = (
     MetricEntry(
         name="amplification", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _growth(case).amplification,

@@ -354,7 +354,7 @@ def stepper(kernel: Falling, t: list[float], u: list[float], hold: Hold = Hold.Z
     plan = Trajectory(
         t=np.array(t), q=states, v=states, u=np.array(u)[:, None], lam=states[1:], hold=hold, u_end=None if end is None else np.array([end])
     )
-    return Stepper(kernel, HeldInputs(plan), plan.t, np.diff(plan.t))
+    return Stepper(kernel, HeldInputs(plan))
 
 
 def size_of(dv: np.ndarray) -> np.ndarray:

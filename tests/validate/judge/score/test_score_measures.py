@@ -156,8 +156,8 @@ def test_the_end_on_its_own_grid_may_miss_what_the_plan_may():
 
     for limit, allowed in ((None, 0.0), (SimpleNamespace(value=None), 0.0), (SimpleNamespace(value=0.3), 0.3)):
         found = measures.discrete_terminal(case(limit), "velocity")
-        assert (found.values.tolist(), found.allowed, found.scales) == ([0.75], allowed, pytest.approx(4 * (1e-6 * 0.5 + 0.01)))
-    assert measures.discrete_terminal(case(None), "position").values.tolist() == [4.5]
+        assert (found.values, found.allowed, found.scales) == (0.75, allowed, pytest.approx(4 * (1e-6 * 0.5 + 0.01)))
+    assert measures.discrete_terminal(case(None), "position").values == 4.5
 
 
 def test_a_collocation_plan_without_a_solution_has_left_its_scheme():

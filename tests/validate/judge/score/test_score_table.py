@@ -19,7 +19,7 @@ from validate.judge.replay.wiring import Effort
 from validate.judge.score import _check_belongs, _metric, _not_asked, _of_what_is_asked, _worst
 from validate.judge.score import table as module
 from validate.judge.score.measures import Measured
-from validate.judge.score.table import FEEDBACK, GROWTH, TABLE, MetricEntry, feedback_entries
+from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, MetricEntry
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured, Verdict
 
 # name: question, unit on `transport`, what the plan must say, default limit, whether it is of the replay, and which of the scenes below it is of.
@@ -167,11 +167,9 @@ def test_growth_is_measured_where_there_is_one():
 
 
 def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
-    assert feedback_entries(None) == []
-    twins = feedback_entries(EFFORT)
     originals = [row for row in TABLE if row.of_replay]
-    assert twins[len(originals) :] == list(FEEDBACK)
-    for twin, row in zip(twins, originals, strict=False):
+    assert FOLLOWED[len(originals) :] == FEEDBACK
+    for twin, row in zip(FOLLOWED, originals, strict=False):
         assert (twin.name, twin.meaning) == (f"tracked_{row.name}", f"with feedback: {row.meaning}")
         assert (twin.question, twin.units, twin.applies, twin.needs, twin.default, twin.of_replay) == (
             row.question, row.units, row.applies, row.needs, row.default, False,

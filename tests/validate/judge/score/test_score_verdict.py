@@ -13,7 +13,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
-from validate.judge.score.table import FEEDBACK, TABLE, feedback_entries
+from validate.judge.score.table import FEEDBACK, TABLE
 from validate.judge.score.verdict import (
     EFFORT,
     SHARE,
@@ -77,7 +77,6 @@ def test_question_four_and_five_are_those_that_a_replay_answers():
         elif entry.question in of_replay:
             assert entry.name == "unexplained_force"  # of the plan's own states
     assert {question.number for question in Question} == {1, 2, 3, 4, 5, 6, None}
-    assert feedback_entries(None) == []
 
 
 ABOVE, BELOW = metric("replay_terminal_position_error", False), metric("replay_error", True)
