@@ -42,21 +42,6 @@ class Structure:
     friction: bool
     contact_damping: bool  # a contact is damped
 
-    @property
-    def absent(self) -> tuple[str, ...]:
-        """Words for what is not there, in the order of the fields."""
-        words = {
-            "a mass matrix that depends on q": self.constant_mass,
-            "inertial coupling": self.diagonal_mass,
-            "nonlinear forces or gaps": self.linear,
-            "a potential": not self.conservative_forces,
-            "damping": not (self.dissipation or self.contact_damping),
-            "inputs": not self.inputs,
-            "contacts": not self.contacts,
-            "friction": not self.friction,
-        }
-        return tuple(word for word, is_absent in words.items() if is_absent)
-
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
@@ -97,7 +82,18 @@ class Dynamics:
     @property
     def absent(self) -> tuple[str, ...]:
         """What this scene does not need, in words."""
-        return self.structure.absent
+        has = self.structure
+        words = {
+            "a mass matrix that depends on q": has.constant_mass,
+            "inertial coupling": has.diagonal_mass,
+            "nonlinear forces or gaps": has.linear,
+            "a potential": not has.conservative_forces,
+            "damping": not (has.dissipation or has.contact_damping),
+            "inputs": not has.inputs,
+            "contacts": not has.contacts,
+            "friction": not has.friction,
+        }
+        return tuple(word for word, is_absent in words.items() if is_absent)
 
     @cached_property
     def generalised_force(self) -> sp.Matrix:
@@ -166,8 +162,7 @@ def _build(scene: Scene) -> Dynamics:
     lam = tuple(sp.Symbol(contact.force_name, real=True) for contact in scene.contacts)
     f = tuple(sp.Symbol(friction.force_name, real=True) for friction in scene.frictions)
     p = tuple(parameter.symbol for parameter in scene.parameters)
-    kinetic, potential = sp.sympify(scene.kinetic_energy), sp.sympify(scene.potential_energy)
-    forces = sp.Matrix(scene.nq, 1, [sp.sympify(force) for force in scene.forces])
+    kinetic, potential, forces = scene.kinetic_energy, scene.potential_energy, sp.Matrix(scene.nq, 1, scene.forces)
 
     mass = sp.hessian(kinetic, v)
     momentum = sp.Matrix([sp.diff(kinetic, velocity) for velocity in v])
@@ -176,7 +171,7 @@ def _build(scene: Scene) -> Dynamics:
     tau = (forces - gravity - coriolis).applyfunc(sp.factor_terms)  # derivatives leave factors of two and common factors behind
 
     phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
-    stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
+    stiffness = sp.Matrix(scene.nc, 1, [contact.stiffness for contact in scene.contacts])
     jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
     damping = sp.Matrix(scene.nc, 1, [contact.damping for contact in scene.contacts])
     push = sp.Matrix(scene.nc, 1, [_push(contact, -(jacobian[i, :] * sp.Matrix(v))[0]) for i, contact in enumerate(scene.contacts)])
@@ -186,41 +181,33 @@ def _build(scene: Scene) -> Dynamics:
     limit = [item.coefficient * (pressing[item.contact] if item.contact is not None else item.normal_force) for item in scene.frictions]
 
     passive = forces.subs(dict.fromkeys(u, 0))
-    velocity = sp.Matrix(v)
+    velocity, variables = sp.Matrix(v), {*q, *v, *u}
+
+    def affine(matrix: sp.Matrix) -> bool:
+        return all(not sp.diff(entry, variable).free_symbols & variables for entry in matrix for variable in entry.free_symbols & variables)
+
+    constant_mass = not mass.free_symbols & variables
+    structure = Structure(
+        constant_mass=constant_mass,
+        diagonal_mass=mass.is_diagonal(),
+        linear=constant_mass and affine(tau) and affine(phi) and affine(slip),
+        conservative_forces=any(entry != 0 for entry in gravity),
+        dissipation=any(entry != 0 for entry in passive),
+        inputs=bool(u),
+        contacts=scene.nc > 0,
+        friction=scene.nf > 0,
+        contact_damping=bool(scene.damped),
+    )
     return Dynamics(
         scene=scene, q=q, v=v, u=u, lam=lam, f=f, p=p, mass_matrix=mass, tau=tau, penetration=phi, stiffness=stiffness, damping=damping, push=push,
         gap_jacobian=jacobian, slip=slip, friction_limit=sp.Matrix(scene.nf, 1, limit),
         slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq), kinetic_energy=kinetic, potential_energy=potential,
         input_power=sp.expand((velocity.T * (forces - passive))[0]), dissipated_power=sp.expand(-(velocity.T * passive)[0]),
-        running_cost=sp.sympify(scene.task.running_cost), final_cost=sp.sympify(scene.task.final_cost),
-        structure=_structure(scene, mass, tau, phi, gravity, passive, slip, q, v, u),
+        running_cost=scene.task.running_cost, final_cost=scene.task.final_cost, structure=structure,
     )  # fmt: skip
 
 
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
     """What a contact pushes with: k phi, k phi + c phi' or k phi (1 + d phi')."""
     spring = contact.stiffness * contact.penetration
-    if not contact.is_damped:
-        return spring
     return spring + contact.damping * rate if contact.damping_law is DampingLaw.KELVIN_VOIGT else spring * (1 + contact.damping * rate)
-
-
-def _structure(
-    scene: Scene, mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, slip: sp.Matrix, q, v, u
-) -> Structure:
-    variables = {*q, *v, *u}
-
-    def affine(matrix: sp.Matrix) -> bool:
-        return all(not sp.diff(entry, variable).free_symbols & variables for entry in matrix for variable in entry.free_symbols & variables)
-
-    return Structure(
-        constant_mass=not mass.free_symbols & variables,
-        diagonal_mass=mass.is_diagonal(),
-        linear=affine(tau) and affine(phi) and affine(slip) and not mass.free_symbols & variables,
-        conservative_forces=any(entry != 0 for entry in gravity),
-        dissipation=any(entry != 0 for entry in passive),
-        inputs=bool(u),
-        contacts=phi.rows > 0,
-        friction=slip.rows > 0,
-        contact_damping=any(contact.is_damped for contact in scene.contacts),
-    )

@@ -38,7 +38,7 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     TypeError
         For another number of coordinates.
     """
-    expressions = [sp.sympify(value) for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
+    expressions = [value for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
     named = [
         (f"pose_{part}_{place}", unit, f"{part} of {shape.name}")
         for place, shape in enumerate(scene.shapes, 1)
@@ -88,9 +88,10 @@ def goal_poses(scene: Scene) -> list[tuple[float, float, float | None] | None]:
     ends = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
     found = []
     for shape in scene.shapes:
-        parts = [sp.sympify(part).subs(scene.parameter_values).subs(ends) for part in (shape.x, shape.y, shape.angle)]
-        x, y, angle = (None if part.free_symbols else float(part) for part in parts)
-        moves = any(sp.sympify(part).free_symbols & moving for part in (shape.x, shape.y, shape.angle))
+        parts = (shape.x, shape.y, shape.angle)
+        numbers = [part.subs(scene.parameter_values).subs(ends) for part in parts]
+        x, y, angle = (None if part.free_symbols else float(part) for part in numbers)
+        moves = any(part.free_symbols & moving for part in parts)
         found.append((x, y, angle) if moves and x is not None and y is not None else None)
     return found
 
@@ -118,6 +119,6 @@ def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndar
     if not expressions:
         return np.zeros((len(q), 0))
     symbols = [coordinate.symbol for coordinate in scene.coordinates]
-    numbers = [sp.sympify(expression).subs(scene.parameter_values) for expression in expressions]
+    numbers = [expression.subs(scene.parameter_values) for expression in expressions]
     values = sp.lambdify(symbols, numbers, modules=[np], cse=True)(*q.T)
     return np.column_stack([np.broadcast_to(value, len(q)) for value in values]).astype(float)
