@@ -4,8 +4,8 @@ The argument vectors of the generated C, and a scene's equations written in thei
 
 Derivatives of a column of expressions by the chain rule over what its entries share, as definitions to be evaluated in order.
 
-    pushed = push_forward(f, [(x, dx)])        # df = (df/dx) dx, forward: one tangent for each shared subexpression
-    pulled = pull_back(f, w, [x])              # (df/dx)' w, backward: one adjoint for each shared subexpression
+    definitions, df = push_forward(f, [x])         # df = (df/dx) dx, forward: one tangent for each shared subexpression
+    definitions, columns = pull_back(f, w, [x])    # (df/dx)' w, backward: one adjoint for each shared subexpression
     forward_function("void name", (x, p, tangent(x)), "df", f, [x])       # the same as C functions
     backward_function("void name", (x, p, w), f, w, [x])                  # this one adds to x_bar
 
@@ -65,22 +65,17 @@ class SceneVectors:
         d = self.dynamics
         pairs = zip((*d.q, *d.v, *d.u, *d.lam, *d.f, *d.p), (s for vector in self.arguments for s in vector.symbols), strict=True)
         matrix = expression if isinstance(expression, sp.MatrixBase) else sp.Matrix([[expression]])
-        mapping = dict(pairs)
-        return matrix.applyfunc(lambda entry: sp.sympify(entry).xreplace(mapping))
+        return matrix.xreplace(dict(pairs))
 
 
-@dataclass(frozen=True)
-class Derivative:
-    """Columns (one: of a forward product; one for each vector: of a backward one) in the symbols of `definitions`, each in terms of those before."""
-
-    definitions: Definitions
-    columns: tuple[sp.Matrix, ...]
+# (symbol, value) pairs, each value in terms of the arguments and of symbols before it.
+Definitions = Sequence[tuple[sp.Symbol, sp.Expr]]
 
 
-def push_forward(function: sp.Matrix, directions: Sequence[tuple[Vector, Vector]]) -> Derivative:
-    """(df/dx) dx of a column f (m, 1), summed over the pairs (x, dx): one column (m, 1)."""
+def push_forward(function: sp.Matrix, vectors: Sequence[Vector]) -> tuple[Definitions, sp.Matrix]:
+    """(df/dx) dx of a column f (m, 1) along the `tangent` dx of each x of `vectors`: definitions, and in their symbols one column (m, 1)."""
     shared, entries = _shared(function)
-    moving: dict[sp.Symbol, sp.Expr] = {x: dx for vector, along in directions for x, dx in zip(vector.symbols, along.symbols, strict=True)}
+    moving: dict[sp.Symbol, sp.Expr] = {x: dx for vector in vectors for x, dx in zip(vector.symbols, tangent(vector).symbols, strict=True)}
     definitions: list[tuple[sp.Symbol, sp.Expr]] = []
     for number, (symbol, value) in enumerate(shared):
         definitions.append((symbol, value))
@@ -88,11 +83,11 @@ def push_forward(function: sp.Matrix, directions: Sequence[tuple[Vector, Vector]
         if along != 0:
             moving[symbol] = sp.Symbol(f"tangent{number}", real=True)
             definitions.append((moving[symbol], along))
-    return Derivative(tuple(definitions), (sp.Matrix(len(entries), 1, [_along(entry, moving) for entry in entries]),))
+    return definitions, sp.Matrix(len(entries), 1, [_along(entry, moving) for entry in entries])
 
 
-def pull_back(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -> Derivative:
-    """(df/dx)' w of a column f (m, 1) with weights w (m entries): a column for each x of `vectors`."""
+def pull_back(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -> tuple[Definitions, list[sp.Matrix]]:
+    """(df/dx)' w of a column f (m, 1) with weights w (m entries): definitions, and in their symbols a column for each x of `vectors`."""
     shared, entries = _shared(function)
     wanted = {symbol for vector in vectors for symbol in vector.symbols}
     for symbol, value in shared:  # what depends on none of them needs no adjoint
@@ -113,8 +108,7 @@ def pull_back(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -
         bar = sp.Symbol(f"adjoint{number}", real=True)
         backward.append((bar, adjoint[symbol]))
         distribute(value, bar)
-    columns = tuple(sp.Matrix(len(vector.symbols), 1, [adjoint[symbol] for symbol in vector.symbols]) for vector in vectors)
-    return Derivative((*shared, *backward), columns)
+    return [*shared, *backward], [sp.Matrix(len(vector.symbols), 1, [adjoint[symbol] for symbol in vector.symbols]) for vector in vectors]
 
 
 def tangent(vector: Vector) -> Vector:
@@ -126,19 +120,17 @@ def forward_function(
     head: str, arguments: Sequence[Vector], output: str | None, function: sp.Matrix, vectors: Sequence[Vector], tail: str = ""
 ) -> str:
     """The C function `head` (its type and name): Jacobian-vector product of a column along d<vector> of each of `vectors`."""
-    pushed = push_forward(function, [(vector, tangent(vector)) for vector in vectors])
-    result, name = head.split()
-    return c_function(result, name, arguments, output, pushed.columns[0], tail=tail, definitions=pushed.definitions)
+    definitions, column = push_forward(function, vectors)
+    return c_function(*head.split(), arguments, output, column, tail=tail, definitions=definitions)
 
 
 def backward_function(
     head: str, arguments: Sequence[Vector], function: sp.Matrix, weights: Vector, vectors: Sequence[Vector], tail: str = ""
 ) -> str:
     """The C function `head`: it adds Jacobian' weights to <vector>_bar of each of `vectors`."""
-    pulled = pull_back(function, weights, vectors)
-    result, name = head.split()
-    outputs = [(f"{vector.name}_bar", column) for vector, column in zip(vectors, pulled.columns, strict=True)]
-    return c_function(result, name, arguments, outputs, operator="+=", tail=tail, definitions=pulled.definitions)
+    definitions, columns = pull_back(function, weights, vectors)
+    outputs = [(f"{vector.name}_bar", column) for vector, column in zip(vectors, columns, strict=True)]
+    return c_function(*head.split(), arguments, outputs, operator="+=", tail=tail, definitions=definitions)
 
 
 def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[sp.Expr]]:
@@ -151,9 +143,6 @@ def _along(value: sp.Expr, moving: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
     symbols = sorted((symbol for symbol in value.free_symbols if symbol in moving), key=lambda symbol: symbol.name)
     return sp.Add(*(sp.diff(value, symbol) * moving[symbol] for symbol in symbols))
 
-
-# (symbol, value) pairs, each value in terms of the arguments and of symbols before it.
-Definitions = Sequence[tuple[sp.Symbol, sp.Expr]]
 
 # Integer powers up to this one are written as products: exact, faster than pow(), and equal on every libm.
 _LARGEST_PRODUCT = 4
@@ -230,17 +219,17 @@ def c_function(
     output: the name of the array written from `expressions`; or several (name, column) pairs; or None to return the one
     expression. operator: "=" or "+=". tail: a last statement. definitions: of symbols in which the expressions are written.
     """
-    outputs = [(output, expressions)] if isinstance(output, str) else list(output or [])
-    columns = [sp.Matrix(column) for _, column in outputs if column is not None] if outputs else [sp.Matrix(expressions)]
+    outputs = [(output, expressions)] if output is None or isinstance(output, str) else output
+    columns = [sp.Matrix(column) for _, column in outputs]
     entries = [entry for column in columns for entry in column]
     values = [value for _, value in definitions]
     shared, reduced = sp.cse([*values, *entries], symbols=sp.numbered_symbols("shared"), order="canonical")
     symbols, reduced = [symbol for symbol, _ in definitions], list(reduced)
     shared = _needed([*shared, *zip(symbols, reduced[: len(symbols)], strict=True)], reduced[len(symbols) :]) if symbols else shared
     reduced = reduced[len(symbols) :]
-    used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]), set())
+    used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]))
 
-    parameters = [f"const double *{vector.name}" for vector in arguments] + [f"double *{target}" for target, _ in outputs]
+    parameters = [f"const double *{vector.name}" for vector in arguments] + [f"double *{target}" for target, _ in outputs if target]
     lines = [f"SCENE_FUNCTION {result} {name}({', '.join(parameters)})", "{"]
     for vector in arguments:
         entries = [(index, symbol) for index, symbol in enumerate(vector.symbols) if symbol in used]
@@ -250,17 +239,12 @@ def c_function(
     printer = _Printer()
     for symbol, value in shared:
         lines += printer.statements(f"const double {symbol.name} =", value)
-    if not outputs:
-        lines += printer.statements("return", reduced[0])
-    position = 0
-    for (target, _), column in zip(outputs, columns if outputs else [], strict=True):
+    remaining = iter(reduced)
+    for (target, _), column in zip(outputs, columns, strict=True):
         statements = []
-        for index in range(len(column)):
-            expression = reduced[position]
-            position += 1
-            if operator == "+=" and expression == 0:
-                continue
-            statements += printer.statements(f"{target}[{index}] {operator}", expression)
+        for index, expression in zip(range(len(column)), remaining, strict=False):
+            if operator == "=" or expression != 0:
+                statements += printer.statements(f"{target}[{index}] {operator}" if target else "return", expression)
         lines += statements or [f"    (void){target};"]
     if tail:
         lines.append(f"    {tail}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
 
 import sympy as sp
 from sympy.printing.mathml import mathml
@@ -76,7 +75,7 @@ def scene_record(scene: Scene) -> SceneRecord:
         ),
         waived=tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None),
         unstable=scene.unstable,
-        operations=asdict(step_operations(scene)),
+        operations=step_operations(scene),
     )
 
 

@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+from collections import Counter
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from example_scenes import example_scene
 
 from models.catalog import load_scene, scene_names
 from models.codegen.c_function import (
-    Derivative,
+    Definitions,
     SceneVectors,
     Vector,
     backward_function,
@@ -21,7 +22,7 @@ from models.codegen.c_function import (
     tangent,
 )
 from models.codegen.compiler import compile_shared, find_compiler
-from models.codegen.emit import Operations, cholesky_function, count_operations, emit_model, step_operations
+from models.codegen.emit import cholesky_function, count_operations, emit_model, step_operations
 from models.codegen.kernel import KernelError, load_kernel
 from models.codegen.steps import Steps, load_steps
 from models.contact_law import ContactLaw
@@ -64,25 +65,25 @@ PAPER = {
 @pytest.mark.parametrize("name", PAPER)
 def test_generated_arithmetic_is_that_on_paper(name: str):
     """Never a kind of operation that the paper does not have, and at most a fifth more in all: signs and shared terms fall differently."""
-    found, paper = step_operations(load_scene(name)), Operations(*PAPER[name])
-    assert found.divide <= paper.divide
-    assert found.call <= paper.call
-    assert found.total <= 1.2 * paper.total
+    found, paper = step_operations(load_scene(name)), PAPER[name]
+    assert found["divide"] <= paper[2]
+    assert found["call"] <= paper[3]
+    assert sum(found.values()) <= 1.2 * sum(paper)
 
 
 @pytest.mark.parametrize("n", [2, 3, 8, 20])
 def test_a_chain_costs_a_fixed_number_of_operations_a_cart(n: int):
     """n - 1 gaps of two additions; each cart c v, 1/m and two additions (damping; at the ends input and one contact, else two contacts); 1/m once."""
-    assert step_operations(cart_chain(n)) == Operations(add=2 * (n - 1) + 2 * n, multiply=2 * n, divide=1)
+    assert step_operations(cart_chain(n)) == {"add": 2 * (n - 1) + 2 * n, "multiply": 2 * n, "divide": 1, "call": 0}
 
 
 @pytest.mark.parametrize(("expression", "expected"), [
-    ("a + b*c", Operations(add=1, multiply=1)), ("-a - (-b)", Operations(add=1)), ("(1.0/2.0)*a", Operations(multiply=1)),
-    ("1.0/(a*a)", Operations(multiply=1, divide=1)), ("sqrt(a*a + 1.0e-12) + sin(2.0)", Operations(add=2, multiply=1, call=1)),
-    ("pow(a, b + c)", Operations(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Operations(add=1, multiply=1)), ("scene_energy(a*b, c)", Operations(multiply=1)),
-    ("3.0*4.0", Operations()),
+    ("a + b*c", Counter(add=1, multiply=1)), ("-a - (-b)", Counter(add=1)), ("(1.0/2.0)*a", Counter(multiply=1)),
+    ("1.0/(a*a)", Counter(multiply=1, divide=1)), ("sqrt(a*a + 1.0e-12) + sin(2.0)", Counter(add=2, multiply=1, call=1)),
+    ("pow(a, b + c)", Counter(add=1, call=1)), ("x[3] + x[i]*2.5e+3", Counter(add=1, multiply=1)), ("scene_energy(a*b, c)", Counter(multiply=1)),
+    ("3.0*4.0", Counter()),
 ])  # fmt: skip
-def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operations):
+def test_every_form_of_arithmetic_is_counted(expression: str, expected: Counter):
     text = f"SCENE_FUNCTION double f(const double *x)\n{{\n    const double a = x[0];\n    return {expression};\n}}\n"
     assert count_operations(text) == {"f": expected}
 
@@ -90,22 +91,20 @@ def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operatio
 @pytest.mark.slow
 def test_squared_factors_are_computed_once():
     """Of two fingers: eight sines and cosines and two roots for both gaps."""
-    assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Operations(add=17, multiply=13, call=10)
+    assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Counter(add=17, multiply=13, call=10)
 
 
 def test_adding_to_a_result_is_an_addition():
-    assert count_operations("SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n") == {
-        "f": Operations(add=1, multiply=1)
-    }
+    assert count_operations("SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n") == {"f": Counter(add=1, multiply=1)}
 
 
-def cholesky_on_paper(n: int) -> Operations:
+def cholesky_on_paper(n: int) -> Counter:
     """The loops of a dense factorisation and of its two triangular solves, walked."""
     products = sum(j + (n - 1 - j) * j for j in range(n)) + 2 * sum(range(n))
-    return Operations(add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n)
+    return Counter(add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n)
 
 
-def solve_operations(mass: sp.Matrix) -> Operations:
+def solve_operations(mass: sp.Matrix) -> Counter:
     return count_operations(cholesky_function(mass))["scene_solve"]
 
 
@@ -117,14 +116,14 @@ def test_solving_costs_what_a_dense_factorisation_does_where_the_mass_matrix_is_
 def test_zeros_of_the_mass_matrix_cost_nothing():
     """Two fingers and a disc: two blocks of two, three numbers on the diagonal. An arrow costs as its point is first (fill) or last (none)."""
     block = sp.ones(2)
-    fingers = sum([cholesky_on_paper(2), cholesky_on_paper(2), *[cholesky_on_paper(1)] * 3], Operations())
+    fingers = sum([cholesky_on_paper(2), cholesky_on_paper(2), *[cholesky_on_paper(1)] * 3], Counter())
     assert solve_operations(sp.diag(block, block, 1, 1, 1)) == fingers
     assert solve_operations(derive(load_scene("two_finger")).mass_matrix) == fingers
     last = sp.eye(5)
     last[4, :] = sp.ones(1, 5)
     last[:, 4] = sp.ones(5, 1)
     assert solve_operations(last[::-1, ::-1]) == cholesky_on_paper(5)
-    assert solve_operations(last).multiply == 4 + 2 * 4
+    assert solve_operations(last)["multiply"] == 4 + 2 * 4
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -146,18 +145,23 @@ def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path
 
 
 def test_no_trigonometry_where_there_is_none():
-    assert count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"].call == 0
-    assert step_operations(load_scene("cart_pole_walls")).call > cholesky_on_paper(2).call
+    assert count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"]["call"] == 0
+    assert step_operations(load_scene("cart_pole_walls"))["call"] > cholesky_on_paper(2)["call"]
 
 
 X, P, W = Vector.of("x", ("a", "b", "c")), Vector.of("p", ("k",)), Vector.of("w", ("0", "1", "2"))
 
 
-def _numbers(derivative: Derivative, values: dict[sp.Symbol, float]) -> list[np.ndarray]:
+def _numbers(definitions: Definitions, columns: list[sp.Matrix], values: dict[sp.Symbol, float]) -> list[np.ndarray]:
     known = dict(values)
-    for symbol, value in derivative.definitions:
+    for symbol, value in definitions:
         known[symbol] = float(value.xreplace(known))
-    return [np.array([float(sp.sympify(entry).xreplace(known)) for entry in column]) for column in derivative.columns]
+    return [np.array([float(sp.sympify(entry).xreplace(known)) for entry in column]) for column in columns]
+
+
+def _pushed(function: sp.Matrix, vectors: list[Vector], values: dict[sp.Symbol, float]) -> np.ndarray:
+    definitions, column = push_forward(function, vectors)
+    return _numbers(definitions, [column], values)[0]
 
 
 def _values(random: np.random.Generator, *vectors: Vector) -> dict[sp.Symbol, float]:
@@ -177,9 +181,8 @@ def test_both_products_are_those_of_the_jacobian():
     jacobian = [np.array(function.jacobian(x.column).xreplace(values).tolist(), dtype=float) for x in (X, P)]
     along, weights = ([np.array([values[s] for s in tangent(x).symbols]) for x in (X, P)], np.array([values[s] for s in W.symbols]))
 
-    (pushed,) = _numbers(push_forward(function, [(X, tangent(X)), (P, tangent(P))]), values)
-    assert pushed == pytest.approx(jacobian[0] @ along[0] + jacobian[1] @ along[1], rel=1e-13)
-    pulled = _numbers(pull_back(function, W, [X, P]), values)
+    assert _pushed(function, [X, P], values) == pytest.approx(jacobian[0] @ along[0] + jacobian[1] @ along[1], rel=1e-13)
+    pulled = _numbers(*pull_back(function, W, [X, P]), values)
     assert pulled[0] == pytest.approx(jacobian[0].T @ weights, rel=1e-13)
     assert pulled[1] == pytest.approx(jacobian[1].T @ weights, rel=1e-13)
 
@@ -194,9 +197,8 @@ def test_products_of_the_equations_of_motion_are_each_others_transposes(name: st
     moving = [vector for vector in (*x.arguments, a) if vector.symbols]
     weights, random = x.q.like("w"), np.random.default_rng(7)
     values = {symbol: float(random.uniform(0.3, 1.3)) for vector in (*moving, *map(tangent, moving), weights) for symbol in vector.symbols}
-    (pushed,) = _numbers(push_forward(residual, [(vector, tangent(vector)) for vector in moving]), values)
-    pulled = _numbers(pull_back(residual, weights, moving), values)
-    forward = pushed @ np.array([values[symbol] for symbol in weights.symbols])
+    pulled = _numbers(*pull_back(residual, weights, moving), values)
+    forward = _pushed(residual, moving, values) @ np.array([values[symbol] for symbol in weights.symbols])
     terms = [bar @ np.array([values[s] for s in tangent(vector).symbols]) for vector, bar in zip(moving, pulled, strict=True)]
     assert abs(forward) > 1e-3
     assert sum(terms) == pytest.approx(forward, rel=1e-10, abs=1e-10 * sum(map(abs, terms)))
@@ -208,11 +210,8 @@ def test_shared_subexpressions_are_differentiated_once():
     value: sp.Expr = x
     for _ in range(30):
         value = sp.sin(value) * value
-    for derivative in (
-        push_forward(sp.Matrix([value]), [(vector, tangent(vector))]),
-        pull_back(sp.Matrix([value]), Vector.of("w", ("0",)), [vector]),
-    ):
-        assert sum(int(sp.count_ops(term)) for _, term in derivative.definitions) < 30 * 12
+    for definitions, _ in (push_forward(sp.Matrix([value]), [vector]), pull_back(sp.Matrix([value]), Vector.of("w", ("0",)), [vector])):
+        assert sum(int(sp.count_ops(term)) for _, term in definitions) < 30 * 12
 
 
 def test_c_functions_define_before_they_use_and_leave_out_what_nothing_needs():
@@ -229,8 +228,8 @@ def test_c_functions_define_before_they_use_and_leave_out_what_nothing_needs():
 
 def test_derivatives_of_empty_columns_are_empty():
     nothing, empty = sp.zeros(0, 1), Vector.of("w", ())
-    assert push_forward(nothing, [(X, tangent(X))]).columns[0].shape == (0, 1)
-    assert pull_back(nothing, empty, [X]).columns[0] == sp.zeros(3, 1)
+    assert push_forward(nothing, [X])[1].shape == (0, 1)
+    assert pull_back(nothing, empty, [X])[1] == [sp.zeros(3, 1)]
 
 
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))

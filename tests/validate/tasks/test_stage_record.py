@@ -426,7 +426,7 @@ def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
     shapes = [(item.name, item.kind, tuple(map(number, item.size))) for item in scene.shapes]
     assert [(item.name, item.kind, item.size) for item in record.shapes] == shapes
     assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
-    assert record.operations == vars(step_operations(scene))
+    assert record.operations == step_operations(scene)
     assert record.absent == derive(scene).absent
 
 
