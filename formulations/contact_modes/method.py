@@ -106,7 +106,7 @@ def why_not(scene: Scene) -> str | None:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
         return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; best_exact and strict_lcp plan it."
     try:
-        for field, expression, _, _ in named_expressions(scene):  # what is smooth as it was written is so once it is derived
+        for field, expression, *_ in named_expressions(scene):  # what is smooth as it was written is so once it is derived
             check_smooth(scene, field, (expression,))
     except SceneError as error:
         return str(error)

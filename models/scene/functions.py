@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import islice
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from models.scene import Scene
+if TYPE_CHECKING:
+    from models.scene import Scene
 
 # Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a parameter.
 _ROUNDED = {
@@ -36,38 +37,52 @@ _MOST_PARTS = 300
 
 
 class NamedExpression(NamedTuple):
-    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs."""
+    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs.
+
+    of: what it may depend on, p parameters, q positions, v velocities, u inputs.
+    """
 
     field: str
     expression: sp.Expr
     what: str
     unit: str | None
+    of: str
 
 
 def named_expressions(scene: Scene) -> list[NamedExpression]:
     """All that enters the equations of motion, the contact laws and the cost."""
-    found = [NamedExpression(f"{kind}_energy", getattr(scene, f"{kind}_energy"), "an energy", "J") for kind in ("kinetic", "potential")]
+    found = [
+        NamedExpression("kinetic_energy", scene.kinetic_energy, "an energy", "J", "pqv"),
+        NamedExpression("potential_energy", scene.potential_energy, "an energy", "J", "pq"),
+    ]
     for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
         above, _, below = coordinate.unit.partition("/")
         unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
-        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit))
+        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit, "pqvu"))
     for contact in scene.contacts:
-        parts = (("penetration", "m"), ("stiffness", "N/m"), ("damping", contact.damping_law.unit))
-        found += [NamedExpression(f"contact {contact.name}: {part}", getattr(contact, part), f"a {part}", unit) for part, unit in parts]
+        where, unit = f"contact {contact.name}", contact.damping_law.unit
+        found.append(NamedExpression(f"{where}: penetration", contact.penetration, "a penetration", "m", "pq"))
+        found.append(NamedExpression(f"{where}: stiffness", contact.stiffness, "a stiffness", "N/m", "p"))
+        found.append(NamedExpression(f"{where}: damping", contact.damping, "a damping", unit, "p"))
     for friction in scene.frictions:
-        parts = (("slip", "a slip", "m/s"), ("coefficient", "a coefficient of friction", "1"), ("normal_force", "a normal force", "N"))
-        found += [
-            NamedExpression(f"friction {friction.name}: {part}", expression, what, unit)
-            for part, what, unit in parts
-            if (expression := getattr(friction, part)) is not None
-        ]
-    costs = (("running_cost", scene.task.running_cost), ("final_cost", scene.task.final_cost))
-    return [*found, *(NamedExpression(f"task.{field}", expression, "a cost", None) for field, expression in costs)]
+        where = f"friction {friction.name}"
+        found.append(NamedExpression(f"{where}: slip", friction.slip, "a slip", "m/s", "pqv"))
+        found.append(NamedExpression(f"{where}: coefficient", friction.coefficient, "a coefficient of friction", "1", "p"))
+        if friction.normal_force is not None:
+            found.append(NamedExpression(f"{where}: normal_force", friction.normal_force, "a normal force", "N", "pq"))
+    found.append(NamedExpression("task.running_cost", scene.task.running_cost, "a cost", None, "pqvu"))
+    found.append(NamedExpression("task.final_cost", scene.task.final_cost, "a cost", None, "pqv"))
+    return found
+
+
+def depths(scene: Scene) -> list[NamedExpression]:
+    """How deep each contact's model reaches, which enters no equation."""
+    return [NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p") for contact in scene.contacts]
 
 
 def function_problem(scene: Scene) -> str | None:
     """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
-    for field, expression, _, _ in named_expressions(scene):
+    for field, expression, *_ in named_expressions(scene):
         corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, shortened(used)))
         if corners:
             advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import keyword
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +31,7 @@ import sympy as sp
 
 from models.errors import SceneError
 from models.scene.contacts import Contact, Friction
+from models.scene.functions import depths, named_expressions
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task
 from models.scene.quasi_static import LAG, check_quasi_static, relaxation_parameter
 from models.scene.values import as_expression, as_number, check_text, settle
@@ -297,47 +297,30 @@ def _check_steps(scene: Scene) -> None:
 
 
 def _check_symbols(scene: Scene) -> None:
-    parameters = {parameter.symbol for parameter in scene.parameters}
-    positions = {coordinate.symbol for coordinate in scene.coordinates}
-    velocities = {coordinate.velocity for coordinate in scene.coordinates}
-    inputs = {item.symbol for item in scene.inputs}
-
-    def check(field: str, expression: sp.Expr, allowed: Iterable[sp.Symbol]) -> None:
-        allowed = set(allowed)
+    symbols = {
+        "p": {parameter.symbol for parameter in scene.parameters},
+        "q": {coordinate.symbol for coordinate in scene.coordinates},
+        "v": {coordinate.velocity for coordinate in scene.coordinates},
+        "u": {item.symbol for item in scene.inputs},
+    }
+    asked = [(item.field, item.expression, item.of) for item in named_expressions(scene) + depths(scene)]
+    for shape in scene.shapes:
+        asked += [(f"shape {shape.name}: {field}", getattr(shape, field), "pq") for field in ("x", "y", "angle")]
+        asked += [(f"shape {shape.name}: size", size, "p") for size in shape.size]
+    for field, expression, kinds in asked:
+        allowed = set().union(*(symbols[kind] for kind in kinds))
         unknown = sorted(symbol.name for symbol in expression.free_symbols - allowed)
+        known = sorted(symbol.name for symbol in allowed)
+        twin = next((name for name in unknown if name in known), None)
+        if twin is not None:
+            raise _fail(
+                scene,
+                f"{field} uses a symbol {twin} with other assumptions than the declared one; use the same SymPy symbol in both places.",
+            )
         if unknown:
-            known = sorted(symbol.name for symbol in allowed)
-            twin = next((name for name in unknown if name in known), None)
-            if twin is not None:
-                raise _fail(
-                    scene,
-                    f"{field} uses a symbol {twin} with other assumptions than the declared one; use the same SymPy symbol in both places.",
-                )
             raise _fail(
                 scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)})."
             )
-
-    check("kinetic_energy", scene.kinetic_energy, parameters | positions | velocities)
-    check("potential_energy", scene.potential_energy, parameters | positions)
-    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
-        check(f"forces[{coordinate.name}]", force, parameters | positions | velocities | inputs)
-    for contact in scene.contacts:
-        check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
-        check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
-        check(f"contact {contact.name}: damping", contact.damping, parameters)
-        check(f"contact {contact.name}: depth", contact.depth, parameters)
-    for friction in scene.frictions:
-        check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
-        check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
-        if friction.normal_force is not None:
-            check(f"friction {friction.name}: normal_force", friction.normal_force, parameters | positions)
-    check("task.running_cost", scene.task.running_cost, parameters | positions | velocities | inputs)
-    check("task.final_cost", scene.task.final_cost, parameters | positions | velocities)
-    for shape in scene.shapes:
-        for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle)):
-            check(f"shape {shape.name}: {field}", value, parameters | positions)
-        for size in shape.size:
-            check(f"shape {shape.name}: size", size, parameters)
 
 
 # What may stand for one end of a contact that is no drawn body.
