@@ -106,26 +106,16 @@ class Axis:
             words = f"{power(self.exponent)} {words}".strip()
         return f"{self.quantity} [{words}]" if words else self.quantity
 
-    def fraction(self, value: float) -> float:
-        """Where the value lies, 0 at the low end and 1 at the high end; values outside are moved to just outside."""
-        if self.log:
-            begin = math.log10(self.low)
-            position = (math.log10(max(value, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
-        else:
-            position = (value - self.low) / (self.high - self.low)
-        return min(max(position, -0.5), 1.5)
-
-    def pixels(self, values: Sequence[float] | NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
-        """Pixels of many values, the same as by `fraction`.
+    def fraction(self, values: float | Sequence[float] | NDArray[np.float64]) -> Any:
+        """Where values lie, 0 at the low end and 1 at the high end; values outside are moved to just outside.
 
         Parameters
         ----------
-        values : (n,), in the unit of the axis
-        start, end : [pixel] of its low and its high end
+        values : one or (n,), in the unit of the axis
 
         Returns
         -------
-        pixels : (n,) [pixel]
+        fractions : one or (n,) [-]
         """
         array = np.asarray(values, np.float64)
         if self.log:
@@ -134,7 +124,7 @@ class Axis:
         else:
             with np.errstate(over="ignore"):  # what is too far off to be told is at the edge
                 position = (array - self.low) / (self.high - self.low)
-        return start + np.clip(position, -0.5, 1.5) * (end - start)
+        return np.clip(position, -0.5, 1.5)
 
     def ticks(self, most: int = 6) -> list[tuple[float, str]]:
         """At most about so many (value, label)."""
@@ -321,13 +311,13 @@ class Plot:
 
     _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
 
-    def px(self, value: float) -> float:
-        """The pixel of a value of x, from the left."""
-        return self._LEFT + self.x.fraction(value) * (self.width - self._LEFT - self._RIGHT)
+    def px(self, values: float | NDArray[np.float64]) -> Any:
+        """The pixels of values of x (one or (n,), in its unit), from the left [pixel]."""
+        return self._LEFT + self.x.fraction(values) * (self.width - self._LEFT - self._RIGHT)
 
-    def py(self, value: float) -> float:
-        """The pixel of a value of y, from the top."""
-        return self.height - self._BOTTOM - self.y.fraction(value) * (self.height - self._TOP - self._BOTTOM)
+    def py(self, values: float | NDArray[np.float64]) -> Any:
+        """The pixels of values of y (one or (n,), in its unit), from the top [pixel]."""
+        return self.height - self._BOTTOM - self.y.fraction(values) * (self.height - self._TOP - self._BOTTOM)
 
     def line(self, name: str, style: str, xs: Sequence[float] | NDArray[np.float64], ys: Sequence[float] | NDArray[np.float64]) -> None:
         """Draw a line.
@@ -344,8 +334,7 @@ class Plot:
             return
         along, up = along[known], up[known]
         self._series.append((along, up))
-        across = self.x.pixels(along, self._LEFT, self.width - self._RIGHT)
-        down = self.y.pixels(up, self.height - self._BOTTOM, self._TOP)
+        across, down = self.px(along), self.py(up)
         points = seen(across, down, _TOLERANCE)
         self._lines.append(f'<path class="ln {escape(style.strip())}" data-n="{escape(name)}" d="{_path(across[points], down[points])}"/>')
 

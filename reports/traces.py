@@ -37,6 +37,24 @@ class Trace:
     columns: Mapping[str, Array]
     poses: Mapping[str, Array] = field(default_factory=dict)
 
+    def force(self, contact: str) -> Array | None:
+        """The force of a contact by its name, or of a friction by its force's.
+
+        Returns
+        -------
+        values : (n - 1,) or (n,) [N], or None if the trace lacks it.
+        """
+        return self.columns.get(f"lam_{contact}", self.columns.get(contact))
+
+    def gap(self, contact: str) -> Array | None:
+        """The gap of a contact by its name.
+
+        Returns
+        -------
+        values : (n,) [m], or None if the trace lacks it.
+        """
+        return self.columns.get(f"gap_{contact}")
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -147,42 +165,11 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
     return Trace(t[keep], {name: values for name, values in thinned.items() if not name.startswith("pose_")}, poses)
 
 
-def column(trace: Trace | None, name: str) -> Array | None:
-    """A column of a trace.
-
-    Returns
-    -------
-    values : (n,) or (n - 1,), in the unit of the quantity, or None if the trace lacks it.
-    """
-    return trace.columns.get(name) if trace is not None else None
-
-
-def force(trace: Trace | None, contact: str) -> Array | None:
-    """The force of a contact by its name, or of a friction by its force's.
-
-    Returns
-    -------
-    values : (n - 1,) or (n,) [N], or None if the trace lacks it.
-    """
-    found = column(trace, f"lam_{contact}")
-    return column(trace, contact) if found is None else found
-
-
-def gap(trace: Trace | None, contact: str) -> Array | None:
-    """The gap of a contact by its name.
-
-    Returns
-    -------
-    values : (n,) [m], or None if the trace lacks it.
-    """
-    return column(trace, f"gap_{contact}")
-
-
 def contact_phases(trace: Trace | None, contact: str) -> list[tuple[float, float]]:
     """Intervals of time in contact: where the gap is not positive, or where a force acts if no gap is stored."""
     if trace is None:
         return []
-    gaps, forces = gap(trace, contact), force(trace, contact)
+    gaps, forces = trace.gap(contact), trace.force(contact)
     if gaps is not None:
         touching = gaps <= 0
     elif forces is not None:

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord, StageRecord
-from reports.traces import Motion, Trace, at_all, force, gap
+from reports.traces import Motion, Trace, at_all
 from reports.wording import number
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
@@ -106,7 +106,7 @@ def _faced(trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: 
 
     The point: 0 centre, -0.5 and 0.5 the ends of a line. The gap is the distance along that normal, but for a constant; None where no side is such.
     """
-    gaps = gap(trace, contact)
+    gaps = trace and trace.gap(contact)
     if trace is None or gaps is None or body.name not in trace.poses or other.name not in trace.poses:
         return None
     (x, y, angle), (far_x, far_y, turned) = (trace.poses[shape.name][: len(gaps)].T for shape in (body, other))
@@ -146,7 +146,7 @@ def _stepped(track: list[NDArray[np.float64] | None] | None, sizes: Sequence[flo
 
 def _forces(trace: Trace, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None]:
     """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
-    columns = [force(trace, name) for name in contacts]
+    columns = [trace.force(name) for name in contacts]
     half = (times[1] - times[0]) / 2
     return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from reports.plots import Axis, Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
-from reports.traces import Motion, Trace, column, contact_phases, force, gap
+from reports.traces import Motion, Trace, contact_phases
 from reports.wording import ROUNDING, clean, error, number
 
 _KEYS = [
@@ -81,7 +81,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
         (item, name, (f"{item.name} {name}", f"c{place % _MOST_COLOURS} {style}", trace.t, values))
         for place, item in enumerate(items)
         for name, style, trace in (("replay", "", replay), ("plan", "ghost", plan))
-        if trace is not None and (values := column(trace, item.name)) is not None
+        if trace is not None and (values := trace.columns.get(item.name)) is not None
     ]
     plot = over_time("Positions: plan dotted, replay solid", "position", unit, [line for *_, line in data], x=x, margin=0.1)
     if plot is None:
@@ -101,7 +101,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
 def _contact(
     scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: Trace | None, replay: Trace | None
 ) -> Plot | None:
-    read = force if quantity == "force" else gap
+    read = Trace.force if quantity == "force" else Trace.gap
     lines = [
         (name, name, trace.t, values)
         for name, trace in (("replay", replay), ("plan", plan))
@@ -126,7 +126,7 @@ def _contact(
 
 
 def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
-    values = column(replay, "position_error")
+    values = replay and replay.columns.get("position_error")
     if replay is None or values is None:
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
@@ -143,7 +143,7 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
     lines = [
         (name, style, trace.t, values)
         for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))
-        if trace is not None and (values := column(trace, "position_error")) is not None
+        if trace is not None and (values := trace.columns.get("position_error")) is not None
     ]
     positive = np.concatenate([values[values > 0.0] for *_, values in lines]) if lines else np.zeros(0)
     if not len(positive):
@@ -167,11 +167,11 @@ def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trac
 def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | None) -> Plot | None:
     if plan is None:
         return None
-    data = [(item, values) for item in scene.inputs if (values := column(plan, item.name)) is not None]
+    data = [(item, values) for item in scene.inputs if (values := plan.columns.get(item.name)) is not None]
     if not data:
         return None
     units = list(dict.fromkeys(item.unit for item, _ in data))
-    applied = {item.name: values for item, _ in data if (values := column(tracked, item.name)) is not None}
+    applied = {} if tracked is None else {item.name: tracked.columns[item.name] for item, _ in data if item.name in tracked.columns}
     title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
     every = np.concatenate([*(values for _, values in data), *applied.values()])
     plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))

@@ -17,10 +17,10 @@ import numpy as np
 
 from reports.pages.section import Report, Section
 from reports.paper import TIGHTENING_FIGURES
-from reports.plots import Axis, Key, Plot, is_wide, over_time
+from reports.plots import Axis, Key, Line, Plot, is_wide, over_time
 from reports.records.record import HOLD, QuantityRecord, RunRecord, SceneRecord
 from reports.rows import Row
-from reports.traces import Array, Trace, column, force, gap
+from reports.traces import Trace
 from reports.wording import capital, count, error, listing, number, small, spaced
 
 SEED = "seed"
@@ -360,21 +360,23 @@ def _tightened(report: Report, scene: SceneRecord, figure: str, pipeline: str, r
         anchor=anchor,
         rows=rows,
         keys=[Key(style, words) for words, style, _ in lines],
-        plots=[plot for plot in _plots_of_plans(scene, lines) if plot is not None],
+        plots=_plots_of_plans(scene, lines),
         absent=f"No plan is stored for {', '.join(missing)}." if missing else "",
     )
 
 
-def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> list[Plot | None]:
+def _plots_of_plans(scene: SceneRecord, lines: list[tuple[str, str, Trace]]) -> list[Plot]:
     units = list(dict.fromkeys(item.unit for item in scene.coordinates))
-    positions = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
+    plots = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
     asked = [
-        *((force, item.name, f"Contact force, {item.name}", "force", "N") for item in scene.contacts),
-        *((gap, item.name, f"Gap, {item.name}", "gap", "m") for item in scene.contacts),
-        *((column, item.name, f"Input {item.name}", item.name, item.unit) for item in scene.inputs),
+        *((f"lam_{item.name}", f"Contact force, {item.name}", "force", "N") for item in scene.contacts),
+        *((f"gap_{item.name}", f"Gap, {item.name}", "gap", "m") for item in scene.contacts),
+        *((item.name, f"Input {item.name}", item.name, item.unit) for item in scene.inputs),
     ]
-    drawn = [(title, quantity, unit, [(*line, read(line[2], name)) for line in lines]) for read, name, title, quantity, unit in asked]
-    return positions + [_single(*words) for words in drawn]
+    for name, title, quantity, unit in asked:
+        known = [(words, style, plan.t, plan.columns[name]) for words, style, plan in lines if name in plan.columns]
+        plots.append(_single(title, quantity, unit, known))
+    return [plot for plot in plots if plot is not None]
 
 
 def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, Trace]]) -> Plot | None:
@@ -382,7 +384,7 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
         (item, words, (f"{item.name}, {words}", style, trace.t, values))
         for item in items
         for words, style, trace in lines
-        if (values := column(trace, item.name)) is not None
+        if (values := trace.columns.get(item.name)) is not None
     ]
     plot = over_time("Positions", "position", unit, [line for *_, line in data], height=300, margin=0.08)
     if plot is None:
@@ -398,8 +400,7 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
     return plot
 
 
-def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, Trace, Array | None]]) -> Plot | None:
-    lines = [(words, style, trace.t, values) for words, style, trace, values in data if values is not None]
+def _single(title: str, quantity: str, unit: str, lines: Sequence[Line]) -> Plot | None:
     plot = over_time(title, quantity, unit, lines, zero=True)
     if plot is None:
         return None
