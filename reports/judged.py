@@ -17,7 +17,7 @@ from reports.records.check_record import CheckRecord
 from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, SceneRecord, StageRecord
 from reports.wording import capital, measured, spaced
 
-_JUDGE, SHOWN = "Is the judge well?", "Shown, not judged"
+SHOWN = "Shown, not judged"
 
 
 @dataclass(frozen=True)

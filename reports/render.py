@@ -13,6 +13,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
+import inspect
 import multiprocessing
 import os
 import re
@@ -72,10 +73,6 @@ _SCRIPTS = ("common.js", "figures.js", "tables.js", "player.js")
 _LEAD = "Does this plan through contact hold? Every plan below was replayed with exact contact, in continuous time, and scored."
 _AGAIN = "python -m reports DIR"
 _BACK = [(f"../{REPORT}", "The whole report")]
-_FILTERS = (
-    *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "answer"),
-    *("count", "small", "product", "unit", "capital", "exact", "prose", "ratio"),
-)
 # Fewer pages than this a process are written sooner without it.
 _WORTH = 8
 
@@ -89,15 +86,15 @@ class Templates:
     def __init__(self, *folders: Path) -> None:
         """folders: of further templates, beside those of this room."""
         self._environment = Environment(
-            loader=FileSystemLoader([Path(__file__).parent / "templates", *folders]),
+            loader=FileSystemLoader([_HERE / "templates", *folders]),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,
             lstrip_blocks=True,
             finalize=_finalized,
         )
-        for name in _FILTERS:
-            self._environment.filters[name] = getattr(wording, name)
+        said = inspect.getmembers(wording, inspect.isfunction)
+        self._environment.filters |= {name: function for name, function in said if function.__module__ == wording.__name__}
         self._environment.globals["dash"] = wording.DASH
         self._environment.globals["windows"] = tolerance.windows_text
         macros = self._environment.get_template("macros.html").module
@@ -135,7 +132,7 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
 
 def is_current(folder: Path) -> bool:
     """Whether report.html is younger than all it is made of and leads to; of a campaign whose runs are all stored, it says then what it would say anew."""
-    written = _written(folder / REPORT)
+    written = _time(folder / REPORT)
     if not (folder / PAGES).is_dir() or written <= max(_program(), _time(folder / "campaign.json"), _time(folder / PAGES)):
         return False
     try:
@@ -329,17 +326,13 @@ def _due(report: Report) -> list[RunRecord]:
     return [
         one
         for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
-        if _written(report.folder / PAGES / run_page(one))
+        if _time(report.folder / PAGES / run_page(one))
         <= max(program, *(_time(report.folder / "runs" / part.key / name) for part in parts for name in ("", "record.json")))
     ]
 
 
-def _written(path: Path) -> int:
-    """When a file was last written [ns]; 0 where there is none."""
-    return _time(path) if path.is_file() else 0
-
-
 def _time(path: Path) -> int:
+    """When a file or folder was last written [ns]; 0 where there is none."""
     try:
         return path.stat().st_mtime_ns
     except OSError:

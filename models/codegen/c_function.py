@@ -121,7 +121,8 @@ def forward_function(
 ) -> str:
     """The C function `head` (its type and name): Jacobian-vector product of a column along d<vector> of each of `vectors`."""
     definitions, column = push_forward(function, vectors)
-    return c_function(*head.split(), arguments, output, column, tail=tail, definitions=definitions)
+    result, name = head.split()
+    return c_function(result, name, arguments, output, column, tail=tail, definitions=definitions)
 
 
 def backward_function(
@@ -129,8 +130,9 @@ def backward_function(
 ) -> str:
     """The C function `head`: it adds Jacobian' weights to <vector>_bar of each of `vectors`."""
     definitions, columns = pull_back(function, weights, vectors)
+    result, name = head.split()
     outputs = [(f"{vector.name}_bar", column) for vector, column in zip(vectors, columns, strict=True)]
-    return c_function(*head.split(), arguments, outputs, operator="+=", tail=tail, definitions=definitions)
+    return c_function(result, name, arguments, outputs, operator="+=", tail=tail, definitions=definitions)
 
 
 def _shared(function: sp.Matrix) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[sp.Expr]]:

@@ -64,12 +64,9 @@ class Contact:
 
     def __post_init__(self) -> None:
         check_name("contact", self.name)
-        if self.bodies == ("", "") or self.depth == 0 or not self.depth_reason:
-            missing = [
-                name
-                for name, given in (("bodies", any(self.bodies)), ("depth", self.depth != 0), ("depth_reason", self.depth_reason))
-                if not given
-            ]
+        needed = {"bodies": self.bodies != ("", ""), "depth": self.depth != 0, "depth_reason": self.depth_reason}
+        missing = [name for name, given in needed.items() if not given]
+        if missing:
             raise SceneError(
                 f"contact {self.name}: {', '.join(missing)} must be given: between which bodies it acts and how deep they may press into each other "
                 f'before the model ends; for example bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'
