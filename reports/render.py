@@ -42,7 +42,6 @@ from reports.pages import (
     simulators,
     sweeps,
     table1,
-    tolerance,
 )
 from reports.pages.section import PAGES, REPORT, Report, Section, run_page, scene_page
 from reports.records.check_record import CheckRecord
@@ -56,7 +55,7 @@ _HERE = Path(__file__).parent
 # What report.html shows before its index of the other pages.
 _TOP = (overview.build, table1.build, overview.what_failed)
 # What the page of a scene shows.
-_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, tolerance.build, sweeps.tightening, scene.model)
+_OF_SCENE = (scene.build, pareto.build, table1.of_scene, pareto.ends, pareto.within_tolerance, sweeps.tightening, scene.model)
 # The other pages by the names of their files, which the first section of each has for its anchor.
 _OTHERS = {
     "runs": (run.all_runs,),
@@ -96,7 +95,6 @@ class Templates:
         said = inspect.getmembers(wording, inspect.isfunction)
         self._environment.filters |= {name: function for name, function in said if function.__module__ == wording.__name__}
         self._environment.globals["dash"] = wording.DASH
-        self._environment.globals["windows"] = tolerance.windows_text
         macros = self._environment.get_template("macros.html").module
         self._environment.globals |= {name: macro for name, macro in vars(macros).items() if not name.startswith("_")}
 

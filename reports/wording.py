@@ -237,3 +237,9 @@ def count(amount: int, one: str, many: str | None = None) -> str:
 def listing(words: list[str]) -> str:
     """a, b and c."""
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""
+
+
+def windows(windows: tuple[tuple[str, int, int], ...]) -> str:
+    """The steps at which contacts are closed: left 131–178, 227–274; right 276–306."""
+    names = list(dict.fromkeys(name for name, _, _ in windows))
+    return "; ".join(f"{name} " + ", ".join(f"{first}–{last}" for other, first, last in windows if other == name) for name in names)

@@ -13,12 +13,11 @@ from reports.judged import QuestionView, again, cause_of, deciding, end_of, ques
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
-from reports.pages.tolerance import windows_text
 from reports.plots import Axis, Plot
 from reports.records.load import optima
 from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, QuestionRecord, RunRecord, SceneRecord, StageRecord, StartRecord
 from reports.traces import Motion
-from reports.wording import capital, cost, count, percent, small, tail
+from reports.wording import capital, cost, count, percent, small, tail, windows
 
 _BINS = 40  # across the range of costs
 
@@ -149,7 +148,7 @@ def spread(stage: StageRecord) -> Spread | None:
     """None for a stage with a single start."""
     if not stage.starts:
         return None
-    found = [Optimum(price, same, windows_text(same[0].windows)) for price, same in optima(stage.starts)]
+    found = [Optimum(price, same, windows(same[0].windows)) for price, same in optima(stage.starts)]
     failed = [start for start in stage.starts if start.cost is None]
     costs = [start.cost for start in stage.starts if start.cost is not None]
     total = len(stage.starts)
@@ -175,7 +174,7 @@ def _plot(starts: tuple[StartRecord, ...], words: str) -> Plot:
     plot = Plot("Cost of every start", x, y, words, width=560, height=140 + 9 * tallest)
     for stack in stacks.values():
         for place, (price, start) in enumerate(stack, 1):
-            tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows_text(start.windows)}"
+            tip = f"Start {start.number}, {start.start}: cost {cost(price)}; {windows(start.windows)}"
             plot.point(price, place, "direct", "circle", tip)
     return plot
 

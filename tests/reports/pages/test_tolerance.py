@@ -3,7 +3,7 @@
 import pytest
 from wording import unsaid
 
-from reports.pages import tolerance
+from reports.pages import pareto
 from reports.pages.section import Report
 from reports.records.load import Stored
 from reports.records.record import FrontPointRecord, RunRecord
@@ -23,7 +23,7 @@ def row(name: str, missed: float | None, cost: float | None, kind: str = "direct
 
 def view(*rows: RunRecord, points: tuple[FrontPointRecord, ...] = POINTS):
     report = Report(Stored("x", None, (ran("front", cost=400.0, front=points), *rows), (), (), 0))
-    section = tolerance.build(report, report.scenes[0])
+    section = pareto.within_tolerance(report, report.scenes[0])
     assert section.anchor == "tolerance-1"
     (found,) = section.values["views"]
     return found
@@ -54,8 +54,8 @@ def test_nearer_than_all_points():
     assert (item.least, item.above) == ("no point is as near", "below the front: a better front exists")
     (item,) = view(row("one", 0.005, 900.0), points=points).beside
     assert (item.least, item.above) == ("no point is as near", "between its points")
-    assert tolerance.least_within(POINTS[2:3], 0.005) == (200.0, None)
-    assert tolerance.least_within(tuple(sorted(POINTS, key=lambda point: point.tolerance)), 0.02) == (100.0, 200.0)
+    assert pareto.least_within(POINTS[2:3], 0.005) == (200.0, None)
+    assert pareto.least_within(tuple(sorted(POINTS, key=lambda point: point.tolerance)), 0.02) == (100.0, 200.0)
 
 
 def test_the_front_and_rows_are_drawn_at_their_errors():
@@ -95,4 +95,4 @@ def test_a_front_of_the_exact_goal_alone_has_an_edge():
     found = view(row("one", 1e-9, 400.0), points=POINTS[1:2])
     assert drawn(found.plot).marks[0].at == (2.5e-4, 400.0)
     report = Report(Stored("x", None, (ran("none", cost=400.0, front=POINTS[3:]),), (), (), 0))
-    assert tolerance.build(report, report.scenes[0]) is None
+    assert pareto.within_tolerance(report, report.scenes[0]) is None
