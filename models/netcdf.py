@@ -70,23 +70,19 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
                 f"column {column.name}: {len(column.values)} values along {column.dimension}, which has {sizes[column.dimension]}."
             )
     content = _content(columns, sizes, attributes)
+    part = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    except OSError as error:
-        raise MachineError(
-            f"file {path}: it cannot be written ({error.strerror}); choose a folder that exists and may be written."
-        ) from error
-    temporary = Path(name)
-    try:
-        with open(handle, "wb") as file:
+        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent, delete=False) as file:
+            part = Path(file.name)
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        temporary.chmod(0o644)  # mkstemp makes it private; a store is shared
-        temporary.replace(path)
+        part.chmod(0o644)  # it is made private; a store is shared
+        part.replace(path)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+        if part is not None:
+            with contextlib.suppress(OSError):
+                part.unlink()
         raise MachineError(f"file {path}: it cannot be written ({error.strerror}); make room or permit it, or write elsewhere.") from error
 
 

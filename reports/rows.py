@@ -83,14 +83,6 @@ def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
     return next(((item.name, item.value) for item in scene.answers if "cost" in item.name and item.value is not None), None)
 
 
-def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
-    """Each scene once, in order of appearance."""
-    found: dict[str, SceneRecord] = {}
-    for run in runs:
-        found.setdefault(run.scene.name, run.scene)
-    return list(found.values())
-
-
 def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> list[Row]:
     """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them. link: what leads to a run."""
     heads = {head: place for place, head in enumerate(dict.fromkeys(_head(run) for run in runs))}

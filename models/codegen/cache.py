@@ -55,7 +55,7 @@ def _remove_what_the_dead_left(folder: Path) -> None:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:
+def cached(key_text: str, suffix: str, build: Callable[[Path], object]) -> Path:
     """The file for this content: found, be it in a folder that cannot be written, or made by `build(path)` in a temporary place and renamed.
 
     Two processes may build the same file at once; both end with a whole one. What a process left that was killed while it built goes with

@@ -47,16 +47,12 @@ def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool
     MachineError
         For a cache folder that cannot be written; and what `make` raises.
     """
-
-    def write(path: Path) -> None:
-        path.write_text(make(), encoding="utf-8")
-
     if whole:
         content = [*_versions(), _generators((*_GENERATORS, *_COMPUTED)), scene_text(scene)]
     else:
         content = [_generators(), equations_text(scene)]
     key = "\n".join([name, sp.__version__, *content])
-    return cached(key, f".{name}", write).read_text(encoding="utf-8")
+    return cached(key, f".{name}", lambda path: path.write_text(make(), encoding="utf-8")).read_text(encoding="utf-8")
 
 
 def generators(*, whole: bool = False) -> str:

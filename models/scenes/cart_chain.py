@@ -7,18 +7,18 @@ Beyond three carts the row starts with a free space of 1 m in all, shared by the
 for three carts, as in the paper. No cart in between can move unless it is pushed, so every plan needs contact.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 
 import sympy as sp
 
 from models.errors import SceneError
-from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene import Coordinate, Scene, Shape, Task
 from models.scenes.three_cart import SCENE as THREE_CART
+from models.scenes.three_cart import c, d, m
 
 SMALLEST, LARGEST = 2, 20
 LENGTH, FREE_SPACE, FIRST = 0.5, 1.0, 2.0
-
-m, c, k, d = sp.symbols("m c k d", positive=True)
 
 
 def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
@@ -34,7 +34,8 @@ def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
     forces[0] += first
     forces[-1] += last
     places = ["left", *(f"inner_{index}" for index in range(2, n)), "right"]
-    return Scene(
+    return replace(
+        THREE_CART,
         name=name,
         title=f"{n} carts in a row: the outer two push those between them",
         source="ours: section V of Suh and Wang (three_cart) with n carts; masses, damping, stiffness, length, bounds and limits are those there",
@@ -42,28 +43,15 @@ def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
             Coordinate(symbol=position, velocity=speed, unit="m", description=f"position of cart {index}")
             for index, (position, speed) in enumerate(zip(q, v, strict=True), start=1)
         ),
-        inputs=(
-            Input(symbol=first, unit="N", lower=-10.0, upper=10.0, description="force on the left cart"),
-            Input(symbol=last, unit="N", lower=-10.0, upper=10.0, description="force on the right cart"),
-        ),
-        parameters=(
-            Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass of each cart"),
-            Parameter(symbol=c, value=2.0, unit="N s/m", lower=0.0, description="viscous damping of each cart"),
-            Parameter(symbol=k, value=30.0, unit="N/m", lower=1e-6, description="contact stiffness"),
-            Parameter(symbol=d, value=LENGTH, unit="m", lower=1e-6, description="length of a cart"),
-        ),
+        inputs=(THREE_CART.inputs[0], replace(THREE_CART.inputs[1], symbol=last)),
         kinetic_energy=m * sum(speed**2 for speed in v) / 2,
-        potential_energy=sp.Integer(0),
         forces=tuple(forces),
         contacts=tuple(
-            Contact(
+            replace(
+                THREE_CART.contacts[0],
                 name=contact,
                 bodies=bodies,
                 penetration=d - (right - left),
-                stiffness=k,
-                depth=d,
-                depth_reason=THREE_CART.contacts[0].depth_reason,
-                nominal=0.1,
                 description=f"cart {index} against cart {index + 1}",
             )
             for index, (contact, bodies, left, right) in enumerate(
@@ -77,18 +65,14 @@ def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
             step=0.01,
             steps=steps,
         ),
-        limits=tuple(_limit(limit) for limit in THREE_CART.limits),
+        limits=tuple(replace(limit, reason=f"as for three carts of this kind on this grid: {limit.reason}") for limit in THREE_CART.limits),
+        answers=(),
         shapes=tuple(Shape(name=place, kind="box", x=position, y=d / 2, size=(d, d)) for place, position in zip(places, q, strict=True)),
     )
 
 
 def _contact_names(n: int) -> list[str]:
     return ["left", *(f"inner_{index}" for index in range(2, n - 1)), "right"] if n > 2 else ["pair"]
-
-
-def _limit(limit: Limit) -> Limit:
-    """The same cart on the same grid: the paper's limits, whatever the number of carts."""
-    return Limit(metric=limit.metric, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
 
 
 SCENE = cart_chain(5, steps=250)

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from reports.records.load import Stored
 from reports.records.record import RunRecord, SceneRecord, StageRecord
-from reports.rows import Row, rows_of, scenes_of
+from reports.rows import Row, rows_of
 from reports.traces import Motion, Trace, read_motion, read_plan
 
 # The campaign's page, and the folder of all others beside it.
@@ -44,7 +44,10 @@ class Report:
     @cached_property
     def scenes(self) -> list[SceneRecord]:
         """Every scene once, in the order of the campaign."""
-        return scenes_of(self.stored.runs)
+        found: dict[str, SceneRecord] = {}
+        for run in self.stored.runs:
+            found.setdefault(run.scene.name, run.scene)
+        return list(found.values())
 
     def rows_of_scene(self, scene: SceneRecord) -> list[Row]:
         """The rows of one scene."""
