@@ -37,8 +37,7 @@ class PlanTable:
 
     def __init__(self, path: Path) -> None:
         """Raises TrajectoryError naming the file, and the line and the column where there is one."""
-        self.path, self.source = path, f"file {path}"
-        self.where = f"plan {path}"
+        self.source, self.where = f"file {path}", f"plan {path}"
         rows, self.declared = _rows(path)
         if len(rows) < 3:
             below = max(len(rows) - 1, 0)
@@ -61,14 +60,14 @@ class PlanTable:
             if unit is not None:
                 self.units[name] = unit
         self.names = tuple(names)
+        self._check_form()
 
     def has_last(self, name: str) -> bool:
         """Whether the last row has a cell in this column."""
         index, row = self.names.index(name), self._rows[-1][1]
         return index < len(row) and bool(row[index])
 
-    def check_form(self) -> None:
-        """Raise TrajectoryError for a column without a name or that stands there twice, or a line with more cells than there are columns."""
+    def _check_form(self) -> None:
         for name in self.names:
             if not name:
                 raise TrajectoryError(
@@ -262,9 +261,6 @@ class ArrayTable:
         """Whether the column has a number at the last time."""
         values = self._columns[name]
         return len(values) == self.rows and bool(np.isfinite(values[-1]))
-
-    def check_form(self) -> None:
-        """Arrays have the form of a table."""
 
     def check_unit(self, name: str, unit: str) -> None:
         """Arrays say no units."""

@@ -94,9 +94,7 @@ class Trajectory:
     u_end: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for field in ("t", "q", "v", "u", "lam", "u_end"):
-            if getattr(self, field) is None and field == "u_end":
-                continue
+        for field in ("t", "q", "v", "u", "lam", *(() if self.u_end is None else ("u_end",))):
             array = real_numbers(field, getattr(self, field))
             if not np.isfinite(array).all():
                 where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
@@ -361,7 +359,6 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
         Naming the file, the line and the column.
     """
     table = PlanTable(path)
-    table.check_form()
     asked = as_scheme(scheme)
     if asked is not None and table.declared.setdefault("scheme", asked.value) != asked.value:
         raise TrajectoryError(
@@ -385,7 +382,7 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
     scheme, hold = declared_scheme(table), declared_hold(table, hold)
-    asked = None if scene.task is None or "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
+    asked = None if "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
     t, u, u_end = times_and_inputs(table, "t", names["u"], hold, asked)
     steps = len(t) - 1
     start = np.array(scene.task.start, dtype=float)
@@ -395,7 +392,7 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
         q = np.column_stack([table.column(name, last_is_open=False) for name in names["q"]])
         if "v" not in missing:
             v = np.column_stack([table.column(name, last_is_open=False) for name in names["v"]])
-        elif np.isfinite(t).all() and (np.diff(t) > 0).all():
+        elif (np.diff(t) > 0).all():
             v = _velocities(t, q, scene)
         else:
             v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
@@ -490,7 +487,7 @@ def declared_hold(table: Table, hold: Hold | str | None, who: str = "--hold") ->
 
 def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:
     """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as is asked, but for `near` [s]."""
-    if t.size < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
+    if not (np.diff(t) > 0).all():
         return t
     longer = np.append(t, 2.0 * t[-1] - t[-2])
     return longer if abs(t[-1] - t[0] - asked) > near >= abs(longer[-1] - t[0] - asked) else t

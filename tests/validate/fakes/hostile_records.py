@@ -83,7 +83,6 @@ def read_table(path: Path) -> None:
     from models.plan_table import PlanTable
 
     table = PlanTable(path)
-    table.check_form()
     for name in {"t", "x", "v_x", "F"} & set(table.names):
         table.column(name, last_is_open=name == "F")
 

@@ -41,7 +41,6 @@ def wire(
     package: Package, table: Table, given: MapFile | None, hold: str | None, where: str, factors: Mapping[str, float] | None = None
 ) -> tuple[Foreign, Trajectory]:
     """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters. Raises MapError, TrajectoryError."""
-    table.check_form()
     named = Named(package)
     whole = map_schema.multiplied(given or map_schema.by_equal_names(named, table), named, factors, where)
     wiring = _Wiring(package, named, table, whole, where)
