@@ -1,6 +1,5 @@
 """Is the time step stable while contacts are closed? Said before anything is run.
 
-    step_stability(scene)                      # at the task's own step
     step_stability(scene).is_stable, .radius, .largest_step, .sentence
 
 Semi-implicit Euler on a closed contact is a damped oscillator, x' = x + h v', v' = v - h (w^2 x + c v), and stable only where
@@ -163,12 +162,12 @@ def step_jacobian(kernel: Kernel, state: np.ndarray, u: np.ndarray, step: float)
     return np.array(rows)
 
 
-def step_stability(scene: Scene, step: float | None = None) -> StepStability:
-    """At `step` seconds (the task's own unless given). Friction is left out: sticking is implicit in the step, slipping a constant force.
+def step_stability(scene: Scene) -> StepStability:
+    """At the task's own step. Friction is left out: sticking is implicit in the step, slipping a constant force.
 
     Raises MachineError without a compiler.
     """
-    h = scene.task.step if step is None else step
+    h = scene.task.step
     models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
     if not models:
         return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)

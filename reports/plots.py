@@ -342,9 +342,9 @@ class Plot:
         """An interval of x, shaded over the whole height."""
         self._bar(low, high, style, self._TOP, self.height - self._TOP - self._BOTTOM, 0.5)
 
-    def strip(self, low: float, high: float, style: str, level: int) -> None:
-        """An interval of x as a thin bar above the plot, level 0 lowest."""
-        self._bar(low, high, style, self._TOP - 6 - 6 * level, 4, 1.0)
+    def strip(self, low: float, high: float, style: str) -> None:
+        """An interval of x as a thin bar above the plot."""
+        self._bar(low, high, style, self._TOP - 6, 4, 1.0)
 
     def _bar(self, low: float, high: float, style: str, top: int, height: int, least: float) -> None:
         left, wide = self.px(low), max(self.px(high) - self.px(low), least)

@@ -161,15 +161,12 @@ def slip_rate(x: SceneVectors, a: Vector) -> sp.Matrix:
     return slip.jacobian(x.q.column) * x.v.column + slip.jacobian(x.v.column) * a.column
 
 
-def emit_model(scene: Scene, *, defaults: bool = True) -> str:
-    """Text of `scene_model.h` (C99, no I/O, static inline functions only).
-
-    defaults: also write the default parameter values; without them one header serves all parameter values of a scene.
-    """
+def emit_model(scene: Scene) -> str:
+    """Text of `scene_model.h` (C99, no I/O, static inline functions only), which serves all parameter values of a scene."""
     vectors = SceneVectors.of(derive(scene))
     try:
         parts = [
-            _head(scene, defaults),
+            _head(scene),
             *_contact_functions(vectors),
             *damping_functions(vectors),
             *friction_functions(vectors),
@@ -186,11 +183,11 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
 
 
 def model_source(scene: Scene) -> str:
-    """`emit_model` without default values, cached between processes."""
-    return cached_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+    """`emit_model`, cached between processes."""
+    return cached_text(scene, "scene_model.h", lambda: emit_model(scene))
 
 
-def _head(scene: Scene, defaults: bool) -> str:
+def _head(scene: Scene) -> str:
     sizes = {"NQ": scene.nq, "NU": scene.nu, "NC": scene.nc, "NF": scene.nf, "NP": len(scene.parameters)}
     lines = [
         f"/* Equations of motion of the scene {scene.name}; generated from its SymPy source. */",
@@ -218,12 +215,6 @@ def _head(scene: Scene, defaults: bool) -> str:
         lines += [f"static const double scene_friction_nominals[] SCENE_UNUSED = {{{nominals}}};", ""]
     if scene.nf or scene.damped:
         lines += [f"#define SCENE_LENGTH {scene.length!r}", ""]
-    if defaults:
-        values = [parameter.value for parameter in scene.parameters] or [0.0]
-        lines += [
-            f"static const double scene_default_parameters[] SCENE_UNUSED = {{{', '.join(repr(float(value)) for value in values)}}};",
-            "",
-        ]
     return "\n".join(lines)
 
 

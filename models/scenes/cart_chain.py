@@ -21,10 +21,10 @@ SMALLEST, LARGEST = 2, 20
 LENGTH, FREE_SPACE, FIRST = 0.5, 1.0, 2.0
 
 
-def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
+def cart_chain(n: int, steps: int = 500) -> Scene:
     """The scene of n carts on `steps` steps of 0.01 s. Raises SceneError unless 2 <= n <= 20."""
     if isinstance(n, bool) or not isinstance(n, int) or not SMALLEST <= n <= LARGEST:
-        raise SceneError(f"scene {name}: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}.")
+        raise SceneError(f"scene cart_chain: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}.")
     q = sp.symbols(f"q1:{n + 1}", real=True)
     v = sp.symbols(f"v1:{n + 1}", real=True)
     first, last = sp.symbols(f"u1 u{n}", real=True)
@@ -36,7 +36,7 @@ def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
     places = ["left", *(f"inner_{index}" for index in range(2, n)), "right"]
     return replace(
         THREE_CART,
-        name=name,
+        name="cart_chain",
         title=f"{n} carts in a row: the outer two push those between them",
         source="ours: section V of Suh and Wang (three_cart) with n carts; masses, damping, stiffness, length, bounds and limits are those there",
         coordinates=tuple(

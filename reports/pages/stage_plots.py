@@ -114,7 +114,7 @@ def _contact(
     for low, high in phases:
         plot.band(low, high, "touch")
     for low, high in planned:
-        plot.strip(low, high, "planned-touch", 0)
+        plot.strip(low, high, "planned-touch")
     rubs = any(friction.name == contact for friction in scene.frictions)
     size = (lambda values: np.abs(values).max()) if rubs else np.max  # friction acts in two directions
     told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, *_, values in lines]

@@ -89,7 +89,7 @@ def test_generated_code_is_that_of_the_changed_module(tmp_path: Path, monkeypatc
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / "cache"))
 
     def code(scene: Scene) -> str:
-        return cached_text(scene, "probe.h", lambda: emit_model(scene, defaults=False))
+        return cached_text(scene, "probe.h", lambda: emit_model(scene))
 
     for hard in (1.5, 2.5):
         assert f"{hard} * sin(" in code(load_scene(str(write(tmp_path, hard))))

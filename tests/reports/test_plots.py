@@ -147,12 +147,12 @@ def test_bands_and_strips_are_as_wide_as_their_time():
     one = plot()
     one.band(1.0, 2.0, "touch")
     one.band(3.0, 3.0, "thin")
-    one.strip(1.0, 2.0, "planned", 0)
-    one.strip(3.0, 3.0, "second", 2)
+    one.strip(1.0, 2.0, "planned")
+    one.strip(3.0, 3.0, "second")
     svg = str(one.markup())
     assert not unsaid(
         svg, '<rect class="touch" x="147.0" y="26" width="93.0" height="176"/>', '<rect class="thin" x="333.0" y="26" width="0.5" height="176"/>',
-        '<rect class="planned" x="147.0" y="20" width="93.0" height="4"/>', '<rect class="second" x="333.0" y="8" width="1.0" height="4"/>',
+        '<rect class="planned" x="147.0" y="20" width="93.0" height="4"/>', '<rect class="second" x="333.0" y="20" width="1.0" height="4"/>',
     )  # fmt: skip
 
 

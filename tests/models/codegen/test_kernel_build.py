@@ -198,7 +198,7 @@ def own_cache(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
 def test_cached_text_equals_emitted_text(name: str, own_cache):
     scene = load_scene(name)
-    for source, emit in ((model_source, lambda scene: emit_model(scene, defaults=False)), (sensitivity_source, emit_sensitivity)):
+    for source, emit in ((model_source, emit_model), (sensitivity_source, emit_sensitivity)):
         anew = emit(scene)
         assert source(scene) == anew
         assert source(scene) == anew, "read back"
