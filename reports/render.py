@@ -130,7 +130,7 @@ def write_report(folder: Path, jobs: int | None = None) -> Path:
 
 def is_current(folder: Path) -> bool:
     """Whether report.html is younger than all it is made of and leads to; of a campaign whose runs are all stored, it says then what it would say anew."""
-    written = _time(folder / REPORT)
+    written = _written(folder / REPORT)
     if not (folder / PAGES).is_dir() or written <= max(_program(), _time(folder / "campaign.json"), _time(folder / PAGES)):
         return False
     try:
@@ -160,7 +160,7 @@ def render_run(record: RunRecord, folder: Path, engines: Sequence[Mapping[str, A
 
     folder: where its motions are, as in a campaign's: runs/<key>/trajectory.nc and so on; engines: what other simulators say of it, as JSON holds that.
     """
-    report = Report(Stored(folder.name, None, (record,), (), (), 0), folder, at="")
+    report = Report(Stored(None, (record,)), folder, at="")
     title = f"{record.pipeline} on {record.scene.name}"
     others = simulators.of_plan(engines)
     return page(Templates(), [run.build(report, record), *others], title=title, lead=record.scene.title, again="")
@@ -324,13 +324,17 @@ def _due(report: Report) -> list[RunRecord]:
     return [
         one
         for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
-        if _time(report.folder / PAGES / run_page(one))
+        if _written(report.folder / PAGES / run_page(one))
         <= max(program, *(_time(report.folder / "runs" / part.key / name) for part in parts for name in ("", "record.json")))
     ]
 
 
+def _written(path: Path) -> int:
+    """When a file was last written [ns]; 0 where there is none."""
+    return _time(path) if path.is_file() else 0
+
+
 def _time(path: Path) -> int:
-    """When a file or folder was last written [ns]; 0 where there is none."""
     try:
         return path.stat().st_mtime_ns
     except OSError:

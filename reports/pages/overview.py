@@ -12,7 +12,7 @@ from typing import NamedTuple
 from reports.findings import ENOUGH, NOT_ASKED, cost_ratio, least_costs, three_findings
 from reports.judged import Cause, by_cause, cause_of, deciding
 from reports.pages.pareto import TICK, cpu, draw_front, keys, style_of, told_error
-from reports.pages.player import Strip, strip
+from reports.pages.player import Film, strip
 from reports.pages.run import not_applicable
 from reports.pages.section import Report, Section
 from reports.paper import SCENE as PAPER_SCENE
@@ -128,7 +128,7 @@ def _speed(report: Report) -> Plot | None:
     return plot
 
 
-def _strip(report: Report) -> tuple[Strip, str, RunRecord] | None:
+def _strip(report: Report) -> tuple[Film, str, RunRecord] | None:
     """Of the paper's scene, else of the first that has one: its cheapest plan that holds."""
     for name in dict.fromkeys((PAPER_SCENE, *(scene.name for scene in report.scenes))):
         for run, _ in report.stored.cheapest(name):

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord, StageRecord
+from reports.records.record import ContactRecord, RunRecord, SceneRecord, ShapeRecord
 from reports.traces import Motion, Trace, at_all
 from reports.wording import number
 
@@ -28,10 +28,9 @@ _FLAT = 1e-3
 
 
 class Film(NamedTuple):
-    """JSON for the script, safe inside a script element."""
+    """What moves: JSON for the script, safe inside a script element, or the SVG of a strip; and what it shows in words."""
 
-    data: Markup
-    stage: StageRecord
+    markup: Markup
     words: str
 
 
@@ -69,7 +68,7 @@ def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
     how = "replayed with feedback" if stage.is_tracked else "replayed"
     goal = ", the goal dotted" if any(shape["goal"] for shape in data["shapes"]) else ""
     words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled){goal}, with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
-    return Film(script_json(data), stage, words)
+    return Film(script_json(data), words)
 
 
 def script_json(data: object) -> Markup:
@@ -165,14 +164,7 @@ def _peaks(times: NDArray[np.float64], values: NDArray[np.float64], wanted: NDAr
 _MOMENTS, _WIDTH, _HEIGHT, _GAP, _FOOT = 6, 150.0, 84.0, 8.0, 26.0
 
 
-class Strip(NamedTuple):
-    """The SVG, and what it shows in words."""
-
-    svg: Markup
-    words: str
-
-
-def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
+def strip(scene: SceneRecord, plan: Trace | None) -> Film | None:
     """Six moments of a plan, first and last among them; None where no shape has poses."""
     shapes = [shape for shape in scene.shapes if shape.size and plan is not None and shape.name in plan.poses]
     if plan is None or not shapes or plan.t[-1] <= plan.t[0]:
@@ -198,7 +190,7 @@ def strip(scene: SceneRecord, plan: Trace | None) -> Strip | None:
     body = "".join(frames)
     svg = f'<svg class="plot strip" viewBox="0 0 {wide:.0f} {_HEIGHT + _FOOT:.0f}" aria-hidden="true" focusable="false">{body}</svg>'
     first, last = (number(float(moment), 3) for moment in moments[[0, -1]])
-    return Strip(Markup(svg), f"{_MOMENTS} moments of the plan, from {first} s to {last} s.")
+    return Film(Markup(svg), f"{_MOMENTS} moments of the plan, from {first} s to {last} s.")
 
 
 def placed(shape: ShapeRecord, pose: np.ndarray, middle: np.ndarray, scale: float, colour: int) -> str:

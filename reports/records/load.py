@@ -57,12 +57,11 @@ class Stored:
     checks: what is no scene x pipeline; parts: of each run, the records of its parts; simulators: what others say of plans, where they were asked.
     """
 
-    folder: str
     campaign: CampaignRecord | None
     runs: tuple[RunRecord, ...]
-    unreadable: tuple[Unreadable, ...]
-    missing: tuple[str, ...]
-    foreign: int
+    unreadable: tuple[Unreadable, ...] = ()
+    missing: tuple[str, ...] = ()
+    foreign: int = 0
     checks: tuple[CheckRecord, ...] = ()
     parts: tuple[tuple[RunRecord, ...], ...] = ()
     simulators: SimulatorsRecord | None = None
@@ -96,7 +95,7 @@ def load(folder: Path) -> Stored:
         runs, checks = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         checks = tuple(sorted(checks, key=lambda item: (item.kind, item.name)))
-        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, checks, grouped(runs), simulators)
+        return Stored(None, collected(runs), tuple(unreadable), checks=checks, parts=grouped(runs), simulators=simulators)
     keys = list(dict.fromkeys(campaign.keys))
     runs, checks = divided(found[key] for key in keys if key in found)
     # What another version left here is of another campaign: this one lists what it has run itself.
@@ -105,7 +104,6 @@ def load(folder: Path) -> Stored:
     unreadable = [item for item in unreadable if item not in earlier]
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
-        folder=folder.name,
         campaign=campaign,
         runs=collected(runs),
         unreadable=tuple(unreadable),

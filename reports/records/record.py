@@ -288,10 +288,14 @@ class SizeRecord(Model):
     paper_equations: int
 
 
-class ShareRecord(BaseModel):
-    """In how many of the perturbed worlds a plan arrives; interval: Wilson's, of 95 %."""
+class Found(BaseModel):
+    """Made of what validate.judge.robustness found, of which it takes what it has a field for."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
+
+
+class ShareRecord(Found):
+    """In how many of the perturbed worlds a plan arrives; interval: Wilson's, of 95 %."""
 
     arrived: int
     samples: int

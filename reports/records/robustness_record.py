@@ -9,9 +9,9 @@ import math
 from enum import Enum
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BeforeValidator
 
-from reports.records.record import Finite, ShareRecord
+from reports.records.record import Finite, Found, ShareRecord
 
 # How far first order and sampling may differ to be called the same.
 SAME = 0.1
@@ -32,11 +32,7 @@ _Word = Annotated[str, BeforeValidator(_text)]
 _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
-
-
-class CurveRecord(_Model):
+class CurveRecord(Found):
     """shares: at `scales` times all sizes; half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried."""
 
     scales: tuple[Finite, ...]
@@ -45,7 +41,7 @@ class CurveRecord(_Model):
     beyond: str
 
 
-class CheckedRecord(_Model):
+class CheckedRecord(Found):
     """How many worlds the reference was asked about too.
 
     differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end;
@@ -58,7 +54,7 @@ class CheckedRecord(_Model):
     by: str = "by the reference"
 
 
-class WayRecord(_Model):
+class WayRecord(Found):
     """Inputs alone, or with feedback; fails_by: metric or end of the motion -> worlds."""
 
     name: str
@@ -74,7 +70,7 @@ class WayRecord(_Model):
         return "; ".join(f"{name.replace('_', ' ')} in {count:,}" for name, count in counts)
 
 
-class PerturbationRecord(_Model):
+class PerturbationRecord(Found):
     """What may be otherwise, and by how much [unit]."""
 
     kind: _Word
@@ -85,7 +81,7 @@ class PerturbationRecord(_Model):
     reason: str
 
 
-class FailureRecord(_Model):
+class FailureRecord(Found):
     """The first failure along one perturbation, one way; sizes, predicted: in its sizes, None: none up to `tried`; amount [unit]."""
 
     cause: PerturbationRecord
@@ -118,7 +114,7 @@ class FailureRecord(_Model):
         return f"{self.predicted:.3g}; the response bends{'' if self.curved is None else f', by its curvature to {self.curved:.3g}'}"
 
 
-class RobustnessRecord(_Model):
+class RobustnessRecord(Found):
     """How much a plan can take; complete: False where the work was interrupted; followed: whether failures are those with feedback, because the plan holds only with it; shown: worlds whose motion is drawn, by number and largest share of a limit."""
 
     schema_version: int = 1

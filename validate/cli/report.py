@@ -48,7 +48,7 @@ def command(folder: Path, single_file: bool, engines: str | None, jobs: int | No
     try:
         stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
     except ReportError:
-        stored = Stored("", None, (), (), (), 0)
+        stored = Stored(None, ())
     if not (stored.campaign or stored.runs or stored.checks):
         campaign_of(folder)  # which says why there is none
     if engines is not None:

@@ -24,7 +24,7 @@ def ended(factory, scene: str, pipeline: str, verdict: str, outcome: str = "solv
 
 
 def section(*runs):
-    return overview.what_failed(Report(Stored("x", None, runs, (), (), 0)))
+    return overview.what_failed(Report(Stored(None, runs)))
 
 
 def words(text: str) -> str:
@@ -88,7 +88,7 @@ def test_what_was_asked_and_whether_all_of_it_is_there(factory):
     run = ended(factory, "bank", "a", "holds")
 
     def values(*runs, unreadable=(), missing=(), checks=()):
-        return overview.what_failed(Report(Stored("x", None, runs, unreadable, missing, 0, checks))).values
+        return overview.what_failed(Report(Stored(None, runs, unreadable, missing, 0, checks))).values
 
     check = CheckRecord(
         key="c", kind="FMU", name="n", expected="", outcome="answered", passed=False, found="it is wrong.", wall_seconds=1.0, cpu_seconds=1.0,

@@ -22,7 +22,7 @@ def ended(name: str, position: float | None, cost: float | None, verdict: str = 
 
 
 def report(*runs: RunRecord) -> Report:
-    return Report(Stored("x", None, runs, (), (), 0))
+    return Report(Stored(None, runs))
 
 
 def section(*runs: RunRecord) -> dict:

@@ -61,7 +61,7 @@ def ended(factory, scene: str, pipeline: str, verdict: str, cost: float | None =
 
 
 def section(*runs, folder: Path = Path()):
-    return overview.build(Report(Stored("x", None, runs, (), (), 0), folder))
+    return overview.build(Report(Stored(None, runs), folder))
 
 
 def cells(text: str) -> list[list[tuple[str, str, str]]]:

@@ -44,7 +44,7 @@ def _drawn(factory, folder, name: str, **changes) -> dict:
     stage = run.stages[-1].model_copy(update={"replay": None})
     run = run.model_copy(update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)})
     shown = film(run, [read_motion(folder, run, stage)])
-    return json.loads(shown.data)
+    return json.loads(shown.markup)
 
 
 @pytest.mark.parametrize("name", _ARROWS)
@@ -93,7 +93,7 @@ def test_frames_are_the_motion_in_grains_of_its_extent():
     plan = moved([1.0, 2.0, 3.0], [(0.0, 0.5, 0.0), (1.0, 0.5, 1.0), (2.0, 0.5, -1.0)], [(0.5, 0.1, 0.2)] * 3, (0.0, 5.0, 1.0))
     replay = moved([1.0, 3.0], [(0.2, 1.5, 0.0), (3.6, 0.5, 0.0)], None, (4.0, 0.0))
     shown = filmed(plan, replay)
-    data = json.loads(shown.data)
+    data = json.loads(shown.markup)
     assert (data["t"], data["push"], data["contacts"]) == ([1.0, 3.0, 151], pytest.approx(5e-3), ["left"])
     assert data["grain"] == pytest.approx([1e-3, 1e-3, 5e-4])
     times = 1.0 + 2.0 * np.arange(151) / 150
@@ -115,7 +115,7 @@ def test_a_film_says_what_it_shows():
     plan = moved([0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], force=(1.0, 2.0))
     shown = filmed(plan, None)
     assert not unsaid(shown.words, "three_cart … planned (dashed … replayed (filled) … (above: planned, below: replayed)")
-    data = json.loads(shown.data)
+    data = json.loads(shown.markup)
     assert (data["replay"], data["replay_force"]) == (None, None)
     stage = record_factory.run("strict", None, "strict_lcp").stages[0]
     tracked = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,))
@@ -138,17 +138,17 @@ def test_a_blow_shorter_than_a_frame_is_seen():
     """Frames are 1/75 s apart; the blow is one of 2001 samples, 4 ms after the frame at 1 s, which is nearest."""
     t, force = np.linspace(0.0, 2.0, 2001), np.zeros(2001)
     force[1004] = 7.0
-    data = json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=force), None).data)
+    data = json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=force), None).markup)
     told = np.cumsum(data["plan_force"][0])
     assert (int(told.argmax()), int(told.max()), int(np.count_nonzero(told))) == (75, 1000, 1)
     between = np.zeros(2001)
     between[1009] = 7.0
-    told = np.cumsum(json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=between), None).data)["plan_force"][0])
+    told = np.cumsum(json.loads(filmed(moved(t, np.column_stack([t, t, t]), force=between), None).markup)["plan_force"][0])
     assert int(told.argmax()) == 76
 
 
 def test_few_samples_of_a_force_are_joined_by_lines():
-    data = json.loads(filmed(moved([0.0, 1.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)], force=(0.0, 4.0)), None).data)
+    data = json.loads(filmed(moved([0.0, 1.0, 2.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)], force=(0.0, 4.0)), None).markup)
     told = np.cumsum(data["plan_force"][0])
     assert told[[0, 30, 75, 150]].tolist() == [0, 400, 1000, 1000]
 
@@ -185,11 +185,11 @@ def test_an_arrow_points_along_the_way_in_which_the_gap_opens(kind: str, end: fl
     scene = run.scene.model_copy(update={"shapes": shapes, "contacts": (ContactRecord(name="left", unit="N", bodies=("wall", "body")),)})
     trace = Trace(np.arange(float(n)), {"gap_left": gap}, {"wall": wall, "body": body})
     shown = film(run.model_copy(update={"scene": scene}), [Motion(plan=trace)])
-    (touch,) = json.loads(shown.data)["touches"]
+    (touch,) = json.loads(shown.markup)["touches"]
     assert touch == {"shapes": [1, 0], "ends": [end, 0.0], "turn": round(turn, 6)}
     assert not unsaid(shown.words, "as arrows, and as bars")
     off = Trace(trace.t, {"gap_left": gap + 0.004 * float(np.ptp(gap)) * np.sin(np.arange(n))}, trace.poses)
-    assert json.loads(film(run.model_copy(update={"scene": scene}), [Motion(plan=off)]).data)["touches"] == [None]
+    assert json.loads(film(run.model_copy(update={"scene": scene}), [Motion(plan=off)]).markup)["touches"] == [None]
 
 
 # The scale of a strip: 0.9 of a frame of 150 by 84.
@@ -214,20 +214,20 @@ def test_a_body_moves_evenly_through_six_frames(factory):
     assert found is not None
     # From -0.5 to 9.5: ten metres in 135 pixels, about the middle 4.5.
     scale = 0.9 * _WIDE / 10.0
-    moved = placed(found.svg)
+    moved = placed(found.markup)
     assert [x for x, _, _ in moved] == [pytest.approx(scale * (1.8 * place - 4.5), abs=0.051) for place in range(6)]
     assert [turn for _, _, turn in moved] == [pytest.approx(-18.0 * place, abs=0.051) for place in range(6)], (
         "up is up: turned against the page"
     )
-    assert re.findall(r">([\d.]+ s)<", found.svg) == ["0 s", "2 s", "4 s", "6 s", "8 s", "10 s"]
+    assert re.findall(r">([\d.]+ s)<", found.markup) == ["0 s", "2 s", "4 s", "6 s", "8 s", "10 s"]
     assert found.words == "6 moments of the plan, from 0 s to 10 s."
 
 
 def test_up_is_up_and_a_tall_motion_is_fitted_by_its_height(factory):
     found = drawn(factory, {"ball": ("disc", (1.0,))}, {"ball": [(0.0, 0.0, 0.0), (0.0, 8.0, 0.0)]})
     scale = 0.9 * _HIGH / 10.0
-    assert [y for _, y, _ in placed(found.svg)] == [pytest.approx(-scale * (1.6 * place - 4.0), abs=0.051) for place in range(6)]
-    assert found.svg.count(f'r="{scale:.1f}"') == 6
+    assert [y for _, y, _ in placed(found.markup)] == [pytest.approx(-scale * (1.6 * place - 4.0), abs=0.051) for place in range(6)]
+    assert found.markup.count(f'r="{scale:.1f}"') == 6
 
 
 @pytest.mark.parametrize(
@@ -236,14 +236,14 @@ def test_up_is_up_and_a_tall_motion_is_fitted_by_its_height(factory):
 )
 def test_each_kind_is_drawn_by_its_own_shape(factory, kind, size, mark):
     found = drawn(factory, {"it": (kind, size)}, {"it": [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]})
-    assert found.svg.count(mark) == 6
+    assert found.markup.count(mark) == 6
 
 
 def test_walls_do_not_set_the_scale(factory):
     poses = {"cart": [(0.0, 0.0, 0.0), (9.0, 0.0, 0.0)], "wall": [(500.0, 0.0, 0.0)] * 2}
     both = drawn(factory, {"cart": ("box", (1.0, 1.0)), "wall": ("wall", (1000.0,))}, poses)
     alone = drawn(factory, {"cart": ("box", (1.0, 1.0))}, {"cart": poses["cart"]})
-    assert placed(both.svg)[::2] == placed(alone.svg)
+    assert placed(both.markup)[::2] == placed(alone.markup)
 
 
 def test_without_bodies_or_time_there_is_none(factory):
@@ -257,4 +257,4 @@ def test_without_bodies_or_time_there_is_none(factory):
 
 def test_names_of_shapes_are_no_markup(factory):
     found = drawn(factory, {factory.HOSTILE: (factory.HOSTILE, (1.0,))}, {factory.HOSTILE: [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]})
-    assert "onerror" not in found.svg
+    assert "onerror" not in found.markup

@@ -49,7 +49,7 @@ def plan(
 
 
 def built(*runs: RunRecord) -> Any:
-    return robustness.build(Report(Stored("x", None, runs, (), (), 0), at="pages/"))
+    return robustness.build(Report(Stored(None, runs), at="pages/"))
 
 
 def test_conclusions_count_pairs_that_differ_by_more_than_chance():

@@ -17,7 +17,7 @@ from tests.reports.record_factory import judged, ran
 
 
 def report(*records: RunRecord, single: bool = False) -> Report:
-    return Report(Stored("x", None, records, (), (), 0), single=single)
+    return Report(Stored(None, records), single=single)
 
 
 def test_every_run_is_a_row_with_the_numbers_of_its_last_stage():

@@ -40,7 +40,7 @@ RECORD = SimulatorsRecord(
 
 
 def built(record: SimulatorsRecord | None, runs: tuple[RunRecord, ...] = RUNS) -> Any:
-    return simulators.build(Report(Stored("x", None, runs, (), (), 0, simulators=record), at="pages/"))
+    return simulators.build(Report(Stored(None, runs, (), (), 0, simulators=record), at="pages/"))
 
 
 def test_sentences_count_who_agrees_and_why_not():
@@ -77,7 +77,7 @@ def test_without_rows_of_these_runs_there_is_no_page(record: SimulatorsRecord | 
 
 def test_the_cheapest_that_holds_comes_first():
     runs = (run("one", 3.0), run("one", 1.0, "soft", "violates"), run("one", 2.0, "tracked", "holds with feedback"), run("two", 0.5))
-    stored = Stored("x", None, runs, (), (), 0)
+    stored = Stored(None, runs)
     assert [(item.pipeline, price) for item, price in stored.cheapest("one")] == [("tracked", 2.0), ("mpcc", 3.0)]
 
 

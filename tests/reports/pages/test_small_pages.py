@@ -21,7 +21,7 @@ def report(
     *records: RunRecord, checks: tuple[CheckRecord, ...] = (), single: bool = False, at: str = "pages/", **campaign: object
 ) -> Report:
     told = factory.campaign(list(records), **campaign) if campaign else None
-    return Report(Stored("x", told, records, (), (), 0, checks), at=at, single=single)
+    return Report(Stored(told, records, (), (), 0, checks), at=at, single=single)
 
 
 def start(number: int, kind: str, cost: float | None, *windows: tuple[str, int, int]) -> StartRecord:
@@ -319,15 +319,15 @@ def test_what_is_said_before_anything_else():
     from reports.pages.overview import notices
 
     lost = tuple(Unreadable(f"file {place}", why) for place, why in enumerate(("it is cut; see there.", "it is old.", "it is old.")))
-    none = Stored("x", None, (), (), (), 0)
+    none = Stored(None, ())
     assert [part in " ".join(notices(Report(none))) for part in ("own record is missing", "No run is stored here yet")] == [True, True]
-    told = Stored("x", factory.campaign([], quick=True), (ran("a"),), lost, ("gone",), 2)
+    told = Stored(factory.campaign([], quick=True), (ran("a"),), lost, ("gone",), 2)
     missing, unread, foreign, quick = notices(Report(told))
     assert not unsaid(missing, "1 run … no stored record yet")
     assert not unsaid(unread, "3 files could not be read: of 2 of them it is old.")
     assert not unsaid(foreign, "2 stored runs … another campaign")
     assert not unsaid(quick, "a quick campaign")
-    one = Stored("x", factory.campaign([]), (ran("a"),), lost[:1], ("gone", "lost"), 1)
+    one = Stored(factory.campaign([]), (ran("a"),), lost[:1], ("gone", "lost"), 1)
     missing, unread, foreign = notices(Report(one))
     assert not unsaid(missing, "2 runs … have no stored record yet")
     assert not unsaid(unread, "1 file could not be read: it is cut, see there.")

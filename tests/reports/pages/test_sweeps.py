@@ -82,7 +82,7 @@ def swept(name: str, k: float, verdict: str = "holds", **changes: object) -> Run
 
 
 def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
-    report = Report(Stored("x", None, (swept("a", 4.0), swept("a", 1.0, "violates"), swept("a", 2.0)), (), (), 0))
+    report = Report(Stored(None, (swept("a", 4.0), swept("a", 1.0, "violates"), swept("a", 2.0))))
     section = sweeps.build(report)
     assert (section.anchor, section.title, section.entries) == ("sweeps", "Sweeps", (("sweep-1", "k on hill"),))
     assert not unsaid(section.said, "1 sweep: k on hill")
@@ -106,9 +106,7 @@ def test_every_metric_of_a_sweep_is_drawn_in_its_unit():
     )
     assert (
         "a holds at no value of k."
-        in sweeps.build(Report(Stored("x", None, (swept("a", 4.0, "violates"), swept("a", 1.0, "violates")), (), (), 0)))
-        .values["sweeps"][0]
-        .words
+        in sweeps.build(Report(Stored(None, (swept("a", 4.0, "violates"), swept("a", 1.0, "violates"))))).values["sweeps"][0].words
     )
 
 
@@ -116,22 +114,16 @@ def test_where_the_last_state_is_in_the_cost_the_cost_itself_is_drawn():
     from reports.records.record import FINAL_COST, EquationRecord
 
     final = (EquationRecord(caption=FINAL_COST, mathml="<math/>"),)
-    (sweep,) = sweeps.build(Report(Stored("x", None, tuple(swept("a", k, equations=final) for k in (1.0, 2.0)), (), (), 0))).values[
-        "sweeps"
-    ]
+    (sweep,) = sweeps.build(Report(Stored(None, tuple(swept("a", k, equations=final) for k in (1.0, 2.0))))).values["sweeps"]
     assert (sweep.first[0].title, [mark.at for mark in drawn(sweep.first[0]).marks]) == ("Cost against k", [(1.0, 100.0), (2.0, 200.0)])
 
 
 def test_pipelines_side_by_side_are_curves_of_their_own():
-    found = sweeps.build(
-        Report(Stored("x", None, (swept("a", 1.0), swept("a", 2.0), swept("b", 1.0), swept("b", 2.0, "violates")), (), (), 0))
-    )
+    found = sweeps.build(Report(Stored(None, (swept("a", 1.0), swept("a", 2.0), swept("b", 1.0), swept("b", 2.0, "violates")))))
     (sweep,) = found.values["sweeps"]
     assert [key.words for key in sweep.keys] == ["a", "b"]
     assert sweep.words == "a holds at k = 1 N/m and 2 N/m; b holds at k = 1 N/m."
-    assert sweeps.build(Report(Stored("x", None, (swept("a", 1.0), swept("b", 2.0)), (), (), 0))) is None, (
-        "other pipelines, not one with other numbers"
-    )
+    assert sweeps.build(Report(Stored(None, (swept("a", 1.0), swept("b", 2.0))))) is None, "other pipelines, not one with other numbers"
 
 
 @pytest.mark.parametrize(
@@ -142,7 +134,7 @@ def test_pipelines_side_by_side_are_curves_of_their_own():
     ids=lambda other: next(iter(other)),
 )  # fmt: skip
 def test_scenes_of_other_equations_are_no_sweep(other: dict):
-    assert sweeps.build(Report(Stored("x", None, (swept("a", 1.0), swept("a", 2.0, **other)), (), (), 0))) is None
+    assert sweeps.build(Report(Stored(None, (swept("a", 1.0), swept("a", 2.0, **other))))) is None
 
 
 def series(name: str, x: tuple, y: tuple, line: bool = True) -> SeriesRecord:
@@ -160,7 +152,7 @@ def charted(*curves: SeriesRecord, log: tuple[bool, bool] = (False, False), **ch
         key="1", kind="stress case", name="07 a case", expected="", outcome="answered", passed=True, charts=(chart,), wall_seconds=1.0,
         cpu_seconds=1.0, provenance=factory.provenance(),
     )  # fmt: skip
-    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, (record,))))
+    section = checks.stress_cases(Report(Stored(None, (), (), (), 0, (record,))))
     (row,) = section.values["rows"]
     return row.plots[0]
 
@@ -227,7 +219,7 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         examined("10 later", passed=False, figures=figures), examined("02 early", found="it went well."), examined("003", outcome="time_limit", passed=False, message="late."),
         examined("00 zero", outcome="time_limit", passed=False), examined("x", kind="FMU"),
     )  # fmt: skip
-    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records)))
+    section = checks.stress_cases(Report(Stored(None, (), (), (), 0, records)))
     rows = section.values["rows"]
     assert [(row.number, row.title, row.anchor, row.sign.word, row.happened) for row in rows] == [
         ("00", "zero", "stress-case-00", "no answer", "It ended as time limit, without a word."), ("3", "003", "stress-case-003", "no answer", "late."),
@@ -238,8 +230,8 @@ def test_a_stress_case_is_a_row_with_its_decisive_figures():
         section.values["passed"], [row.number for row in section.values["failed"]], section.values["seconds"],
     ) == ("1 of 4 stress cases pass", ["00", "3", "10"], 6.0)  # fmt: skip
     assert section.said.startswith("1 of 4 stress cases pass: stiff, grazing")
-    assert checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
-    assert checks.stress_cases(Report(Stored("x", None, (), (), (), 0, records[4:]))) is None
+    assert checks.stress_cases(Report(Stored(None, (), (), (), 0, records[1:2]))).values["passed"] == "1 of 1 stress case passes"
+    assert checks.stress_cases(Report(Stored(None, (), (), (), 0, records[4:]))) is None
 
 
 def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
@@ -247,7 +239,7 @@ def test_figures_of_a_stress_case_are_shown_with_unit_limit_and_reason():
         figure("shown", None, limit=None), figure("good", True, at_least=True), figure("fine", True, unit="1", reason=""),
         figure("bad", False, value=None),
     )  # fmt: skip
-    section = checks.stress_cases(Report(Stored("x", None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
+    section = checks.stress_cases(Report(Stored(None, (), (), (), 0, (examined("10 later", passed=False, figures=figures),))))
     text = Templates().render(section.template, section=section, **section.values)
     first, second = (text[place:] for place in (text.index("Stress cases"), text.index("Metrics of case 10")))
 
@@ -283,7 +275,7 @@ def run(factory, name: str, where: SceneRecord, cost: float, verdict: str = "hol
 
 
 def found(*runs: RunRecord) -> list[sweeps.Sweep]:
-    section = sweeps.build(Report(Stored("x", None, runs, (), (), 0)))
+    section = sweeps.build(Report(Stored(None, runs)))
     return [] if section is None else section.values["sweeps"]
 
 
@@ -354,7 +346,7 @@ def test_runs_that_differ_in_more_than_numbers_are_no_sweep(factory):
 
 
 def test_metrics_are_drawn_against_eps_on_the_page_of_the_scene(factory, tmp_path):
-    report = Report(Stored("x", None, tuple(factory.runs()), (), (), 0), tmp_path)
+    report = Report(Stored(None, tuple(factory.runs())), tmp_path)
     section = sweeps.tightening(report, report.scenes[0])
     plots = {plot.title: plot for plot in section.values["against"]}
     off = plots["Replay terminal position error against ε"]

@@ -53,7 +53,7 @@ POSITION, GRID = "replay_terminal_position_error", "discrete_terminal_position_e
 
 
 def report(*runs: RunRecord) -> Report:
-    return Report(Stored("x", None, runs, (), (), 0))
+    return Report(Stored(None, runs))
 
 
 def said(*runs: RunRecord) -> list[str]:
@@ -260,7 +260,7 @@ def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = Fal
 
 def test_plans_are_drawn_from_the_loosest_to_the_tightest(tmp_path):
     run = relaxed(tmp_path, "one", {1e-3: 0.2, 1e-1: 0.4, 1e-5: 0.1}, paper=True)
-    told = Report(Stored("x", None, (run,), (), (), 0), tmp_path)
+    told = Report(Stored(None, (run,)), tmp_path)
     section = sweeps.tightening(told, told.scenes[0])
     assert (section.anchor, section.title, section.entries) == (
         "tightening-1", "Figs. 4–6: plans while ε is tightened", (("tightening-1-1", "Fig. 4: Softplus"),),
@@ -307,7 +307,7 @@ def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     (tmp_path / "runs" / "two" / "trajectory-1.nc").unlink(missing_ok=True)
     for path in (tmp_path / "runs" / "two").glob("*"):
         path.unlink()
-    told = Report(Stored("x", None, runs, (), (), 0), tmp_path)
+    told = Report(Stored(None, runs), tmp_path)
     section = sweeps.tightening(told, told.scenes[0])
     assert section.title == "Plans while ε is tightened"
     assert [entry[1] for entry in section.entries] == ["Softplus (one)", "Softplus (two)"]
@@ -321,5 +321,5 @@ def test_the_same_relaxation_with_other_options_is_another_sweep(tmp_path):
     assert [key.words for key in section.values["keys"]] == ["Softplus (one)", "Softplus (two)"]
     off = section.values["against"][0]
     assert drawn(off).lines["Softplus (two)"] == ("c1", [(1e-5, 0.15), (1e-3, 0.3)])
-    none = Report(Stored("x", None, runs[2:], (), (), 0), tmp_path)
+    none = Report(Stored(None, runs[2:]), tmp_path)
     assert sweeps.tightening(none, none.scenes[0]) is None

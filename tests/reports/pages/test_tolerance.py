@@ -22,7 +22,7 @@ def row(name: str, missed: float | None, cost: float | None, kind: str = "direct
 
 
 def view(*rows: RunRecord, points: tuple[FrontPointRecord, ...] = POINTS):
-    report = Report(Stored("x", None, (ran("front", cost=400.0, front=points), *rows), (), (), 0))
+    report = Report(Stored(None, (ran("front", cost=400.0, front=points), *rows)))
     section = pareto.within_tolerance(report, report.scenes[0])
     assert section.anchor == "tolerance-1"
     (found,) = section.values["views"]
@@ -94,5 +94,5 @@ def test_costs_that_span_more_than_twenty_are_logarithmic(price: float, log: boo
 def test_a_front_of_the_exact_goal_alone_has_an_edge():
     found = view(row("one", 1e-9, 400.0), points=POINTS[1:2])
     assert drawn(found.plot).marks[0].at == (2.5e-4, 400.0)
-    report = Report(Stored("x", None, (ran("none", cost=400.0, front=POINTS[3:]),), (), (), 0))
+    report = Report(Stored(None, (ran("none", cost=400.0, front=POINTS[3:]),)))
     assert pareto.within_tolerance(report, report.scenes[0]) is None

@@ -139,7 +139,7 @@ def test_without_its_campaign_a_folder_is_told_by_name(tmp_path: Path):
     stored = load(folder)
     assert [item.key for item in stored.runs] == ["3", "4", "5", "1"]
     assert [item.key for item in stored.checks] == ["fmu-a", "fmu-b", "stress-a"]
-    assert (stored.folder, stored.campaign, stored.missing, stored.foreign) == ("all", None, (), 0)
+    assert (stored.campaign, stored.missing, stored.foreign) == (None, (), 0)
     assert [[item.key for item in group] for group in stored.parts] == [["3"], ["4"], ["5"], ["1"]]
     (item,) = stored.unreadable
     assert (item.path, "not there" in item.sentence) == ("campaign.json", True)
@@ -155,7 +155,7 @@ def test_with_its_campaign_a_folder_is_told_in_its_order(tmp_path: Path):
     assert [item.key for item in stored.checks] == ["stress-h01"]
     assert stored.missing == ("lost",), "what is broken is not missing"
     assert stored.foreign == 2
-    assert (stored.folder, stored.campaign) == ("all", factory.campaign(runs, keys=keys))
+    assert stored.campaign == factory.campaign(runs, keys=keys)
     assert [group[0].key for group in stored.parts] == [runs[2].key, runs[0].key]
     assert [item.path for item in stored.unreadable] == [f"runs/{runs[1].key}/record.json"]
 

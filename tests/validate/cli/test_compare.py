@@ -25,7 +25,7 @@ def changed_last(run: RunRecord, **changes) -> RunRecord:
 
 
 def stored(runs: Sequence[RunRecord] = (), checks: Sequence[CheckRecord] = ()) -> Stored:
-    return Stored("all", None, tuple(runs), (), (), 0, tuple(checks))
+    return Stored(None, tuple(runs), checks=tuple(checks))
 
 
 def compared(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> Comparison:

@@ -111,6 +111,6 @@ def test_a_plan_that_is_gone_is_told_and_the_report_is_written(ran: Path, cli):
 
 def test_where_no_plan_holds_that_is_said(tmp_path: Path):
     said: list[str] = []
-    found = ask_simulators(tmp_path, Stored("x", None, (), (), (), 0), ("fmu",), said.append)
+    found = ask_simulators(tmp_path, Stored(None, ()), ("fmu",), said.append)
     assert (found.plans, len(said)) == ({}, 1)
     assert not unsaid(said[0], "no plan … holds … no simulator was asked")
