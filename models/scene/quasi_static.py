@@ -27,8 +27,8 @@ from models.scene.parts import Coordinate, Parameter
 LAG = 2e-5
 
 
-def relaxation_parameter(scene: str, symbol: object, value: float) -> Parameter:
-    """The relaxation time tau of the scene of that name, as its models have it.
+def relaxation_parameter(symbol: sp.Symbol, value: float) -> Parameter:
+    """The relaxation time tau of a scene, as its models have it.
 
     Parameters
     ----------
@@ -41,14 +41,7 @@ def relaxation_parameter(scene: str, symbol: object, value: float) -> Parameter:
     -------
     Parameter
         tau.
-
-    Raises
-    ------
-    SceneError
-        Unless symbol is a SymPy Symbol.
     """
-    if not isinstance(symbol, sp.Symbol):
-        raise SceneError(f"scene {scene}: relaxation_time must be a SymPy Symbol, not {type(symbol).__name__}.")
     return Parameter(
         symbol=symbol,
         value=value,

@@ -34,7 +34,7 @@ from models.scene.contacts import Contact, Friction
 from models.scene.functions import depths, named_expressions
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task
 from models.scene.quasi_static import LAG, check_quasi_static, relaxation_parameter
-from models.scene.values import as_expression, as_number, check_text, settle
+from models.scene.values import as_expression, as_number, check_symbol, check_text, settle
 
 # Words of C and of our own generated code; they and Python's may not name a quantity.
 _WORDS_OF_C = """
@@ -152,13 +152,11 @@ class Scene(Counted):
             self, "forces", tuple(as_expression(f"scene {self.name}: forces[{index}]", force) for index, force in enumerate(self.forces))
         )
         if self.relaxation_time is not None:
+            check_symbol(f"scene {self.name}: relaxation_time", self.relaxation_time)
             # It follows the task's step, whatever was changed.
             others = tuple(item for item in self.parameters if item.symbol != self.relaxation_time)
-            settle(
-                self,
-                "parameters",
-                (*others, relaxation_parameter(self.name, self.relaxation_time, self.task.step if self.lag is None else self.lag)),
-            )
+            tau = relaxation_parameter(self.relaxation_time, self.task.step if self.lag is None else self.lag)
+            settle(self, "parameters", (*others, tau))
         settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
