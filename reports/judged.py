@@ -12,6 +12,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 
 from reports.records.check_record import CheckRecord
 from reports.records.record import FEEDBACK, HOLD, TRACKED, MetricRecord, RunRecord, SceneRecord, StageRecord
@@ -240,12 +241,10 @@ def again(record: RunRecord | CheckRecord) -> str:
 def _kept(words: list[str]) -> list[str]:
     """Of the words of a campaign's command those that say which runs there are: the options above and the campaign's file."""
     kept: list[str] = []
-    place = 0
-    while place < len(words):
-        word = words[place]
-        width = 2 if word in _WITH_A_WORD else 1
+    rest = iter(words)
+    for word in rest:
+        taken = [word, *islice(rest, 1 if word in _WITH_A_WORD else 0)]
         # What belongs to no option is the campaign's file, whatever it is called.
         if word in _KEPT or word.startswith(tuple(f"{option}=" for option in _KEPT)) or not word.startswith("-"):
-            kept += words[place : place + width]
-        place += width
+            kept += taken
     return kept

@@ -76,16 +76,14 @@ class Axis:
         axis : Axis
         """
         smallest = 1 / _LARGEST if log else -_LARGEST
-        if isinstance(values, np.ndarray) and len(values) and smallest <= values.min() and values.max() <= _LARGEST:
-            values = (float(values.min()), float(values.max()))
-        usable = [value for value in values if smallest <= value <= _LARGEST]
+        array = np.fromiter(values, np.float64)
+        usable = array[(smallest <= array) & (array <= _LARGEST)]
+        if zero and not log:
+            usable = np.append(usable, 0.0)
+        low, high = (float(usable.min()), float(usable.max())) if len(usable) else (1e-3 if log else 0.0, 1.0)
         if log:
-            low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
             room = max(0.12, margin * (math.log10(high) - math.log10(low)))
             return Axis(quantity, unit, low * 10**-room, high * 10**room, True)
-        if zero:
-            usable.append(0.0)
-        low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
         if zero and low == high == 0:
             high = 1.0
         if high - low <= max(1e-12 * max(abs(low), abs(high)), 1 / _LARGEST):
