@@ -79,7 +79,7 @@ class Row:
 
 
 def known_cost(scene: SceneRecord) -> tuple[str, float] | None:
-    """Name and value of the best known cost of an exact plan; None where there is none."""
+    """Name and value of the known answer that is a cost; None where there is none."""
     return next(((item.name, item.value) for item in scene.answers if "cost" in item.name and item.value is not None), None)
 
 

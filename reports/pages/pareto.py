@@ -269,7 +269,7 @@ def _against_cost(scene: SceneRecord, name: str, title: str, quantity: str, poin
     y_axis = _costs([price for _, price, _ in points] + ([known[1]] if known else []))
     plot = _scatter(title, x_axis, y_axis, points, front, "front: no stage is both cheaper and closer", tip)
     if known:
-        plot.level(known[1], f"best known cost of an exact plan: {cost(known[1])}")
+        plot.level(known[1], f"{known[0]}: {cost(known[1])}")
     steps = [f"{row.label} (cost {cost(price)} at {error(row.metric(name))})" for _, price, row in front]
     plot.words = f"{count(len(points), 'stage')}; on the front, from the smallest error: {listing(steps)}."
     return plot
