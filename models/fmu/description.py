@@ -231,17 +231,6 @@ class Unknown:
     kinds: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Offers:
-    """What an FMU offers beside Co-Simulation with saved states: Model Exchange; derivatives of unknowns, adjoint ones; inputs that slope; events and updates."""
-
-    exchange: bool = True
-    derivatives: bool = True
-    adjoints: bool = True
-    slopes: bool = True
-    events: bool = True
-
-
 def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]]:
     """Section of the ModelStructure -> its unknowns.
 
@@ -257,7 +246,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
         rows = {number[name]: kind for name, kind in depends[variable.name].items() if initially or name not in left_out}
         # A factor that is a fixed parameter is itself a known during initialization, hence plainly dependent.
         kinds = [Dependency.DEPENDENT if initially and kind is Dependency.FIXED else kind for kind in rows.values()]
-        return Unknown(number[variable.name], tuple(rows), tuple(kind.value for kind in kinds))
+        return Unknown(number[variable.name], tuple(rows), tuple(kinds))
 
     indicators = (VariableKind.GAP, VariableKind.RESERVE, VariableKind.PRESSING)
     return {
@@ -278,7 +267,8 @@ def stamped(
 ) -> tuple[str, str]:
     """C configuration and model description, which carry the GUID, a hash of all content.
 
-    content: all other texts by their names; config: GUID -> C configuration; shared: what else the template of the model description needs.
+    content: all other texts by their names; config: GUID -> C configuration; shared: what else the template of the model description needs, exchange: whether
+    there is Model Exchange, and events: whether there are events, adjoint derivatives and inputs that slope.
     """
     numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
     state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in _RATES}
@@ -305,8 +295,8 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> di
         "friction_nominals": friction_nominals(scene),
     }  # fmt: skip
     header, xml = stamped(
-        sources, standard, lambda guid: render("model_config.h.j2", guid=guid, **of_config, **shared), title=scene.title, license="MIT", offers=Offers(),
-        stop=scene.task.horizon, step=scene.task.step, tolerance=TOLERANCE, structure=model_structure(scene, standard), **shared,
+        sources, standard, lambda guid: render("model_config.h.j2", guid=guid, **of_config, **shared), title=scene.title, license="MIT",
+        exchange=True, events=True, stop=scene.task.horizon, step=scene.task.step, tolerance=TOLERANCE, structure=model_structure(scene, standard), **shared,
     )  # fmt: skip
     return {
         "modelDescription.xml": xml,

@@ -95,53 +95,17 @@ class Equations:
             "dissipated_power": (d.function([d.dissipated_power], d.q, d.v), "qv"),
         }
 
-    def _at(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone: the mass matrix, J, S, penetrations and so on. Raises nothing."""
+    def at(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """What depends on the state x (2*nq,) [m, rad, m/s, rad/s] alone, by name.
+
+        mass, jacobian, direction: the matrices M, J and S; phi (nc,) penetrations [m]; push (nc,) forces of closed contacts [N]; slip (nf,) [m/s]; slip_rate
+        (nf,) [m/s^2]; share: what each damped contact would push with if it is closed, as a share of a typical push [-]. Raises nothing.
+        """
         key = x.tobytes()
         if key != self._last[0]:
             values = self._all(x[: self.n], x[self.n :])
             self._last = key, {name: values[first:last].reshape(shape) for name, first, last, shape in self._places}
         return self._last[1]
-
-    def penetration(self, x: np.ndarray) -> np.ndarray:
-        """Penetrations of all contacts.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-
-        Returns
-        -------
-        np.ndarray
-            phi (nc,) [m].
-
-        Raises
-        ------
-        ValueError
-            For a state of another length.
-        """
-        return self._at(x)["phi"]
-
-    def slip(self, x: np.ndarray) -> np.ndarray:
-        """Slip speeds of all frictions.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-
-        Returns
-        -------
-        np.ndarray
-            s (nf,) [m/s].
-
-        Raises
-        ------
-        ValueError
-            For a state of another length.
-        """
-        return self._at(x)["slip"]
 
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
         """The modes of all contacts and frictions: on its boundary a contact is closed if it is closing; a friction slips one way or sticks.
@@ -165,7 +129,7 @@ class Equations:
         """
         closed = self.closed(x, u)
         pushes = self.pushes(x, u, closed)
-        slip = self.slip(x)
+        slip = self.at(x)["slip"]
         limit = self.limit(x, pushes)
         decided = np.abs(slip) > self._slip_band
         ways = [[0, 1, -1] if pressed else [1, -1] for pressed in limit > 0]  # what nothing presses does not stick
@@ -173,7 +137,7 @@ class Equations:
         for slips in product(*choices):
             modes = Modes(closed, pushes, np.array(slips, dtype=int))
             acceleration, force = self.motion(x, u, modes)
-            change = self._at(x)["slip_rate"] + self._at(x)["direction"] @ acceleration
+            change = self.at(x)["slip_rate"] + self.at(x)["direction"] @ acceleration
             holds = np.abs(force) <= limit * (1 + _BOUNDARY / 2)  # less than what ends sticking: whoever has just left does not stick
             if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
                 return modes
@@ -199,10 +163,10 @@ class Equations:
         LinAlgError
             Where the mass matrix is singular.
         """
-        phi = self.penetration(x)
+        phi = self.at(x)["phi"]
         if not phi.size:
             return phi > 0
-        jacobian, at_boundary = self._at(x)["jacobian"], np.abs(phi) <= self._band
+        jacobian, at_boundary = self.at(x)["jacobian"], np.abs(phi) <= self._band
         rate = -jacobian @ x[self.n :]
         if np.any(at_boundary & (rate == 0)):
             inside = phi > self._band
@@ -234,34 +198,12 @@ class Equations:
         """
         result = closed.copy()
         for row, contact in enumerate(self.scene.damped):
-            share = self.share_pressing(x, row)
+            share = self.at(x)["share"][row]
             if closed[contact] and share <= _BOUNDARY:
                 free = Modes(closed, closed, np.ones(len(self._slip_band), dtype=int))
                 by_q, by_v = (slope(x[: self.n], x[self.n :])[row] for slope in self._share_slopes)
                 result[contact] = share >= -_BOUNDARY and by_q @ x[self.n :] + by_v @ self.motion(x, u, free)[0] > 0
         return result
-
-    def share_pressing(self, x: np.ndarray, row: int) -> float:
-        """What a damped contact would push with if it is closed, as the FMU gives it.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        row
-            Its place among the damped contacts.
-
-        Returns
-        -------
-        float
-            The push as a share of a typical one [-].
-
-        Raises
-        ------
-        ValueError
-            For a state of another length.
-        """
-        return float(self._at(x)["share"][row])
 
     def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
         """The largest friction forces, mu N.
@@ -305,8 +247,8 @@ class Equations:
         ValueError
             For a state of another length.
         """
-        push, damped = self.stiffness * self._at(x)["phi"], list(self.scene.damped)
-        push[damped] = self._at(x)["push"][damped]
+        push, damped = self.stiffness * self.at(x)["phi"], list(self.scene.damped)
+        push[damped] = self.at(x)["push"][damped]
         return np.where(pushes, push, 0.0)
 
     def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
@@ -333,7 +275,7 @@ class Equations:
         LinAlgError
             Where the mass matrix is singular.
         """
-        now, n = self._at(x), self.n
+        now, n = self.at(x), self.n
         lam = self.contact_force(x, modes.pushes)
         friction = -modes.slips * self._limit(x[:n], lam)
         force = self._tau(x[:n], x[n:], u) + now["jacobian"].T @ lam + now["direction"].T @ friction
@@ -391,35 +333,8 @@ class Equations:
             Where the mass matrix is singular.
         """
         if modes.slips[index]:
-            return float(modes.slips[index] * self.slip(x)[index])
+            return float(modes.slips[index] * self.at(x)["slip"][index])
         return float(self.limit(x, modes.pushes)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
-
-    def share(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
-        """The reserve over the nominal slip or friction force, as the FMU gives it.
-
-        Parameters
-        ----------
-        x
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (nu,) [N, N m].
-        modes
-            Which contacts are closed and push, and which way frictions slip.
-        index
-            Its place among the frictions.
-
-        Returns
-        -------
-        float
-            The share [-].
-
-        Raises
-        ------
-        LinAlgError
-            Where the mass matrix is singular.
-        """
-        nominal = self.scene.frictions[index].nominal if modes.slips[index] else friction_nominals(self.scene)[index]
-        return self.reserve(x, u, modes, index) / nominal
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
         """What the FMU gives besides positions and velocities, by the FMU's names.
@@ -441,20 +356,21 @@ class Equations:
         LinAlgError
             Where the mass matrix is singular.
         """
-        phi, modes = self.penetration(x), self.modes(x, u)
+        phi, modes = self.at(x)["phi"], self.modes(x, u)
         spring = self.stiffness * np.maximum(phi, 0.0)
         lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
         parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
         values = {contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)}
-        rate = -self._at(x)["jacobian"] @ x[self.n :]
+        rate = -self.at(x)["jacobian"] @ x[self.n :]
         for row, contact in enumerate(self.scene.damped):
-            values[self.scene.contacts[contact].pressing_name] = self.share_pressing(x, row) if phi[contact] > 0 else 1.0
-        friction, slip = self.motion(x, u, modes)[1], self.slip(x)
+            values[self.scene.contacts[contact].pressing_name] = float(self.at(x)["share"][row]) if phi[contact] > 0 else 1.0
+        friction, slip = self.motion(x, u, modes)[1], self.at(x)["slip"]
         values |= {item.force_name: friction[index] for index, item in enumerate(self.scene.frictions)}
         values |= {item.slip_name: slip[index] for index, item in enumerate(self.scene.frictions)}
         values |= {contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)}
         values |= {name: function(*(parts[letter] for letter in letters)).item() for name, (function, letters) in self._energies.items()}
-        values |= {f"reserve_{item.name}": self.share(x, u, modes, index) for index, item in enumerate(self.scene.frictions)}
+        for index, (item, force) in enumerate(zip(self.scene.frictions, friction_nominals(self.scene), strict=True)):
+            values[f"reserve_{item.name}"] = self.reserve(x, u, modes, index) / (item.nominal if modes.slips[index] else force)
         values["dissipated_power"] -= float(friction @ slip)
         values["dissipated_power"] += sum(float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped)
         return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
@@ -561,13 +477,13 @@ def _leaving(equations: Equations, modes: Modes, u: np.ndarray) -> list[Callable
     """Event functions that fall through zero where a contact or a friction leaves its mode."""
 
     def contact(index: int, sign: float) -> Callable[[float, np.ndarray], float]:
-        return lambda _, y: float(sign * equations.penetration(y)[index])
+        return lambda _, y: float(sign * equations.at(y)["phi"][index])
 
     def friction(index: int) -> Callable[[float, np.ndarray], float]:
         return lambda _, y: equations.reserve(y, u, modes, index)
 
     def pressing(row: int, sign: float) -> Callable[[float, np.ndarray], float]:
-        return lambda _, y: sign * equations.share_pressing(y, row)
+        return lambda _, y: float(sign * equations.at(y)["share"][row])
 
     events = [contact(index, 1.0 if mode else -1.0) for index, mode in enumerate(modes.closed)]
     damped = enumerate(equations.scene.damped)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from enum import Enum
+from enum import StrEnum
 
 import sympy as sp
 
@@ -21,7 +21,7 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _CLEARLY = 1e-6  # relative: far above what rounding makes of terms that cancel
 
 
-class Dependency(Enum):
+class Dependency(StrEnum):
     """How an unknown depends on a known, in the words of FMI."""
 
     DEPENDENT = "dependent"
@@ -34,9 +34,7 @@ def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
 
     Differentiating the energies of a large scene for it takes seconds: it is cached, as the generated C is.
     """
-    found = json.loads(
-        cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene), default=lambda kind: kind.value))
-    )
+    found = json.loads(cached_text(scene, "structure.json", lambda: json.dumps(derived_dependencies(scene))))
     return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in found.items()}
 
 

@@ -212,16 +212,11 @@ def _given(kind: VariableKind, items: Sequence[Input | Parameter], starts: Seque
     )
 
 
-def _calculated(kind: VariableKind, unit: str, rows: Iterable[tuple[str, float, str]], first: int = 0) -> list[Variable]:
-    """Variables of a kind and unit, each of a name, a nominal and words, numbered from `first`."""
-    return numbered(kind, [(name, unit, text, nominal) for name, nominal, text in rows], first, then=["nominal"])
-
-
 def _contacts(scene: Scene) -> list[Variable]:
     rows = [(item, float(item.stiffness.subs(scene.parameter_values)), item.description or item.name) for item in scene.contacts]
-    forces = ((item.force_name, stiffness * item.nominal, f"contact force, {what}") for item, stiffness, what in rows)
-    gaps = ((item.gap_name, item.nominal, f"gap, negative in contact, {what}") for item, _, what in rows)
-    return [*_calculated(VariableKind.FORCE, "N", forces), *_calculated(VariableKind.GAP, "m", gaps)]
+    forces = ((item.force_name, "N", f"contact force, {what}", stiffness * item.nominal) for item, stiffness, what in rows)
+    gaps = ((item.gap_name, "m", f"gap, negative in contact, {what}", item.nominal) for item, _, what in rows)
+    return [*numbered(VariableKind.FORCE, forces, then=["nominal"]), *numbered(VariableKind.GAP, gaps, then=["nominal"])]
 
 
 def friction_nominals(scene: Scene) -> list[float]:
@@ -238,41 +233,32 @@ def friction_nominals(scene: Scene) -> list[float]:
 def _frictions(scene: Scene) -> list[Variable]:
     """And of each damped contact whether it presses: in the rows of forces these stand behind the frictions."""
     rows = [(item, item.description or item.name, nominal) for item, nominal in zip(scene.frictions, friction_nominals(scene), strict=True)]
-    forces = ((item.force_name, nominal, f"friction force, {what}") for item, what, nominal in rows)
-    slips = ((item.slip_name, item.nominal, f"slip speed, {what}") for item, what, _ in rows)
+    forces = ((item.force_name, "N", f"friction force, {what}", nominal) for item, what, nominal in rows)
+    slips = ((item.slip_name, "m/s", f"slip speed, {what}", item.nominal) for item, what, _ in rows)
     change = "to the next change between slipping and sticking, {}: slip over {:g} m/s, or mu N - |f| over {:g} N"
-    reserves = ((f"reserve_{item.name}", 1.0, change.format(what, item.nominal, nominal)) for item, what, nominal in rows)
-    share, damped = (
-        "what pushes while the contact is closed, as a share: below 0 it is released, {}",
-        [scene.contacts[i] for i in scene.damped],
-    )
-    pressing = ((item.pressing_name, 1.0, share.format(item.description or item.name)) for item in damped)
-    return [
-        *_calculated(VariableKind.FORCE, "N", forces, scene.nc),
-        *_calculated(VariableKind.SLIP, "m/s", slips),
-        *_calculated(VariableKind.RESERVE, "1", reserves),
-        *_calculated(VariableKind.PRESSING, "1", pressing, scene.nl),
-    ]
+    reserves = ((f"reserve_{item.name}", "1", change.format(what, item.nominal, nominal), 1.0) for item, what, nominal in rows)
+    share = "what pushes while the contact is closed, as a share: below 0 it is released, {}"
+    damped = [scene.contacts[index] for index in scene.damped]
+    pressing = ((item.pressing_name, "1", share.format(item.description or item.name), 1.0) for item in damped)
+    kinds = VariableKind
+    groups = ((kinds.FORCE, forces, scene.nc), (kinds.SLIP, slips, 0), (kinds.RESERVE, reserves, 0), (kinds.PRESSING, pressing, scene.nl))
+    return [variable for kind, group, first in groups for variable in numbered(kind, group, first, then=["nominal"])]
 
 
 def _energies(scene: Scene) -> list[Variable]:
     """Energies and powers the scene has: no contact energy without contacts, no input power without inputs, and so on."""
     dynamics = derive(scene)
-    parts = [f"{what} and by " for what, present in (("friction", scene.nf), ("the damping of contacts", scene.damped)) if present]
+    taken = "friction and by " * bool(scene.nf) + "the damping of contacts and by " * bool(scene.damped)
     rows = (
-        ("kinetic_energy", VariableKind.KINETIC_ENERGY, "J", "kinetic energy", True),
-        ("potential_energy", VariableKind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
-        ("contact_energy", VariableKind.CONTACT_ENERGY, "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
-        ("input_power", VariableKind.INPUT_POWER, "W", "power put in by the inputs", dynamics.input_power != 0),
-        (
-            "dissipated_power",
-            VariableKind.DISSIPATED_POWER,
-            "W",
-            f"power taken out by {''.join(parts)}forces that remain without inputs",
-            dynamics.dissipated_power != 0 or bool(parts),
-        ),
+        ("kinetic_energy", "J", "kinetic energy", True),
+        ("potential_energy", "J", "potential energy without contacts", dynamics.potential_energy != 0),
+        ("contact_energy", "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
+        ("input_power", "W", "power put in by the inputs", dynamics.input_power != 0),
+        ("dissipated_power", "W", f"power taken out by {taken}forces that remain without inputs", dynamics.dissipated_power != 0 or taken),
     )
-    return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]
+    return [
+        Variable(name=name, kind=VariableKind[name.upper()], unit=unit, description=text) for name, unit, text, present in rows if present
+    ]
 
 
 def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:

@@ -17,7 +17,7 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from models.fmu.description import Offers, Standard, Unknown, find_standard, render, stamped, standard_headers
+from models.fmu.description import Standard, Unknown, find_standard, render, stamped, standard_headers
 from models.fmu.mjcf.robot import FARTHEST, INTEGRATORS, Robot, RobotError, mujoco
 from models.fmu.package import belongs, binaries, find_platforms, pack
 from models.fmu.variables import VariableKind
@@ -96,7 +96,7 @@ def _texts(robot: Robot, standard: Standard, shipped: dict[str, bytes]) -> tuple
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
     shared = {
         "identifier": robot.identifier, "title": f"{robot.path.name} in MuJoCo {package.__version__}", "integrators": INTEGRATORS,
-        "offers": Offers(exchange=robot.no_exchange is None, adjoints=False, slopes=False, events=False), "table": table,
+        "exchange": robot.no_exchange is None, "events": False, "table": table,
     }  # fmt: skip
     of_robot = {
         "robot": robot, "model": model, "mujoco": package.__version__, "farthest": FARTHEST,
