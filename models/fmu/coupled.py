@@ -23,6 +23,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import sympy as sp
 
@@ -30,7 +31,7 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
-from models.fmu.description import find_standard, generation_date, render, standard_headers, unit_table
+from models.fmu.description import Unknown, find_standard, generation_date, render, standard_headers, unit_table
 from models.fmu.package import binaries, build_fmu, find_platforms, icons, pack, platform_compiler
 from models.fmu.variables import Variable, VariableKind, numbered, parameter_variables, variable_table
 from models.scene import Coordinate, Input, Parameter, Scene, Task
@@ -55,8 +56,7 @@ class ContactPart:
         return f"{self.contact.force_name}_{coordinate.name}"
 
 
-@dataclass(frozen=True)
-class Connection:
+class Connection(NamedTuple):
     """An output of one part that is an input of another, by their names."""
 
     source: str
@@ -67,13 +67,12 @@ class Connection:
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """bodies: scenes without contacts; connections: between parts; external: (input of the scene, part that takes it)."""
+    """bodies: scenes without contacts; connections: between parts."""
 
     scene: Scene
     bodies: tuple[Scene, ...]
     contacts: tuple[ContactPart, ...]
     connections: tuple[Connection, ...]
-    external: tuple[tuple[str, str], ...]
 
 
 def force_unit(coordinate: Coordinate) -> str:
@@ -104,13 +103,7 @@ def split(scene: Scene) -> Parts:
         raise SceneError(
             f"scene {scene.name}: a body and a contact would both be called {twice}; rename the contact, which has the name of a coordinate."
         )
-    return Parts(
-        scene=scene,
-        bodies=bodies,
-        contacts=contacts,
-        connections=tuple(_connections(bodies, contacts)),
-        external=tuple((item.name, body.name) for item in scene.inputs for body in bodies if item in body.inputs),
-    )
+    return Parts(scene=scene, bodies=bodies, contacts=contacts, connections=tuple(_connections(bodies, contacts)))
 
 
 def _blocks(d: Dynamics) -> list[tuple[int, ...]]:
@@ -201,8 +194,10 @@ def contact_table(part: ContactPart) -> tuple[Variable, ...]:
     )
 
 
-def build_contact(part: ContactPart) -> Path:
-    """The FMU file, found in the cache or built there. Raises SceneError for names an FMU cannot carry, MachineError without a compiler."""
+def build_part(part: Scene | ContactPart) -> Path:
+    """The FMU of a body or of a contact (FMI 2.0), found in the cache or built there. Raises as build_fmu."""
+    if isinstance(part, Scene):
+        return build_fmu(part)
     if not part.name.isascii():
         raise SceneError(f"contact {part.name}: an FMU needs a name of ASCII letters, digits and _; rename the scene or the contact.")
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(())}
@@ -222,20 +217,14 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
     standard = find_standard("2.0")
     table = contact_table(part)
     shared = {
-        "identifier": part.name,
+        "part": part,
         "title": f"Contact {part.contact.description or part.contact.name}",
         "table": table,
         "units": unit_table(table),
         "unknowns": _unknowns(part, table),
         "date": generation_date(),
-        "step": part.step,
-        "horizon": part.horizon,
-        "inputs": _inputs(part),
-        "parameters": parameter_variables(part.parameters),
-        "outputs": _outputs(part),
+        "given": [variable for variable in table if variable.causality in ("input", "parameter")],
         "functions": _functions(part),
-        "penetration": str(part.contact.penetration),
-        "stiffness": str(part.contact.stiffness),
     }
     code = Path(__file__).with_name("coupled.c").read_text(encoding="utf-8")
 
@@ -311,27 +300,18 @@ def _functions(part: ContactPart) -> str:
     )
 
 
-def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[dict[str, object]]]:
+def _unknowns(part: ContactPart, table: tuple[Variable, ...]) -> dict[str, list[Unknown]]:
     """Sections of the ModelStructure: parameters are knowns during initialization only."""
     symbols, y = _symbols(part), _expressions(part, sp.S.One)
-    inputs = 2 * len(part.coordinates)
-    first = len(table) - len(y)
 
-    def rows(knowns: list[sp.Symbol]) -> list[dict[str, object]]:
-        return [
-            {"index": first + place + 1, "dependencies": [i + 2 for i, symbol in enumerate(knowns) if symbol in y[place].free_symbols]}
-            for place in range(len(y))
-        ]
+    def rows(knowns: list[sp.Symbol]) -> list[Unknown]:
+        used = (tuple(place for place, symbol in enumerate(knowns, 2) if symbol in entry.free_symbols) for entry in y)
+        return [Unknown(place, places) for place, places in enumerate(used, len(table) - len(y) + 1)]
 
-    return {"Outputs": rows(symbols[:inputs]), "InitialUnknowns": rows(symbols)}
+    return {"Outputs": rows(symbols[: 2 * len(part.coordinates)]), "InitialUnknowns": rows(symbols)}
 
 
 STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
-
-
-def build_part(part: Scene | ContactPart) -> Path:
-    """The FMU of a body or of a contact (FMI 2.0). Raises as build_fmu."""
-    return build_contact(part) if isinstance(part, ContactPart) else build_fmu(part)
 
 
 def build_ssp(scene: Scene) -> Path:
@@ -348,8 +328,7 @@ def system_structure(parts: Parts, border: bool = True) -> str:
     components = {part.name: _connectors(variable_table(part)) for part in parts.bodies}
     components |= {part.name: _connectors(contact_table(part)) for part in parts.contacts}
     system = _connectors(variable_table(parts.scene))
-    inside = [(item.source, item.output, item.target, item.input) for item in parts.connections]
-    inputs = [("", name, body, name) for name, body in parts.external]
+    inputs = [("", item.name, body.name, item.name) for item in parts.scene.inputs for body in parts.bodies if item in body.inputs]
     homes = {variable.name: name for name, connectors in components.items() for variable in connectors if variable.causality == "output"}
     # Energies are sums over the parts: what the system gives is what one part has under the same name.
     given = [variable for variable in system if variable.causality == "input" or (variable.name in homes and "energy" not in variable.name)]
@@ -361,7 +340,7 @@ def system_structure(parts: Parts, border: bool = True) -> str:
         date=generation_date(),
         connectors=given if border else [],
         components=components,
-        connections=[*inputs, *inside, *outputs] if border else inside,
+        connections=[*inputs, *parts.connections, *outputs] if border else parts.connections,
         units=unit_table(variable for connectors in components.values() for variable in connectors),
     )
 
