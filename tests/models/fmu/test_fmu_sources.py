@@ -215,7 +215,6 @@ def test_three_carts_are_three_bodies_and_two_contacts():
         ["u3", "lam_right_q3"],
     ]
     assert [part.name for part in parts.contacts] == ["three_cart_left", "three_cart_right"]
-    assert parts.external == (("u1", "three_cart_q1"), ("u3", "three_cart_q3"))
     assert len(parts.connections) == 12
 
 
