@@ -25,18 +25,9 @@ from xml.parsers import expat
 
 from models.errors import MachineError, TouchstoneError
 
-
-@dataclass(frozen=True, kw_only=True)
-class ArchiveLimits:
-    """Bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text."""
-
-    unpacked: int = 2 * 1024**3
-    entries: int = 20_000
-    ratio: float = 100.0
-    ratio_matters_from: int = 32 * 1024**2
-    xml: int = 64 * 1024**2
-
-
+# What is let in: bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text.
+MOST_UNPACKED, MOST_ENTRIES, MOST_XML = 2 * 1024**3, 20_000, 64 * 1024**2
+MOST_RATIO, RATIO_MATTERS_FROM = 100.0, 32 * 1024**2
 _ROOT = "fmiModelDescription"
 _KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 
@@ -88,17 +79,8 @@ _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
-@dataclass(frozen=True)
-class Problem:
-    """check: a word from a closed list (`CHECKS`); sentence: what is wrong and what was expected."""
-
-    check: str
-    sentence: str
-
-
-# Those that are not about what is inside; then all.
+# Those that are not about what is inside; others are zip, description, version, kind, scheduled, identifier and binary.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
-CHECKS = ("zip", *ARCHIVE_CHECKS, "description", "version", "kind", "scheduled", "identifier", "binary")
 
 
 class FmuError(TouchstoneError):
@@ -106,42 +88,40 @@ class FmuError(TouchstoneError):
 
 
 class ArchiveError(FmuError):
-    """An FMU file that is not accepted; `check` says which check it failed."""
+    """A problem of an FMU file, for which it is not accepted: what is wrong and what was expected; `check` says which check it failed."""
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.sentence)
-        self.check = problem.check
+    def __init__(self, check: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.check = check
 
 
 @dataclass(frozen=True, kw_only=True)
 class FmuArchive:
     """An FMU file that was accepted.
 
-    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this platform; platforms: folders with
-    binaries; digest: SHA-256 of the file; unpacked [bytes].
+    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this platform; digest: SHA-256 of the file;
+    unpacked [bytes].
     """
 
     path: Path
     digest: str
     version: str
     kinds: dict[str, dict[str, str]]
-    platforms: tuple[str, ...]
-    entries: int
     unpacked: int
 
 
-def check_archive(path: Path, limits: ArchiveLimits | None = None, *, but_for: Sequence[str] = ()) -> FmuArchive:
+def check_archive(path: Path, *, but_for: Sequence[str] = ()) -> FmuArchive:
     """See the module docstring. but_for: checks that need not hold. Raises ArchiveError with the first problem, MachineError if the file cannot be read."""
-    check = _ArchiveCheck(path, limits or ArchiveLimits())
+    check = _ArchiveCheck(path)
     for problem in check.problems():
         if problem.check not in but_for:
-            raise ArchiveError(problem)
+            raise problem
     return check.archive()
 
 
-def problems(path: Path, limits: ArchiveLimits | None = None) -> tuple[Problem, ...]:
+def problems(path: Path) -> tuple[ArchiveError, ...]:
     """All problems that can be found: what makes the rest unreadable comes last."""
-    return tuple(_ArchiveCheck(path, limits or ArchiveLimits()).problems())
+    return tuple(_ArchiveCheck(path).problems())
 
 
 def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
@@ -149,11 +129,11 @@ def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -
     try:
         with zipfile.ZipFile(archive.path) as packed:
             if sum(item.file_size for item in packed.infolist()) != archive.unpacked:
-                raise ArchiveError(Problem("zip", f"FMU {archive.path}: the file changed while it was read; try again."))
+                raise ArchiveError("zip", f"FMU {archive.path}: the file changed while it was read; try again.")
             members = [item for item in packed.infolist() if not item.filename.startswith(leave_out)]
             packed.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
     except (zipfile.BadZipFile, *_DAMAGED) as error:
-        raise ArchiveError(Problem("zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
+        raise ArchiveError("zip", f"FMU {archive.path}: it cannot be unpacked ({_first(error)}); it is damaged.") from error
     except OSError as error:
         raise MachineError(
             f"FMU {archive.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there or permit it, or set TMPDIR."
@@ -161,8 +141,8 @@ def unpack(archive: FmuArchive, folder: Path, leave_out: tuple[str, ...] = ()) -
 
 
 class _ArchiveCheck:
-    def __init__(self, path: Path, limits: ArchiveLimits) -> None:
-        self._path, self._limits = path, limits
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._items: list[zipfile.ZipInfo] = []
         self._root: dict[str, str] = {}
         self._kinds: dict[str, dict[str, str]] = {}
@@ -173,12 +153,10 @@ class _ArchiveCheck:
         present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
         with open(self._path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return FmuArchive(
-            path=self._path, digest=digest, version=self._root.get("fmiVersion", ""), kinds=present, platforms=self._platforms(),
-            entries=len(self._items), unpacked=sum(item.file_size for item in self._items),
-        )  # fmt: skip
+        unpacked = sum(item.file_size for item in self._items)
+        return FmuArchive(path=self._path, digest=digest, version=self._root.get("fmiVersion", ""), kinds=present, unpacked=unpacked)
 
-    def problems(self) -> Iterator[Problem]:
+    def problems(self) -> Iterator[ArchiveError]:
         """Those that make further reading unsafe end it."""
         try:
             if not self._path.exists():
@@ -200,21 +178,21 @@ class _ArchiveCheck:
         except OSError as error:
             raise MachineError(f"FMU {self._path}: it cannot be read ({error.strerror or error}).") from error
 
-    def _problem(self, check: str, text: str) -> Problem:
-        return Problem(check, f"FMU {self._path}: {text}")
+    def _problem(self, check: str, text: str) -> ArchiveError:
+        return ArchiveError(check, f"FMU {self._path}: {text}")
 
-    def _of_entries(self) -> Iterator[Problem]:
-        limits, items = self._limits, self._items
+    def _of_entries(self) -> Iterator[ArchiveError]:
+        items = self._items
         unpacked = sum(item.file_size for item in items)
         packed = max(1, self._path.stat().st_size)
-        if len(items) > limits.entries:
-            yield self._problem("entries", f"it holds {len(items)} files, more than the {limits.entries} that are let in.")
-        if unpacked > limits.unpacked:
-            yield self._problem("size", f"unpacked it has {_size(unpacked)}, more than the {_size(limits.unpacked)} that are let in.")
-        if unpacked > limits.ratio_matters_from and unpacked > limits.ratio * packed:
+        if len(items) > MOST_ENTRIES:
+            yield self._problem("entries", f"it holds {len(items)} files, more than the {MOST_ENTRIES} that are let in.")
+        if unpacked > MOST_UNPACKED:
+            yield self._problem("size", f"unpacked it has {_size(unpacked)}, more than the {_size(MOST_UNPACKED)} that are let in.")
+        if unpacked > RATIO_MATTERS_FROM and unpacked > MOST_RATIO * packed:
             yield self._problem(
                 "ratio",
-                f"{_size(packed)} unpack to {_size(unpacked)}, {unpacked / packed:.0f} times as much; from {limits.ratio:.0f} times on it is taken for a zip bomb.",
+                f"{_size(packed)} unpack to {_size(unpacked)}, {unpacked / packed:.0f} times as much; from {MOST_RATIO:.0f} times on it is taken for a zip bomb.",
             )
         for item in items:
             yield from self._of_entry(item)
@@ -228,7 +206,7 @@ class _ArchiveCheck:
             if inside is not None:
                 yield self._problem("names", f"the entry {inside!r} is both a file and the folder of {name!r}.")
 
-    def _of_entry(self, item: zipfile.ZipInfo) -> Iterator[Problem]:
+    def _of_entry(self, item: zipfile.ZipInfo) -> Iterator[ArchiveError]:
         name = item.orig_filename
         kind = stat.S_IFMT(item.external_attr >> 16)
         if "\\" in name:
@@ -246,28 +224,21 @@ class _ArchiveCheck:
         if item.flag_bits & 0x1:
             yield self._problem("encryption", f"the entry {name!r} is encrypted.")
 
-    def _of_content(self, archive: zipfile.ZipFile) -> Iterator[Problem]:
+    def _of_content(self, archive: zipfile.ZipFile) -> Iterator[ArchiveError]:
         self._names = {item.filename for item in self._items}
-        dangerous = False
-        for item in self._items:
-            if item.filename.lower().endswith(_XML_SUFFIXES):
-                for problem in self._of_xml(archive, item):
-                    dangerous = True
-                    yield problem
-        if dangerous:
-            return
-        if DESCRIPTION not in self._names:
+        texts = (item for item in self._items if item.filename.lower().endswith(_XML_SUFFIXES))
+        if dangerous := [problem for item in texts for problem in self._of_xml(archive, item)]:
+            yield from dangerous
+        elif DESCRIPTION in self._names:
+            yield from self._of_description()
+        else:
             hint = next((name for name in self._names if name.endswith(f"/{DESCRIPTION}")), None)
             also = f"; there is one at {hint!r}, but it must lie at the top" if hint else ""
             yield self._problem("description", f"it has no {DESCRIPTION}, so it is no FMU{also}.")
-            return
-        yield from self._of_description()
 
-    def _of_xml(self, archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> Iterator[Problem]:
-        if item.file_size > self._limits.xml:
-            yield self._problem(
-                "size", f"{item.filename} has {_size(item.file_size)}, more than the {_size(self._limits.xml)} that are let in."
-            )
+    def _of_xml(self, archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> Iterator[ArchiveError]:
+        if item.file_size > MOST_XML:
+            yield self._problem("size", f"{item.filename} has {_size(item.file_size)}, more than the {_size(MOST_XML)} that are let in.")
             return
         is_description = item.filename == DESCRIPTION
         reader = XmlReader()
@@ -285,7 +256,7 @@ class _ArchiveCheck:
             if reader.root_name not in ("", _ROOT):
                 yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <{_ROOT}>.")
 
-    def _of_description(self) -> Iterator[Problem]:
+    def _of_description(self) -> Iterator[ArchiveError]:
         version = self._root.get("fmiVersion", "")
         if version != "2.0" and not _is_three(version):
             yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
@@ -299,14 +270,12 @@ class _ArchiveCheck:
             yield self._problem("identifier", f"{wrong}.")
         if not any(self._library(interface) in self._names for interface in self._kinds.values()):
             interface = next(iter(self._kinds.values()))
-            has = f"it has {', '.join(self._platforms())}" if self._platforms() else "it has none at all"
-            yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); {has}.")
+            there = sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)})
+            has = ", ".join(there) or "none at all"
+            yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); it has {has}.")
 
     def _library(self, interface: dict[str, str]) -> str:
         return binary_name(self._root.get("fmiVersion", ""), interface.get("modelIdentifier", ""))
-
-    def _platforms(self) -> tuple[str, ...]:
-        return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
 
 
 # The name of a file has 255 bytes at most (NAME_MAX of Linux, NTFS and APFS); the longest ending is .dylib.

@@ -19,7 +19,7 @@ import sys
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 from fmpy.model_description import ValidationError, read_build_description, read_model_description
@@ -43,27 +43,6 @@ _NEEDED, _UNDEFINED = 1, 0
 _FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 
 
-class _Layout(NamedTuple):
-    """What a file of so many bits has where, as struct takes it.
-
-    table, counts: where the section table begins, the size of its rows and their number, each with its place in the file; section: kind, offset, length,
-    link and size of a row; symbol: name, info and section; dynamic: tag and value.
-    """
-
-    bits: int
-    table: tuple[str, int]
-    counts: tuple[str, int]
-    section: str
-    symbol: str
-    dynamic: str
-
-
-_LAYOUTS = {
-    1: _Layout(32, ("I", 32), ("HH2x", 46), "4xI8xIII8xI", "I8xBxH", "II"),
-    2: _Layout(64, ("Q", 40), ("HH2x", 58), "4xI16xQQI12xQ", "IBxH", "QQ"),
-}
-
-
 class NotElf(ValueError):  # noqa: N818 - says what the file is not
     """The bytes are no ELF file that can be read."""
 
@@ -72,7 +51,6 @@ class NotElf(ValueError):  # noqa: N818 - says what the file is not
 class Library:
     """exported: names of functions; needed: other libraries; glibc: the newest version of the GNU C library it asks for ("" if none)."""
 
-    bits: int
     machine: str
     exported: frozenset[str]
     needed: tuple[str, ...]
@@ -80,19 +58,22 @@ class Library:
 
 
 def read_library(data: bytes) -> Library:
-    """Raises NotElf."""
+    """The tables of a library of 64 bits, little end first, as every machine has them on which FMUs are checked; of others the machine alone. Raises NotElf."""
     if data[:4] != b"\x7fELF" or len(data) < _HEADER:
         raise NotElf("it does not begin like an ELF file")
-    layout, order = _LAYOUTS.get(data[4]), {1: "<", 2: ">"}.get(data[5])
-    if layout is None or order is None:
+    if data[4] not in (1, 2) or data[5] not in (1, 2):
         raise NotElf("its class or byte order is unknown")
+    number = int.from_bytes(data[18:20], "little" if data[5] == 1 else "big")
+    machine = _MACHINES.get(number, f"machine {number}")
+    if data[4:6] != b"\2\1":
+        return Library(machine, frozenset(), (), "")
 
     def read(form: str, at: int) -> tuple[int, ...]:
-        return struct.unpack_from(f"{order}{form}", data, at)
+        return struct.unpack_from(f"<{form}", data, at)
 
     try:
-        (machine,), (table,), (size, count) = read("H", 18), read(*layout.table), read(*layout.counts)
-        sections = [read(layout.section, table + number * size) for number in range(count)]
+        (table,), (size, count) = read("Q", 40), read("HH2x", 58)
+        sections = [read("4xI16xQQI12xQ", table + place * size) for place in range(count)]  # kind, offset, length, link and size of a row
         if sum(length for kind, _, length, _, _ in sections if kind in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
             raise NotElf("its tables are larger than the file")
         exported: set[str] = set()
@@ -104,16 +85,16 @@ def read_library(data: bytes) -> Library:
             strings = data[sections[link][1] : sections[link][1] + sections[link][2]]
             for at in range(offset, offset + length, entry):
                 if kind == _SYMBOL_SECTION:
-                    name, info, section = read(layout.symbol, at)
+                    name, info, section = read("IBxH", at)
                     if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
                         exported.add(_text(strings, name))
                 else:
-                    tag, value = read(layout.dynamic, at)
+                    tag, value = read("QQ", at)
                     if tag == _NEEDED:
                         needed.append(_text(strings, value))
         versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", strings)]
         glibc = ".".join(map(str, max(versions))) if versions else ""
-        return Library(layout.bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+        return Library(machine, frozenset(exported), tuple(needed), glibc)
     except (struct.error, IndexError, ValueError, OverflowError) as error:
         raise NotElf(f"its tables cannot be read ({error})") from error
 
@@ -134,7 +115,7 @@ _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 def archive(path: Path) -> Finding:
     """A zip file of deflated or stored entries with forward slashes, no links, nothing that leaves its folder."""
     # Looks at the file only: comes before anything is unpacked.
-    wrong = [problem.sentence.removeprefix(f"FMU {path}: ").rstrip(".") for problem in problems(path) if problem.check in ARCHIVE_CHECKS]
+    wrong = [str(problem).removeprefix(f"FMU {path}: ").rstrip(".") for problem in problems(path) if problem.check in ARCHIVE_CHECKS]
     with zipfile.ZipFile(path) as packed:
         items = packed.infolist()
     wrong += [
