@@ -106,17 +106,11 @@ def split(scene: Scene) -> Parts:
     return Parts(scene=scene, bodies=bodies, contacts=contacts, connections=tuple(_connections(bodies, contacts)))
 
 
-def _blocks(d: Dynamics) -> list[tuple[int, ...]]:
+def _blocks(d: Dynamics) -> list[list[int]]:
     """Indices of the coordinates of each body."""
-    count, group = d.scene.nq, list(range(d.scene.nq))
-    for i in range(count):
-        row = sp.Matrix([*d.mass_matrix[i, :], d.tau[i]])
-        used = row.free_symbols
-        for j in range(count):
-            if d.mass_matrix[i, j] != 0 or used & {d.q[j], d.v[j]}:
-                joined, other = group[i], group[j]
-                group = [joined if name == other else name for name in group]
-    return [tuple(i for i in range(count) if group[i] == name) for name in dict.fromkeys(group)]
+    used = [sp.Matrix([*d.mass_matrix[i, :], d.tau[i]]).free_symbols for i in range(d.scene.nq)]
+    joined = sp.Matrix(d.scene.nq, d.scene.nq, lambda i, j: int(d.mass_matrix[i, j] != 0 or bool(used[i] & {d.q[j], d.v[j]})))
+    return sorted(map(sorted, joined.connected_components()))
 
 
 def _used(scene: Scene, expressions: Iterable[sp.Expr]) -> tuple[Parameter, ...]:
@@ -140,7 +134,7 @@ def _contact(d: Dynamics, index: int) -> ContactPart:
     )
 
 
-def _body(d: Dynamics, block: tuple[int, ...], contacts: tuple[ContactPart, ...]) -> Scene:
+def _body(d: Dynamics, block: list[int], contacts: tuple[ContactPart, ...]) -> Scene:
     scene = d.scene
     coordinates = tuple(scene.coordinates[i] for i in block)
     own = {d.q[i] for i in block}

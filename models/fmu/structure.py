@@ -168,19 +168,8 @@ def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
         own = _of_expressions(d, [row])
         touched = row.free_symbols & set(d.lam)
     else:
-        rows = _coupled(d.mass_matrix, index)
+        rows = next(sorted(block) for block in d.mass_matrix.connected_components() if index in block)
         entries = [d.generalised_force[i] for i in rows] + [d.mass_matrix[i, j] for i in rows for j in rows]
         symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
         own, touched = _all_dependent(symbols & variables), symbols & set(d.lam)
     return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)])
-
-
-def _coupled(mass: sp.Matrix, index: int) -> list[int]:
-    """Coordinates that the mass matrix couples to `index`, directly or through others."""
-    reached, waiting = {index}, [index]
-    while waiting:
-        row = waiting.pop()
-        new = {column for column in range(mass.rows) if mass[row, column] != 0} - reached
-        reached |= new
-        waiting.extend(new)
-    return sorted(reached)

@@ -75,13 +75,13 @@ _SAID = {
 }
 
 
-def changes(before: dict[str, Any], after: dict[str, Any], *, more: bool = True) -> list[str]:
-    """What is not as it was, in words. more: also what was not there before, but for file descriptors, which may stay open while an FMU lives."""
+def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """What is not as it was, in words; file descriptors that were not there before may stay open while an FMU lives."""
     said = []
     moved = before["the working folder"] != after["the working folder"]
     for name in [*before, *(name for name in after if name not in before)]:
         one, two = before.get(name), after.get(name)
-        if one == two or (moved and name.startswith(_FILE)) or (one is None and (not more or name.startswith("file descriptor"))):
+        if one == two or (moved and name.startswith(_FILE)) or (one is None and name.startswith("file descriptor")):
             continue
         words = next((words for kind, words in _SAID.items() if name.startswith(kind)), None)
         said.append(f"{name} is {words[0 if two is None else 1 if one is None else 2] if words else f'{two}, it was {one}'}")
