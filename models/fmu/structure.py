@@ -56,40 +56,38 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
     index = variable.index
     match variable.kind:
         case VariableKind.POSITION:
-            return {d.q[index]: Dependency.CONSTANT}
+            return _of_expression(d, d.q[index])
         case VariableKind.VELOCITY | VariableKind.POSITION_RATE:
-            return {d.v[index]: Dependency.CONSTANT}
+            return _of_expression(d, d.v[index])
         case VariableKind.VELOCITY_RATE:
             return _of_acceleration(d, index)
         case VariableKind.FORCE:
             return _of_contact(d, index) if index < len(d.lam) else _of_everything(d)
         case VariableKind.SLIP:
-            return _of_expressions(d, [d.slip[index]])
+            return _of_expression(d, d.slip[index])
         case VariableKind.RESERVE:
             return _of_everything(d)
         case VariableKind.PRESSING:
             return _of_contact(d, d.scene.damped[index - d.scene.nl])
         case VariableKind.GAP:
-            return _of_expressions(d, [d.penetration[index]])
+            return _of_expression(d, d.penetration[index])
         case VariableKind.KINETIC_ENERGY | VariableKind.POTENTIAL_ENERGY | VariableKind.INPUT_POWER:
-            return _of_expressions(d, [getattr(d, variable.name)])
+            return _of_expression(d, getattr(d, variable.name))
         case VariableKind.CONTACT_ENERGY:
             return _merge(_of_spring(d, contact) for contact in range(len(d.lam)))
         case VariableKind.DISSIPATED_POWER if d.f:
             return _of_everything(d)
         case VariableKind.DISSIPATED_POWER:
-            return _merge([_of_expressions(d, [d.dissipated_power]), *(_of_contact(d, contact) for contact in d.scene.damped)])
+            return _merge([_of_expression(d, d.dissipated_power), *(_of_contact(d, contact) for contact in d.scene.damped)])
         case _:
             return None
 
 
-def _of_expressions(d: Dynamics, expressions: Iterable[sp.Expr]) -> dict[sp.Symbol, Dependency]:
-    """Dependencies of the sum of some expressions."""
-    variables = {*d.q, *d.v, *d.u, *d.p}
+def _of_expression(d: Dynamics, expression: sp.Expr) -> dict[sp.Symbol, Dependency]:
+    """What an expression depends on."""
     parameters = set(d.p)
     found: dict[sp.Symbol, Dependency] = {}
-    total = sp.Add(*expressions)
-    slopes = {symbol: sp.diff(total, symbol) for symbol in total.free_symbols & variables}
+    slopes = {symbol: sp.diff(expression, symbol) for symbol in _all_dependent(d, [expression])}
     varying = _seen_to_vary(slopes, parameters)
     for symbol, slope in slopes.items():
         if symbol in varying:
@@ -127,26 +125,28 @@ def _is_real(value: object) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
-def _all_dependent(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, Dependency]:
-    return dict.fromkeys(symbols, Dependency.DEPENDENT)
+def _symbols(entries: Iterable[sp.Expr]) -> set[sp.Basic]:
+    return set().union(*(sp.sympify(entry).free_symbols for entry in entries))
+
+
+def _all_dependent(d: Dynamics, entries: Iterable[sp.Expr]) -> dict[sp.Symbol, Dependency]:
+    return dict.fromkeys(_symbols(entries) & {*d.q, *d.v, *d.u, *d.p}, Dependency.DEPENDENT)
 
 
 def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
     """A contact force follows its penetration in one mode and nothing in the other; a damped one follows the rate too."""
     if not d.scene.contacts[contact].is_damped:
         return _of_spring(d, contact)
-    return _all_dependent(d.push[contact].free_symbols & {*d.q, *d.v, *d.p})
+    return _all_dependent(d, [d.push[contact]])
 
 
 def _of_spring(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
-    return _all_dependent((d.penetration[contact].free_symbols | d.stiffness[contact].free_symbols) & {*d.q, *d.p})
+    return _all_dependent(d, [d.penetration[contact], d.stiffness[contact]])
 
 
 def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
     """A friction force holds against everything that moves: while it sticks, it depends on all that accelerates the bodies."""
-    entries = [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push]
-    symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
-    return _all_dependent(symbols & {*d.q, *d.v, *d.u, *d.p})
+    return _all_dependent(d, [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push])
 
 
 def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
@@ -160,16 +160,13 @@ def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Depe
 
 def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
     """Row `index` of M^-1 (tau + J' lam): exact where M is constant; otherwise all that stands in the rows M couples it to."""
-    variables = {*d.q, *d.v, *d.u, *d.p}
     if d.f:
         return _of_everything(d)
     if d.acceleration is not None:
-        row = sp.sympify(d.acceleration[index])
-        own = _of_expressions(d, [row])
-        touched = row.free_symbols & set(d.lam)
+        entries = [d.acceleration[index]]
+        own = _of_expression(d, *entries)
     else:
         rows = next(sorted(block) for block in d.mass_matrix.connected_components() if index in block)
         entries = [d.generalised_force[i] for i in rows] + [d.mass_matrix[i, j] for i in rows for j in rows]
-        symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
-        own, touched = _all_dependent(symbols & variables), symbols & set(d.lam)
-    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)])
+        own = _all_dependent(d, entries)
+    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in _symbols(entries))])

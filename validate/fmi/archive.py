@@ -29,7 +29,8 @@ from models.errors import MachineError, TouchstoneError
 MOST_UNPACKED, MOST_ENTRIES, MOST_XML = 2 * 1024**3, 20_000, 64 * 1024**2
 MOST_RATIO, RATIO_MATTERS_FROM = 100.0, 32 * 1024**2
 _ROOT = "fmiModelDescription"
-_KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
+# Interfaces of FMI, by what is short for them.
+INTERFACES = {"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}
 
 
 class HasDoctype(Exception):  # noqa: N818 - it ends the reading
@@ -57,7 +58,7 @@ class XmlReader:
     def _element(self, name: str, attributes: dict[str, str]) -> None:
         if not self.root_name:
             self.root_name, self.root = name, attributes
-        elif name in _KINDS:
+        elif name in INTERFACES.values():
             self.kinds.setdefault(name, attributes)
         if name == "ModelVariables" or self.root_name != _ROOT:  # interfaces come before it, and hundreds of thousands of elements after
             self._parser.StartElementHandler = None

@@ -14,6 +14,7 @@ import contextlib
 import ctypes
 import importlib.util
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,7 @@ def array_of(vector: int) -> int:
     return functions().N_VGetArrayPointer(vector)
 
 
+@dataclass(eq=False)
 class Cvode:
     """A solver with dense Newton iterations; see the module docstring.
 
@@ -98,26 +100,24 @@ class Cvode:
     time [s]; roots: (count,) the sign of the slope of each indicator that `advance` stopped at, else 0.
     """
 
-    def __init__(
-        self,
-        method: tuple[int, int],
-        y: np.ndarray,
-        *,
-        rates: Any,
-        indicators: Any = 0,
-        count: int = 0,
-        data: int = 0,
-        rtol: float,
-        absolute: np.ndarray,
-        min_step: float,
-        max_step: float,
-        max_steps: int,
-    ) -> None:
-        self.method, self.y, self.absolute = method, y, absolute
-        self.rtol, self.min_step, self.max_step, self.max_steps = rtol, min_step, max_step, max_steps
-        self.time, self.roots = 0.0, np.zeros(count, dtype=np.int32)
+    method: tuple[int, int]
+    y: np.ndarray
+    _: KW_ONLY
+    rates: Any
+    indicators: Any = 0
+    count: int = 0
+    data: int = 0
+    rtol: float
+    absolute: np.ndarray
+    min_step: float
+    max_step: float
+    max_steps: int
+
+    def __post_init__(self) -> None:
+        self.time, self.roots = 0.0, np.zeros(self.count, dtype=np.int32)
         self.memory = self.vector = 0  # addresses, 0 without a solver
-        self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in (rates, indicators, data))
+        given = self.rates, self.indicators, self.data
+        self._rates, self._indicators, self._data = (ctypes.cast(item, ctypes.c_void_p) for item in given)
         self._made = contextlib.ExitStack()  # frees what was made
 
     def renew(self, time: float) -> None:

@@ -22,7 +22,7 @@ from models.codegen.compiler import cached_library
 from models.errors import MachineError
 from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
-_SOURCE = Path(__file__).with_suffix(".c")
+_SOURCE = Path(__file__).with_suffix(".c").read_text(encoding="utf-8")
 _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
 
 # The functions of FMI 2.0 and FMI 3.0, in the order of loops.c; FMI 3.0 has no call for slopes of inputs.
@@ -48,15 +48,10 @@ Reason = IntEnum(
 )
 
 
-@lru_cache(maxsize=1)
-def _source() -> str:
-    return _SOURCE.read_text(encoding="utf-8")
-
-
 @cache
 def structure(name: str) -> type[ctypes.Structure]:
     """A struct of loops.c, for ctypes: its fields as they are declared there."""
-    body = re.search(rf"^struct {name} {{$(.*?)^}};$", re.sub(r"/\*.*?\*/", "", _source(), flags=re.DOTALL), re.DOTALL | re.MULTILINE)
+    body = re.search(rf"^struct {name} {{$(.*?)^}};$", re.sub(r"/\*.*?\*/", "", _SOURCE, flags=re.DOTALL), re.DOTALL | re.MULTILINE)
     assert body is not None, name
     kinds = {"double": ctypes.c_double, "int64_t": _SIZE, "function": _ADDRESS}
     fields: list[tuple[str, Any]] = []
@@ -69,7 +64,7 @@ def structure(name: str) -> type[ctypes.Structure]:
 
 def library_path() -> Path:
     """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
-    return cached_library({_SOURCE.name: _source()})
+    return cached_library({"loops.c": _SOURCE})
 
 
 _adopted: list[Path] = []

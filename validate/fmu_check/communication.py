@@ -72,8 +72,8 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                 reached = instance.do_step(begin, subject.step).reached
                 if subject.major >= 3:
                     look("fmi3DoStep's lastSuccessfulTime", reached, end)
-            for clock in subject.clocks:
-                look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
+            for name, told in zip(subject.clocks.names, instance.get(subject.clocks).tolist(), strict=True):
+                look(f"the variable {name}", told, end)
     if wrong and kind == "CS" and subject.step < subject.internal_step * (1.0 - _SAME):
         return advice(
             f"{wrong[0]}: the step of {subject.step:g} s, which the FMU proposes, is below the one it makes inside, {subject.internal_step:g} s; propose a multiple of that."

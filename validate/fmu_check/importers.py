@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from validate.execution.isolated import Limits, run_isolated
-from validate.fmi.archive import FmuError
+from validate.fmi.archive import INTERFACES, FmuError
 from validate.fmi.description import REAL
 from validate.fmu_check.check import Check, Finding, Scope, advice, check, not_offered, passed
 from validate.fmu_check.reference import ErrorBounded, Signals, solve
@@ -35,11 +35,10 @@ def fmpy(job: dict[str, Any]) -> list[float]:
     """By simulate_fmu, with the communication steps of the job, or CVODE's."""
     from fmpy import simulate_fmu
 
-    whole = {"ME": "ModelExchange", "CS": "CoSimulation"}[job["type"]]
     begin, end = job["steps"][0][0], sum(job["steps"][-1])
     given = {name: value for name, _, value in job["inputs"]}
     result = simulate_fmu(
-        job["path"], validate=False, fmi_type=whole, start_time=begin, stop_time=end, output_interval=job["steps"][0][1], start_values=given,
+        job["path"], validate=False, fmi_type=INTERFACES[job["type"]], start_time=begin, stop_time=end, output_interval=job["steps"][0][1], start_values=given,
         output=job["names"], relative_tolerance=_TOLERANCE if job["type"] == "ME" else None,
     )  # fmt: skip
     return [float(result[name][-1]) for name in job["names"]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.archive import DESCRIPTION, interfaces
+from validate.fmi.archive import DESCRIPTION, INTERFACES, interfaces
 from validate.fmi.description import interface_of, without_garbage
 from validate.fmi.instance import CLASSES, Instance, Misbehaviour, References
 
@@ -189,8 +189,7 @@ class Subject:
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
-        element = {"ME": "ModelExchange", "CS": "CoSimulation", "SE": "ScheduledExecution"}[kind]
-        return self._interfaces.get(element, {}).get(ability) in ("true", "1")
+        return self._interfaces.get(INTERFACES[kind], {}).get(ability) in ("true", "1")
 
     @cached_property
     def _interfaces(self) -> dict[str, dict[str, str]]:
@@ -447,7 +446,7 @@ class CheckedInstance(Instance):
                 if completed:
                     self.completed()
 
-    def get(self, variables: Sequence[FmuVariable]) -> np.ndarray:
+    def get(self, variables: Block) -> np.ndarray:
         """Values of variables in the order given; one call a type.
 
         Returns
@@ -458,14 +457,13 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses a call.
         """
-        block = variables if isinstance(variables, Block) else Block(variables)
-        values = np.empty(block.entries)
-        for references, places in block.parts(self.fmu):
+        values = np.empty(variables.entries)
+        for references, places in variables.parts(self.fmu):
             references.forget()
             values[places] = self.read(references)
         return values
 
-    def set(self, variables: Sequence[FmuVariable], values: np.ndarray) -> None:
+    def set(self, variables: Block, values: np.ndarray) -> None:
         """Set variables; one call a type.
 
         Parameters
@@ -477,8 +475,7 @@ class CheckedInstance(Instance):
         ------
         FMICallException : if the FMU refuses a call.
         """
-        block = variables if isinstance(variables, Block) else Block(variables)
-        for references, places in block.parts(self.fmu):
+        for references, places in variables.parts(self.fmu):
             self.write(references, values[places])
 
     def observe(self) -> np.ndarray:

@@ -31,7 +31,7 @@ def readable(subject: Subject, kind: str) -> Finding:
         problems = [
             f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}"
             for kind in dict.fromkeys(item.type for item in variables)
-            for item in itertools.islice(_refused(instance, [item for item in variables if item.type == kind]), _LEAST)
+            for item in itertools.islice(_refused(instance, Block(item for item in variables if item.type == kind)), _LEAST)
         ]
         texts = dict(_texts(instance))
     problems += [f"{name} is {said}" for name, said in texts.items() if said]
@@ -59,7 +59,7 @@ def _texts(instance: CheckedInstance) -> Iterator[tuple[str, str]]:
         yield item.name, said
 
 
-def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterator[FmuVariable]:
+def _refused(instance: CheckedInstance, variables: Block) -> Iterator[FmuVariable]:
     """Those of one type that cannot be read: all at once, and halves of what is refused."""
     try:
         instance.get(variables)
@@ -68,7 +68,7 @@ def _refused(instance: CheckedInstance, variables: list[FmuVariable]) -> Iterato
             yield variables[0]
             return
         for half in (variables[: len(variables) // 2], variables[len(variables) // 2 :]):
-            yield from _refused(instance, half)
+            yield from _refused(instance, Block(half))
 
 
 @check("start values are the XML's", Scope.EACH, clauses=("2.2.7", "2.4.7.5"))
