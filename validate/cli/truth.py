@@ -22,7 +22,7 @@ from validate.judge.disagreement import REFERENCE
 from validate.judge.simulator import describe_engine, engine_names, named_engines
 from validate.store.provenance import command_line
 from validate.stress.case import chart
-from validate.truth.suite import NEAR, EngineRow, measure
+from validate.tasks.truth import NEAR, measure
 
 # Of the CSV.
 _OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
@@ -80,9 +80,8 @@ def reference_is_right(rows: Sequence[TruthRow]) -> bool:
     return all(row.error is not None and row.error <= NEAR for row in rows if row.engine == REFERENCE)
 
 
-def recorded(engines: tuple[str, ...], found: Sequence[EngineRow]) -> TruthRecord:
+def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
     """What is written of it."""
-    rows = [TruthRow.model_validate(row, from_attributes=True) for row in found]
     about = {name: describe_engine(name) for name in engines}
     told = {name: f"{' '.join((item.title, _version(item.package))).rstrip()}; {item.law}" for name, item in about.items()}
     summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."

@@ -17,12 +17,13 @@ from wording import unsaid
 from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Scene
 from reports.pages.simulators import as_markdown, largest_disagreement
+from reports.records.engines_record import TruthRow
 from reports.render import render_truth
 from validate.cli.truth import as_csv, recorded, reference_is_right
 from validate.judge.simulator import Came, EngineAnswer, describe_engine, load_engine, named_engines
-from validate.truth import suite
+from validate.tasks import truth
+from validate.tasks.truth import drives, judged, observed_order
 from validate.truth.problems import TruthProblem, problems, restitution
-from validate.truth.suite import EngineRow, drives, judged, observed_order
 
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
 # What each fault is looked for with, the first of them that the engine expresses.
@@ -45,7 +46,7 @@ def here(engine: str, drives) -> EngineAnswer:
     return EngineAnswer(came=Came.DONE, motions=tuple(map(load_engine(engine), drives)))
 
 
-def asked(problem: TruthProblem, engine: str) -> EngineRow:
+def asked(problem: TruthProblem, engine: str) -> TruthRow:
     """The row of an engine that runs here."""
     return judged(problem, engine, here(engine, drives(problem, describe_engine(engine))), problem.end(), here)
 
@@ -87,7 +88,7 @@ def test_dying_bounces_rest_when_the_series_of_flights_says():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({problem.phenomenon: name for name, problem in PROBLEMS.items()}.values()))
 def test_our_reference_is_right(name: str):
-    assert error_of(PROBLEMS[name], "fmu") <= suite.NEAR
+    assert error_of(PROBLEMS[name], "fmu") <= truth.NEAR
 
 
 @pytest.mark.slow
@@ -162,7 +163,7 @@ def test_each_disagreement_is_explained_by_what_was_measured():
 def test_rows_without_a_number_stand_in_the_table():
     problem = PROBLEMS["rebound: Hunt-Crossley damping"]
     lost = judged(problem, "mujoco", EngineAnswer(came=Came.MISSING, why="engine mujoco: not installed"), problem.end())
-    fine = replace(lost, engine="fmu", came="cannot express it", sentence="it has no such contact")
+    fine = lost.model_copy(update={"engine": "fmu", "came": "cannot express it", "sentence": "it has no such contact"})
     record = recorded(("fmu", "mujoco"), [fine, lost])
     assert "cannot express it | not installed" in as_markdown(record, "x")
     assert largest_disagreement(record.problems[0]) is not None
@@ -172,8 +173,8 @@ def test_rows_without_a_number_stand_in_the_table():
 @pytest.mark.slow
 def test_what_is_written_is_equal_twice_but_for_times(monkeypatch):
     few = [PROBLEMS["rebound: Hunt-Crossley damping"]]
-    monkeypatch.setattr(suite, "problems", lambda: few)
-    runs = [recorded(("fmu", "fmu_everyday"), suite.measure(("fmu", "fmu_everyday"))) for _ in range(2)]
+    monkeypatch.setattr(truth, "problems", lambda: few)
+    runs = [recorded(("fmu", "fmu_everyday"), truth.measure(("fmu", "fmu_everyday"))) for _ in range(2)]
     one, other = ([line.rsplit(",", 2)[0] for line in as_csv(record).splitlines()] for record in runs)
     assert one == other
     assert len(one) == 1 + 2 * 4

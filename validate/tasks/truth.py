@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from models.dynamics import derive
 from models.scene import Scene
+from reports.records.engines_record import LevelRecord, TruthRow
 from validate.judge.disagreement import size, why
 from validate.judge.simulator import Came, Drive, EngineAnswer, SimulatedMotion, Simulator, describe_engine, run_engine
 from validate.truth.problems import TruthProblem, problems
@@ -30,35 +30,7 @@ _ROUNDING = 1e-11
 _RIGHT = 1e-8
 
 
-@dataclass(frozen=True, kw_only=True)
-class Level:
-    """One of the four motions: step [s] or tolerance, error and energy error as shares (None: it diverged, or there is none), microseconds a step, CPU time [s]."""
-
-    step: float | None
-    tolerance: float | None
-    error: float | None
-    energy: float | None
-    microseconds: float | None
-    seconds: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class EngineRow:
-    """What an engine made of a problem; see reports.records.engines_record.TruthRow, which keeps it."""
-
-    phenomenon: str
-    problem: str
-    source: str
-    engine: str
-    came: str
-    sentence: str
-    kind: str = ""
-    worst: str = ""
-    order: float | None = None
-    levels: tuple[Level, ...] = ()
-
-
-def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[EngineRow]:
+def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[TruthRow]:
     """All problems by these engines, each in a child of its own, so many at a time, the longest first.
 
     Raises UnknownNameError for an engine that there is not, MachineError without a compiler or room.
@@ -66,7 +38,7 @@ def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None
     asked = list(product(problems(), engines))
     ends = {problem.name: problem.end() for problem in dict(asked)}
 
-    def one(item: tuple[TruthProblem, str]) -> EngineRow:
+    def one(item: tuple[TruthProblem, str]) -> TruthRow:
         problem, engine = item
         row = judged(problem, engine, run_engine(engine, drives(problem, describe_engine(engine))), ends[problem.name])
         tell(f"{problem.phenomenon}, {problem.name}: {engine}: {row.sentence}")
@@ -91,7 +63,7 @@ def judged(
     answer: EngineAnswer,
     end: np.ndarray,
     ask: Callable[[str, Sequence[Drive]], EngineAnswer] = run_engine,
-) -> EngineRow:
+) -> TruthRow:
     """The row of an answer.
 
     Parameters
@@ -107,7 +79,7 @@ def judged(
 
     Returns
     -------
-    EngineRow
+    TruthRow
         With its sentence.
 
     Raises
@@ -115,7 +87,7 @@ def judged(
     UnknownNameError
         For an engine that there is not.
     """
-    row = EngineRow(
+    row = TruthRow(
         phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine, came=answer.came.value,
         sentence=answer.why.rstrip("."),
     )  # fmt: skip
@@ -126,7 +98,7 @@ def judged(
     worst = [_worst(item, problem) for item in told]
     errors = [error for error, _ in worst]
     levels = tuple(
-        Level(
+        LevelRecord(
             step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None, error=_finite(error),
             energy=_finite(item.get("energy", math.inf)), microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
             seconds=motion.seconds,
@@ -138,7 +110,7 @@ def judged(
         found, words = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
         kind, sentence = found.value, f"{found.value}: {words}"
     order = None if adaptive else observed_order(errors)
-    return replace(row, sentence=sentence, kind=kind, worst=worst[-1][1], order=order, levels=levels)
+    return row.model_copy(update={"sentence": sentence, "kind": kind, "worst": worst[-1][1], "order": order, "levels": levels})
 
 
 def observed_order(errors: Sequence[float]) -> float | None:
