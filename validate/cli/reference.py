@@ -73,8 +73,8 @@ def command(
         raise click.UsageError(wrong)
     package = read_package(file)
     there = files.beside(file)
-    if kind is not None and _TYPES[kind] not in package.archive.kinds:
-        raise click.UsageError(f"--type {kind}: {file} offers {' and '.join(package.archive.kinds)} on this machine.")
+    if kind is not None and _TYPES[kind] not in package.kinds:
+        raise click.UsageError(f"--type {kind}: {file} offers {' and '.join(package.kinds)} on this machine.")
     kind = kind or ("ME" if package.exchange is not None else "CS")
     if cross_check and there.settings is None:
         raise TouchstoneError(f"{file}: there is no {file.stem}{files.SETTINGS} beside it, which --cross-check reads.")

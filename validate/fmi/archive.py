@@ -160,11 +160,8 @@ class _ArchiveCheck:
     def problems(self) -> Iterator[ArchiveError]:
         """Those that make further reading unsafe end it."""
         try:
-            if not self._path.exists():
-                yield self._problem("zip", "there is no such file.")
-                return
             if not self._path.is_file():
-                yield self._problem("zip", "it is a folder; an FMU is a file.")
+                yield self._problem("zip", "it is a folder; an FMU is a file." if self._path.exists() else "there is no such file.")
                 return
             with zipfile.ZipFile(self._path) as archive:
                 self._items = archive.infolist()

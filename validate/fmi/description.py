@@ -25,37 +25,30 @@ NOT_RUN = ("documentation/", "sources/", "terminalsAndIcons/")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Package:
-    """An FMU that was accepted: `description` is FMPy's model description, `archive` what was checked, `folder` where it lies unpacked, if it does."""
+class Package(FmuArchive):
+    """An FMU that was accepted: `description` is FMPy's model description, `folder` where it lies unpacked, if it does."""
 
-    path: Path
     description: Any
-    archive: FmuArchive
     folder: Path | None = None
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the file."""
-        return self.archive.digest
 
     @property
     def is_three(self) -> bool:
         """Whether it is an FMU of FMI 3.0."""
-        return self.archive.version.startswith("3.")
+        return self.version.startswith("3.")
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether an interface, "ModelExchange" or "CoSimulation", claims an ability, by its name in this version of FMI."""
-        return self.archive.kinds.get(kind, {}).get(ability) in ("true", "1")
+        return self.kinds.get(kind, {}).get(ability) in ("true", "1")
 
     @property
     def exchange(self) -> Any | None:
         """FMPy's description of Model Exchange; None if it cannot run here."""
-        return self.description.modelExchange if "ModelExchange" in self.archive.kinds else None
+        return self.description.modelExchange if "ModelExchange" in self.kinds else None
 
     @property
     def cosimulation(self) -> Any | None:
         """FMPy's description of Co-Simulation; None if it cannot run here."""
-        return self.description.coSimulation if "CoSimulation" in self.archive.kinds else None
+        return self.description.coSimulation if "CoSimulation" in self.kinds else None
 
 
 def interface_of(description: Any, kind: str) -> Any:
@@ -132,7 +125,7 @@ def read_package(path: Path) -> Package:
         description = read_description(path)
     except FmuError as error:
         raise FmuError(f"FMU {path}: {error}.") from error
-    package = Package(path=path, description=description, archive=archive)
+    package = Package(**vars(archive), description=description)
     if package.exchange is None and package.cosimulation is None:
         raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")
     return package
@@ -145,5 +138,5 @@ def unpacked(package: Package) -> Iterator[Package]:
         yield package
         return
     with temporary_folder("touchstone-replay-") as folder:
-        unpack(package.archive, folder, leave_out=NOT_RUN)
+        unpack(package, folder, leave_out=NOT_RUN)
         yield replace(package, folder=folder)

@@ -363,14 +363,9 @@ _PLACES, _SHORT = 6, 1e-5
 @check("derivatives are those of the states", Scope.COSIMULATION, clauses=("2.2.7", "2.4.7.4"))
 def rates(subject: Subject, kind: str) -> Finding:
     """A variable that is the derivative of another is how fast that moves in a very short step."""
-    pairs = [
-        (subject.by_name[item.name], subject.by_name[item.derivative.name])
-        for item in subject.description.modelVariables
-        if item.derivative is not None and item.name in subject.by_name and getattr(item.derivative, "name", None) in subject.by_name
-    ]
-    if not pairs or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
+    if not subject.rates or not subject.can(kind, "canHandleVariableCommunicationStepSize"):
         return not_offered("that needs variables that are derivatives, and communication steps of any length.")
-    derivatives, moving = (Block(pair[place] for pair in pairs) for place in (0, 1))
+    derivatives, moving = (Block(pair[place] for pair in subject.rates) for place in (0, 1))
     steps, short = subject.steps(kind), _SHORT * subject.step
     names, places, resolved = derivatives.names, 0, False
     with CheckedInstance(subject, kind).begin() as instance:

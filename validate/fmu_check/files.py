@@ -309,16 +309,11 @@ def _of_aliases(subject: Subject) -> list[str]:
 def _of_derivatives(subject: Subject) -> list[str]:
     """A derivative's unit must be that of its state per second, where both are defined by base units."""
     units = {unit.name: unit.baseUnit for unit in subject.description.unitDefinitions if unit.baseUnit is not None}
-    wrong = []
-    for item in subject.description.modelVariables:
-        if item.derivative is None or not hasattr(item.derivative, "name"):
-            continue
-        rate, state = subject.by_name.get(item.name), subject.by_name.get(item.derivative.name)
-        if rate is None or state is None or rate.unit not in units or state.unit not in units:
-            continue
-        if _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1):
-            wrong.append(f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}")
-    return wrong
+    return [
+        f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}"
+        for rate, state in subject.rates
+        if rate.unit in units and state.unit in units and _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1)
+    ]
 
 
 def _exponents(base: Any, seconds: int = 0) -> tuple[int, ...]:

@@ -23,49 +23,37 @@ from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
 _RESTART = 1e-6
 
 
-@dataclass(frozen=True)
-class MotionDifference:
-    """The largest difference, as a share of the variable's size over the run; its variable and row. equal: bit for bit."""
-
-    equal: bool
-    share: float
-    absolute: float
-    name: str
-    row: int
-
-    def where(self, subject: Subject, first: int = 0) -> str:
-        """The variable, the difference and the time, as a clause; first: the step of row 0."""
-        return f"{self.name} differs by {self.absolute:.2g} at t = {subject.time(first + self.row):.6g} s"
-
-
-def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDifference:
+def compare(subject: Subject, one: np.ndarray, other: np.ndarray, first: int = 0) -> tuple[float, str]:
     """How far two runs are apart.
 
     Parameters
     ----------
     subject : the FMU, whose variables are compared.
     one, other : (rows, observed) values of all variables [unit of each variable].
+    first : the step of row 0.
 
     Returns
     -------
-    The difference that is largest as a share of the variable's size; infinite for runs of different length.
+    The difference that is largest as a share of the variable's size over the run [-], infinite for runs of different length; the variable, the difference
+    and the time as a clause, empty where the runs are equal bit for bit.
 
     Raises
     ------
     ValueError : if the columns are not the observed variables.
     """
     if len(one) != len(other):
-        name = f"the length of the run ({len(one)} against {len(other)} steps)"
-        return MotionDifference(False, np.inf, np.inf, name, min(len(one), len(other)))
+        end = subject.time(first + min(len(one), len(other)))
+        return np.inf, f"the length of the run ({len(one)} against {len(other)} steps) differs by inf at t = {end:.6g} s"
     if np.array_equal(one, other, equal_nan=True):
-        return MotionDifference(True, 0.0, 0.0, "", 0)
+        return 0.0, ""
     with np.errstate(invalid="ignore"):
         apart = np.where(one == other, 0.0, np.abs(one - other))
     apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf))
     size = np.maximum(np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), subject.observed.scales * 1e-6)
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), subject.observed.names[column], int(row))
+    where = f"{subject.observed.names[column]} differs by {apart[row, column]:.2g} at t = {subject.time(first + int(row)):.6g} s"
+    return float(shares[row, column]), where
 
 
 def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: str, first: int = 0) -> None:
@@ -80,9 +68,9 @@ def require_equal(subject: Subject, one: np.ndarray, other: np.ndarray, clause: 
     ------
     Failed : with the clause, the variable and the time.
     """
-    apart = compare(subject, one, other)
-    if not apart.equal:
-        raise Failed(f"{clause}, {apart.where(subject, first)}.")
+    _, where = compare(subject, one, other, first)
+    if where:
+        raise Failed(f"{clause}, {where}.")
 
 
 def fresh_run(subject: Subject, kind: str, steps: int, name: str = "check", **how: Any) -> np.ndarray:

@@ -62,15 +62,15 @@ def restores(subject: Subject, kind: str) -> Finding:
             state = f"the state saved at t = {subject.time(place):.6g} s"
             for turn in ("", "a second time "):
                 _restore(instance, saved, next_event, place)
-                apart = compare(subject, before[np.newaxis], instance.observe()[np.newaxis])
-                if not apart.equal:
-                    return failed(f"{state} was set {turn}again, but {apart.where(subject, place)}.")
-                apart = compare(subject, reference, run(instance, place, place + length))
-                if apart.share > limit and limit == restart_limit(subject):
+                _, where = compare(subject, before[np.newaxis], instance.observe()[np.newaxis], place)
+                if where:
+                    return failed(f"{state} was set {turn}again, but {where}.")
+                share, where = compare(subject, reference, run(instance, place, place + length), place)
+                if share > limit and limit == restart_limit(subject):
                     limit = max(limit, _restart_error(subject, kind, place, length))
-                if apart.share > limit:
-                    return failed(f"continued {turn}from {state}, {apart.where(subject, place)}.")
-                worst = max(worst, apart.share)
+                if share > limit:
+                    return failed(f"continued {turn}from {state}, {where}.")
+                worst = max(worst, share)
             instance.forget(saved)
     how = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
     return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {how}.")
@@ -91,7 +91,7 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
             saved = instance.save()
             reference = run(instance, first, first + length)
             instance.restore(saved)
-            shares.append(compare(subject, reference, run(instance, first, first + length)).share)
+            shares.append(compare(subject, reference, run(instance, first, first + length))[0])
     return _SAFETY * shares[0] if shares and shares[1] <= _SHRUNK * shares[0] else 0.0
 
 
@@ -136,12 +136,12 @@ def serialises(subject: Subject, kind: str) -> Finding:
         read = in_fork(lambda: second(bytes.fromhex(found["data"]), found["next"]), _HALF_SECONDS)
     except Misbehaviour as fault:
         return failed(f"{where}: {fault}.")
-    apart = compare(subject, np.array(found["rows"]), np.array(read))
-    if apart.share > restart_limit(subject) and apart.share > _restart_error(subject, kind, place, length):
-        return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
+    share, where = compare(subject, np.array(found["rows"]), np.array(read), place)
+    if share > restart_limit(subject) and share > _restart_error(subject, kind, place, length):
+        return failed(f"continued in a new process from the serialised state, {where}.")
     if not found["same"]:
         return failed("one state serialised twice gives different bytes.")
-    how = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
+    how = f"equal to {share:.1g} of their size (its integrator starts afresh)" if where else "equal bits"
     return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {how}.")
 
 

@@ -230,6 +230,12 @@ class Subject:
         return self.of(self.description.derivatives)
 
     @cached_property
+    def rates(self) -> list[tuple[FmuVariable, FmuVariable]]:
+        """Variables that are derivatives, each with what it is the derivative of."""
+        named = [(item.name, getattr(item.derivative, "name", None)) for item in self.description.modelVariables]
+        return [(self.by_name[rate], self.by_name[state]) for rate, state in named if rate in self.by_name and state in self.by_name]
+
+    @cached_property
     def outputs(self) -> Block:
         """Outputs, as the ModelStructure lists them, but for clocked ones."""
         return Block(item for item in self.of(self.description.outputs) if not item.clocks)

@@ -234,7 +234,7 @@ def _read_fmu(path: Path) -> None:
     out = path.with_suffix(".out")
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    unpack(package.archive, out)
+    unpack(package, out)
 
 
 def _netcdf(rng: random.Random, folder: Path) -> Path:

@@ -4,6 +4,7 @@ import ctypes
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -439,11 +440,12 @@ def test_a_fault_becomes_a_sentence_about_its_file():
 @pytest.mark.parametrize("said", ["true", "1", "false", None])
 def test_an_ability_is_claimed_by_the_interface_that_says_so(said: str | None):
     given = {} if said is None else {"can": said}
-    archive: Any = SimpleNamespace(kinds={"CoSimulation": given, "ModelExchange": {}}, version="3.0", digest="d")
-    package = Package(path=Path("x"), description=SimpleNamespace(modelExchange="me", coSimulation="cs"), archive=archive)
+    description = SimpleNamespace(modelExchange="me", coSimulation="cs")
+    kinds: dict[str, dict[str, str]] = {"CoSimulation": given, "ModelExchange": {}}
+    package = Package(path=Path("x"), digest="d", version="3.0", kinds=kinds, unpacked=0, description=description)
     assert package.can("CoSimulation", "can") is (said in ("true", "1"))
     assert not package.can("ModelExchange", "can")
     assert not package.can("ScheduledExecution", "can")
-    assert (package.is_three, package.digest, package.exchange, package.cosimulation) == (True, "d", "me", "cs")
-    archive.kinds, archive.version = {}, "2.0"
+    assert (package.is_three, package.exchange, package.cosimulation) == (True, "me", "cs")
+    package = replace(package, kinds={}, version="2.0")
     assert (package.is_three, package.exchange, package.cosimulation) == (False, None, None)

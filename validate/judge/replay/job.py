@@ -137,7 +137,7 @@ def _kept(path: str) -> Package:
     """An FMU that stays unpacked as long as this process lives, in its own folder of temporary files."""
     package = read_package(Path(path))
     folder = Path(tempfile.mkdtemp())
-    unpack(package.archive, folder, leave_out=NOT_RUN)
+    unpack(package, folder, leave_out=NOT_RUN)
     return replace(package, folder=folder)
 
 
