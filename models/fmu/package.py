@@ -83,12 +83,9 @@ def find_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
 
     Raises UnknownNameError for an unknown name, MachineError if this machine is none of them and none is named.
     """
-    wanted = list(names)
-    if not wanted:
-        own = this_platform()
-        if own is None:
-            raise MachineError(f"this machine ({sys.platform} {machine.machine()}) is no platform of FMI; name one with --platform.")
-        wanted = [own]
+    wanted = list(names) or [this_platform()]
+    if None in wanted:
+        raise MachineError(f"this machine ({sys.platform} {machine.machine()}) is no platform of FMI; name one with --platform.")
     for name in wanted:
         if not any(name in (known.name, known.fmi2) for known in PLATFORMS):
             choice = ", ".join(f"{known.name} ({known.fmi2})" if known.name != known.fmi2 else known.name for known in PLATFORMS)

@@ -365,12 +365,11 @@ class Equations:
         for row, contact in enumerate(self.scene.damped):
             values[self.scene.contacts[contact].pressing_name] = float(self.at(x)["share"][row]) if phi[contact] > 0 else 1.0
         friction, slip = self.motion(x, u, modes)[1], self.at(x)["slip"]
-        values |= {item.force_name: friction[index] for index, item in enumerate(self.scene.frictions)}
-        values |= {item.slip_name: slip[index] for index, item in enumerate(self.scene.frictions)}
         values |= {contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)}
         values |= {name: function(*(parts[letter] for letter in letters)).item() for name, (function, letters) in self._energies.items()}
         for index, (item, force) in enumerate(zip(self.scene.frictions, friction_nominals(self.scene), strict=True)):
-            values[f"reserve_{item.name}"] = self.reserve(x, u, modes, index) / (item.nominal if modes.slips[index] else force)
+            reserve = self.reserve(x, u, modes, index) / (item.nominal if modes.slips[index] else force)
+            values |= {item.force_name: friction[index], item.slip_name: slip[index], f"reserve_{item.name}": reserve}
         values["dissipated_power"] -= float(friction @ slip)
         values["dissipated_power"] += sum(float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped)
         return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
@@ -476,18 +475,15 @@ def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequen
 def _leaving(equations: Equations, modes: Modes, u: np.ndarray) -> list[Callable[[float, np.ndarray], float]]:
     """Event functions that fall through zero where a contact or a friction leaves its mode."""
 
-    def contact(index: int, sign: float) -> Callable[[float, np.ndarray], float]:
-        return lambda _, y: float(sign * equations.at(y)["phi"][index])
+    def contact(name: str, index: int, *, positive: bool) -> Callable[[float, np.ndarray], float]:
+        return lambda _, y: float(equations.at(y)[name][index] if positive else -equations.at(y)[name][index])
 
     def friction(index: int) -> Callable[[float, np.ndarray], float]:
         return lambda _, y: equations.reserve(y, u, modes, index)
 
-    def pressing(row: int, sign: float) -> Callable[[float, np.ndarray], float]:
-        return lambda _, y: float(sign * equations.at(y)["share"][row])
-
-    events = [contact(index, 1.0 if mode else -1.0) for index, mode in enumerate(modes.closed)]
+    events = [contact("phi", index, positive=mode) for index, mode in enumerate(modes.closed)]
     damped = enumerate(equations.scene.damped)
-    events += [pressing(row, 1.0 if modes.pushes[index] else -1.0) for row, index in damped if modes.closed[index]]
+    events += [contact("share", row, positive=modes.pushes[index]) for row, index in damped if modes.closed[index]]
     events += [friction(index) for index in range(len(modes.slips))]
     for event in events:
         event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - how scipy is told

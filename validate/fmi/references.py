@@ -39,8 +39,8 @@ _FILES = {
     INPUT: ("text/csv", "other", "Input of the reference solution"),
     EXPERIMENT: ("application/x-ma-ls-experiments", "experiment/validation", "The experiment of the reference solution"),
 }  # fmt: skip
-# Settings that there must be, as the FMI cross-check named them.
-_SETTINGS = ("StartTime", "StopTime", "StepSize", "RelTol")
+# Settings that there must be, as the FMI cross-check named them, and as LS-REF does.
+_SETTINGS = {"StartTime": "startTime", "StopTime": "stopTime", "StepSize": "stepSize", "RelTol": "tolerance"}
 # Bytes of a file of these that is read.
 _MOST_BYTES = 256 * 1024**2
 # Lines of a result that is written: each has a time and a value at least, of up to 25 bytes with what parts them.
@@ -200,7 +200,7 @@ def _experiments(folder: Path, source: str) -> Iterator[StoredResult]:
         if references is None:
             continue
         result = _named(folder, place, "reference", references.get("source", ""))
-        text = {name: item.get(name[0].lower() + name[1:], "0") for name in _SETTINGS[:3]} | {"RelTol": item.get("tolerance", "1e-4")}
+        text = {name: item.get(attribute, "1e-4" if name == "RelTol" else "0") for name, attribute in _SETTINGS.items()}
         settings = read_settings(where, "".join(f"{name}, {value}\n" for name, value in text.items()))
         inputs = None if stimuli is None else _named(folder, place, "stimuli", stimuli.get("source", ""))
         yield replace(_result(result, _where(folder, result)), settings=None, inputs=inputs, experiment=settings)
@@ -282,8 +282,7 @@ def with_references(fmu: Path, stem: str, texts: Mapping[str, str]) -> bytes:
 def experiment_text(stem: str, settings: Mapping[str, float], with_inputs: bool) -> str:
     """The experiment as LS-REF's .exp files have it."""
     root = ElementTree.Element("Experiments", name=stem)
-    names = {"StartTime": "startTime", "StopTime": "stopTime", "StepSize": "stepSize", "RelTol": "tolerance"}
-    item = ElementTree.SubElement(root, "Experiment", {"name": stem, **{names[name]: repr(value) for name, value in settings.items()}})
+    item = ElementTree.SubElement(root, "Experiment", {"name": stem, **{_SETTINGS[name]: repr(value) for name, value in settings.items()}})
     if with_inputs:
         ElementTree.SubElement(item, "Stimuli", source=f"{stem}{INPUT}", type="text/csv")
     ElementTree.SubElement(item, "References", source=f"{stem}{RESULT}", type="text/csv")

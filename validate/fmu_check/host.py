@@ -1,6 +1,6 @@
 """check_fmu(): the file is checked, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...] or None, "seconds": 60}, {}) -> what the rows are about
+    run_checks({"path": ..., "folder": ..., "told": ..., "names": [...], "seconds": 60}, {}) -> what the rows are about
 
 is what the child runs: each check in a fork of its own. It appends each row to the file `told`, as a line of JSON, when the check has ended.
 """
@@ -45,12 +45,14 @@ BEHAVIOUR: tuple[Check, ...] = (
     exchange.agree, clocks.ticking, clocks.activated, reference.stored, *importers.CHECKS,
 )  # fmt: skip
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
+# Those that are run only where they are asked for; and those without which others cannot be.
+_BY_OTHERS = tuple(item.name for item in importers.CHECKS)
+_ALWAYS = (FIRST.name, files.compiled.name)
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    if request["names"] is None:
-        cvode.functions()  # 7 ms, once, before anything is forked
+    cvode.functions()  # 7 ms, once, before anything is forked
     table = _Table(request)
     path, folder = Path(request["path"]), Path(request["folder"])
     for item, place in zip(STATIC, (path, folder), strict=True):
@@ -79,7 +81,6 @@ class _Table:
 
     def __init__(self, request: dict[str, Any]) -> None:
         self._names, self._seconds, self._told = request["names"], request["seconds"], Path(request["told"])
-        self._importers = request["importers"]
         self.major = int(request["version"][:1] or 0)
         self._broken: set[str] = set()
         self.ran = False  # whether any of its code could be run
@@ -89,8 +90,9 @@ class _Table:
         """One check of a described FMU, if it can be run."""
         if item is files.compiled and files.library_path(subject, kind).is_file():
             return  # as of most FMUs: no row
+        arguments = (subject, kind) if kind else (subject,)
         if item in READING:
-            self.add(item, kind, (subject, kind) if kind else (subject,))
+            self.add(item, kind, arguments)
             return
         needed = (kind,) if kind else subject.types
         missing = [name for name in needed if not files.library_path(subject, name).is_file()]
@@ -102,7 +104,7 @@ class _Table:
         elif lacks := item.lacks(subject, kind):
             self.skip(item, kind, lacks)
         else:
-            found = self.add(item, kind, (subject, kind) if kind else (subject,))
+            found = self.add(item, kind, arguments)
             self.ran = self.ran or bool(kind)
             if found is not None and item is FIRST:
                 if found.status is not Status.PASSED:
@@ -112,7 +114,7 @@ class _Table:
 
     def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> Finding | None:
         """Run one check in a fork, if it was asked for; what it found."""
-        if not self._wanted(item):
+        if item.name not in self._names:
             return None
         began = time.monotonic()
         self._row(item, kind, found := self._found(item, kind, arguments), began)
@@ -136,13 +138,8 @@ class _Table:
                 return failed(f"{fault}.")
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
-        if self._wanted(item):
+        if item.name in self._names:
             self._row(item, kind, not_offered(sentence), time.monotonic())
-
-    def _wanted(self, item: Check) -> bool:
-        if self._names is None:
-            return self._importers or item not in importers.CHECKS
-        return item.name in self._names or item in (FIRST, files.compiled)
 
     def _row(self, item: Check, kind: str, found: Finding, began: float) -> None:
         row = {"name": item.name, "type": kind, "claim": item.claim, "status": found.status, "sentence": found.sentence}
@@ -183,6 +180,7 @@ def check_fmu(
         if name not in NAMES:
             there = f"there are: {', '.join(NAMES)}."
             raise UnknownNameError(f"there is no check {name!r}; {did_you_mean(name, NAMES, there)}")
+    asked = (*names, *_ALWAYS) if names is not None else NAMES if importers else [name for name in NAMES if name not in _BY_OTHERS]
     rows: list[FmuCheckRow] = []
 
     def take(row: FmuCheckRow) -> None:
@@ -209,7 +207,7 @@ def check_fmu(
         lines.touch()
         request = {
             "path": str(path.resolve()), "folder": str(unpacked), "told": str(lines), "version": archive.version, "seconds": seconds,
-            "runnable": bool(archive.kinds), "importers": importers, "names": None if names is None else list(names),
+            "runnable": bool(archive.kinds), "names": list(asked),
         }  # fmt: skip
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         with _following(lines, take):
