@@ -48,8 +48,7 @@ class ContactPart:
     start: tuple[float, ...]
     gradient: tuple[sp.Expr, ...]
     parameters: tuple[Parameter, ...]
-    step: float
-    horizon: float
+    task: Task
 
     def force_name(self, coordinate: Coordinate) -> str:
         """Name of the generalised force of this contact on a coordinate, as `lam_left_q1`."""
@@ -129,8 +128,7 @@ def _contact(d: Dynamics, index: int) -> ContactPart:
         start=(*(start[i] for i in moved), *(start[scene.nq + i] for i in moved)),
         gradient=tuple(d.gap_jacobian[index, i] for i in moved),
         parameters=_used(scene, [contact.penetration, contact.stiffness]),
-        step=scene.task.step,
-        horizon=scene.task.horizon,
+        task=scene.task,
     )
 
 

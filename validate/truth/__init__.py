@@ -1,1 +1,1 @@
-"""The contact truth suite: phenomena with exact answers, put to every engine."""
+"""Phenomena of contact with exact answers: what the truth suite (validate.tasks.truth) puts to every engine."""
