@@ -1,34 +1,61 @@
-"""`truth`: the contact truth suite."""
+"""`truth`: the contact truth suite: every problem put to every engine at four steps, and what came of it in numbers and one sentence.
+
+    found = measure(("fmu", "mujoco"), jobs=2, tell=print)
+    found[0].problem, found[0].engine, found[0].levels[-1].error, found[0].order, found[0].sentence
+
+Why an engine is wrong is measured (validate.judge.disagreement). Nothing but times differs between two runs.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
+from itertools import product
 from pathlib import Path
 
 import click
+import numpy as np
 
+from models.dynamics import derive
+from models.scene import Scene
 from reports.pages.simulators import as_markdown, cell, largest_disagreement
 from reports.records.check_record import ChartRecord
-from reports.records.engines_record import TruthRecord, TruthRow
+from reports.records.engines_record import LevelRecord, TruthRecord, TruthRow
 from reports.render import render_truth
 from validate.cli.options import write, written_to
 from validate.cli.table import print_table, say, wide_option
 from validate.execution.process import usable_cores
-from validate.judge.disagreement import REFERENCE
-from validate.judge.simulator import describe_engine, engine_names, named_engines
+from validate.judge.disagreement import REFERENCE, size, why
+from validate.judge.simulator import (
+    Came,
+    Drive,
+    EngineAnswer,
+    SimulatedMotion,
+    Simulator,
+    describe_engine,
+    engine_names,
+    named_engines,
+    run_engine,
+)
 from validate.store.provenance import command_line
 from validate.stress.case import chart
-from validate.tasks.truth import NEAR, measure
+from validate.truth.problems import TruthProblem, problems
 
 # Of the CSV.
 _OF_ROWS = ("phenomenon", "problem", "engine", "came", "kind", "worst", "order", "sentence")
 _OF_LEVELS = ("step", "tolerance", "error", "energy", "microseconds", "seconds")
 # Problems whose error is drawn against CPU time, by phenomenon: one with a closed form of each kind of contact.
 _DRAWN = ("rebound", "two-body collision", "grazing contact", "stick-slip")
+# The reference must come this near to every answer [-]: what its tolerance leaves after 1000 bounces is a hundredth of it.
+NEAR = 1e-7
+# Errors below this share are rounding, and have no order.
+_ROUNDING = 1e-11
+# What is called right without more words.
+_RIGHT = 1e-8
 
 
 @click.command(
@@ -123,3 +150,127 @@ def as_csv(record: TruthRecord) -> str:
             found = [getattr(row, name) for name in _OF_ROWS] + [getattr(level, name, None) for name in _OF_LEVELS]
             rows.writerow(["" if value is None else repr(value) if isinstance(value, float) else value for value in found])
     return text.getvalue()
+
+
+def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[TruthRow]:
+    """All problems by these engines, each in a child of its own, so many at a time, the longest first.
+
+    Raises UnknownNameError for an engine that there is not, MachineError without a compiler or room.
+    """
+    asked = list(product(problems(), engines))
+    ends = {problem.name: problem.end() for problem in dict(asked)}
+
+    def one(item: tuple[TruthProblem, str]) -> TruthRow:
+        problem, engine = item
+        row = judged(problem, engine, run_engine(engine, drives(problem, describe_engine(engine))), ends[problem.name])
+        tell(f"{problem.phenomenon}, {problem.name}: {engine}: {row.sentence}")
+        return row
+
+    order = sorted(asked, key=lambda item: -item[0].nodes * item[0].parts[-1])
+    with ThreadPoolExecutor(max_workers=jobs) as pool:
+        rows = dict(zip(order, pool.map(one, order), strict=True))
+    return [rows[item] for item in asked]
+
+
+def drives(problem: TruthProblem, about: Simulator) -> list[Drive]:
+    """Of its four levels."""
+    start, tolerances = np.array(problem.scene.task.start, dtype=float), about.tolerances or (1.0,) * len(problem.parts)
+    levels = zip(problem.parts, tolerances, strict=True)
+    return [Drive(scene=problem.scene, plan=problem.plan, start=start, parts=parts, tolerance=tolerance) for parts, tolerance in levels]
+
+
+def judged(
+    problem: TruthProblem,
+    engine: str,
+    answer: EngineAnswer,
+    end: np.ndarray,
+    ask: Callable[[str, Sequence[Drive]], EngineAnswer] = run_engine,
+) -> TruthRow:
+    """The row of an answer.
+
+    Parameters
+    ----------
+    problem, engine
+        What was asked, and whom.
+    answer
+        To `drives` of them.
+    end
+        (2 nq,) of `problem.end()` [m, m/s].
+    ask
+        How engines are asked for more.
+
+    Returns
+    -------
+    TruthRow
+        With its sentence.
+
+    Raises
+    ------
+    UnknownNameError
+        For an engine that there is not.
+    """
+    row = TruthRow(
+        phenomenon=problem.phenomenon, problem=problem.name, source=problem.source, engine=engine, came=answer.came.value,
+        sentence=answer.why.rstrip("."),
+    )  # fmt: skip
+    if answer.came is not Came.DONE:
+        return row
+    energy, adaptive, asked = _energy_of(problem.scene), describe_engine(engine).adaptive, drives(problem, describe_engine(engine))
+    told = [_errors(problem, motion, end, energy) for motion in answer.motions]
+    worst = [_worst(item, problem) for item in told]
+    errors = [error for error, _ in worst]
+    levels = tuple(
+        LevelRecord(
+            step=None if adaptive else drive.step, tolerance=drive.tolerance if adaptive else None, error=_finite(error),
+            energy=_finite(item.get("energy", math.inf)), microseconds=None if adaptive else 1e6 * motion.seconds / (problem.nodes * drive.parts),
+            seconds=motion.seconds,
+        )
+        for drive, item, error, motion in zip(asked, told, errors, answer.motions, strict=True)
+    )  # fmt: skip
+    kind, sentence = "", f"right to {size(errors[-1])}"
+    if errors[-1] > _RIGHT:
+        found, words = why(engine, asked, errors, lambda motion: _worst(_errors(problem, motion, end, energy), problem)[0], ask=ask)
+        kind, sentence = found.value, f"{found.value}: {words}"
+    order = None if adaptive else observed_order(errors)
+    return row.model_copy(update={"sentence": sentence, "kind": kind, "worst": worst[-1][1], "order": order, "levels": levels})
+
+
+def observed_order(errors: Sequence[float]) -> float | None:
+    """Slope of log error over log step, each step half the one before; None where fewer than two errors are more than rounding."""
+    halvings = [place for place, error in enumerate(errors) if math.isfinite(error) and error > _ROUNDING]
+    return None if len(halvings) < 2 else -float(np.polyfit(halvings, [math.log2(errors[place]) for place in halvings], 1)[0])
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _errors(
+    problem: TruthProblem, motion: SimulatedMotion, end: np.ndarray, energy: Callable[[np.ndarray, np.ndarray], float]
+) -> dict[str, float]:
+    """By quantity, as shares, the energy beside them."""
+    if not motion.finite:
+        return {"the motion": math.inf}
+    start = np.split(np.array(problem.scene.task.start, dtype=float), 2)
+    true = energy(*start) if problem.energy_kept else energy(*np.split(end, 2)) if np.isfinite(end).all() else math.nan
+    share = abs(energy(motion.q[-1], motion.v[-1]) - true) / max(abs(energy(*start)), abs(true))
+    found = problem.errors(problem.plan.t, motion.q, motion.v, end)
+    return found | ({"energy": share} if math.isfinite(share) else {})
+
+
+def _worst(told: dict[str, float], problem: TruthProblem) -> tuple[float, str]:
+    """The largest error and its quantity; the energy, of which there may be next to none, decides only where it is kept."""
+    return max((error, name) for name, error in told.items() if name != "energy" or problem.energy_kept)
+
+
+def _energy_of(scene: Scene) -> Callable[[np.ndarray, np.ndarray], float]:
+    """Kinetic, potential and contact energy [J] of positions and velocities (nq,) [m, m/s]."""
+    d = derive(scene)
+    plain, contact = d.function([d.kinetic_energy + d.potential_energy], d.q, d.v), d.function([d.penetration, d.stiffness], d.q)
+
+    def energy(q: np.ndarray, v: np.ndarray) -> float:
+        """Of q, v (nq,) [m, m/s]: [J]. Raises nothing."""
+        depth, stiffness = np.split(contact(q).ravel(), 2)
+        return float(plain(q, v).item() + (stiffness * np.maximum(depth, 0.0) ** 2).sum() / 2)
+
+    return energy

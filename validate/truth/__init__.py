@@ -1,1 +1,1 @@
-"""Phenomena of contact with exact answers: what the truth suite (validate.tasks.truth) puts to every engine."""
+"""Phenomena of contact with exact answers: what the truth suite (validate.cli.truth) puts to every engine."""

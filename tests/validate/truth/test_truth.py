@@ -19,10 +19,9 @@ from models.scene import Scene
 from reports.pages.simulators import as_markdown, largest_disagreement
 from reports.records.engines_record import TruthRow
 from reports.render import render_truth
-from validate.cli.truth import as_csv, recorded, reference_is_right
+from validate.cli import truth
+from validate.cli.truth import as_csv, drives, judged, observed_order, recorded, reference_is_right
 from validate.judge.simulator import Came, EngineAnswer, describe_engine, load_engine, named_engines
-from validate.tasks import truth
-from validate.tasks.truth import drives, judged, observed_order
 from validate.truth.problems import TruthProblem, problems, restitution
 
 PROBLEMS = {f"{problem.phenomenon}: {problem.name}": problem for problem in problems()}
