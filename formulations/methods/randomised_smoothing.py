@@ -39,14 +39,12 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
 
     def session(self, scene: Scene, options: RandomisedSmoothingOptions, clock: Clock) -> Session:
         """Open a session, which imports PyTorch."""
-        from formulations.shooting.session import ShootingSession, noise, paper_objective, quasi_newton  # imports PyTorch
+        from formulations.shooting.session import ShootingSession, noise, paper_objective  # imports PyTorch
 
         drawn = partial(
             noise, scene, unbounded=options.unbounded, samples=options.samples, pieces=options.pieces, seed=options.seed
         )  # of the deviation
-        return ShootingSession(
-            self, scene, options, clock, objective=paper_objective(options, ContactLaw.RELU, noise=drawn), minimise=quasi_newton
-        )
+        return ShootingSession(self, scene, options, clock, paper_objective(options, ContactLaw.RELU, noise=drawn))
 
 
 METHOD = RandomisedSmoothing()

@@ -5,7 +5,7 @@ Light to import: no PyTorch.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from formulations.method import Clock, Method, Session
 from formulations.shooting.options import DescentOptions, QuasiNewtonOptions
@@ -32,9 +32,7 @@ class ShootingMethod(Method[_Weighted]):
         """Open a session, which imports PyTorch."""
         from formulations.shooting import session as opened
 
-        objective = opened.paper_objective(options, self.law, self.loss(scene))
-        minimise: Any = opened.descend if isinstance(options, DescentOptions) else opened.quasi_newton
-        return opened.ShootingSession(self, scene, options, clock, objective=objective, minimise=minimise)
+        return opened.ShootingSession(self, scene, options, clock, opened.paper_objective(options, self.law, self.loss(scene)))
 
 
 class DescentMethod(ShootingMethod[DescentOptions]):

@@ -40,9 +40,7 @@ from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
-from models.scene.goal import miss
-
-PAPER_INPUT_WEIGHT = 5e-6
+from models.scene.goal import goal_state, miss
 
 Loss = Callable[[RolloutTensors, Tensor], Tensor]
 
@@ -52,7 +50,7 @@ class Weights:
     """Weights of the mean squared terminal error and of the running cost in the loss."""
 
     terminal: float = 1.0
-    running: float = PAPER_INPUT_WEIGHT
+    running: float = 5e-6
 
 
 class GoalLoss:
@@ -79,7 +77,7 @@ class GoalLoss:
 class Objective:
     """A loss as a function of inputs (steps, nu) alone; facts of the last evaluation stand beside it.
 
-    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is given; NaN where free. noise (samples, steps, nu): the
+    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is given (`aim`); NaN where free. noise (samples, steps, nu): the
     loss is its mean over inputs u + noise[i]; plan is still that of u. plan: the last rollout; seconds: wall seconds spent so far.
     """
 
@@ -90,7 +88,6 @@ class Objective:
         law: ContactLaw,
         eps: float | None = None,
         weights: Weights | None = None,
-        goal: Sequence[float | None] | None = None,
         loss: Loss | None = None,
         noise: np.ndarray | None = None,
     ) -> None:
@@ -102,7 +99,7 @@ class Objective:
         self._own = loss
         self._inputs = torch.zeros(task.steps, kernel.scene.nu, dtype=torch.float64)
         self.plan: RolloutTensors | None = None
-        self.aim(np.array(task.goal if goal is None else goal, dtype=float), Weights() if weights is None else weights)
+        self.aim(goal_state(task), Weights() if weights is None else weights)
 
     def aim(self, goal: np.ndarray, weights: Weights) -> None:
         """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a loss of one's own stays as it is. Raises ValueError for a goal that holds no numbers."""

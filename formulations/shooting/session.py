@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from time import perf_counter
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from formulations.method import Clock, Method, Session
 from formulations.shooting.descent import Descent, descend
 from formulations.shooting.objective import Objective, noise, paper_objective
 from formulations.shooting.options import DescentOptions, GoalOptions, LbfgsOptions
-from formulations.shooting.quasi_newton import minimise as quasi_newton
+from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds, with_growth
 from formulations.solution import Outcome, Solution
 from models.codegen.kernel import Kernel, load_kernel
@@ -23,30 +22,24 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ShootingSession", "descend", "noise", "paper_objective", "quasi_newton"]
-
-_Options = TypeVar("_Options", bound=DescentOptions | LbfgsOptions | GoalOptions)
+__all__ = ["ShootingSession", "noise", "paper_objective"]
 
 
-class ShootingSession(Session, Generic[_Options]):
-    """One method on one scene.
+class ShootingSession(Session):
+    """One method on one scene, by gradient descent or by L-BFGS, as its options say.
 
-    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu) [N, N m]; minimise: from that loss, these inputs, options
-    and a time limit in wall seconds to the best inputs.
+    clock: of the opening; objective: the loss on a kernel, at an eps, from first inputs (steps, nu) [N, N m].
     """
 
     def __init__(
         self,
         method: Method,
         scene: Scene,
-        options: _Options,
+        options: DescentOptions | LbfgsOptions | GoalOptions,
         clock: Clock,
-        *,
         objective: Callable[[Kernel, float | None, np.ndarray], Objective],
-        minimise: Callable[[Objective, np.ndarray, _Options, float], Descent],
     ) -> None:
-        self._method, self._scene, self._options = method, scene, options
-        self._objective, self._minimise = objective, minimise
+        self._method, self._scene, self._options, self._objective = method, scene, options, objective
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         self._clock = clock
         clock.stop()
@@ -55,10 +48,13 @@ class ShootingSession(Session, Generic[_Options]):
         """Descend from the inputs of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
         stage = Clock()
         self._method.check_stage(eps, time_limit)
-        u0 = given_inputs(self._scene, warm_start)
+        u0, options = given_inputs(self._scene, warm_start), self._options
         objective = self._objective(self._kernel, eps, u0)
         descending = perf_counter()
-        descent = self._minimise(objective, u0, self._options, time_limit)
+        if isinstance(options, DescentOptions):
+            descent = descend(objective, u0, options, time_limit)
+        else:
+            descent = minimise(objective, u0, options, time_limit)
         evaluating, descending = objective.seconds, perf_counter() - descending
         solution = self._solution(descent, u0, objective.law, objective.eps)
         return replace(solution, seconds=stage_seconds(stage, self._clock, evaluating, descending))

@@ -21,7 +21,6 @@ from formulations.grids import input_bounds, scene_of
 from formulations.method import Clock, Method
 from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.options import RobustOptions
-from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.rollout import rollout
 from formulations.shooting.session import ShootingSession
 from formulations.solution import Solution
@@ -106,14 +105,14 @@ class WorldsObjective(Objective):
         return super()._loss(u) + self._price * (torch.sqrt(1.0 + squares) - 1.0).mean()
 
 
-class WorldsSession(ShootingSession[RobustOptions]):
+class WorldsSession(ShootingSession):
     """A session whose worlds are drawn when it is solved: how large inputs without bounds are, the first ones say."""
 
     def __init__(self, method: Method, scene: Scene, options: RobustOptions, clock: Clock) -> None:
         def objective(kernel: Kernel, _: float | None, u0: np.ndarray) -> Objective:
             return WorldsObjective(kernel, u0, options)
 
-        super().__init__(method, scene, options, clock, objective=objective, minimise=minimise)
+        super().__init__(method, scene, options, clock, objective)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Descend from the inputs of the warm start, on its own steps where those are finer. Raises TrajectoryError for a plan of another scene or grid."""

@@ -57,7 +57,9 @@ def test_it_is_the_descent_written_out_in_numpy(case: str):
     goal[0] = np.nan if case == "a free end" else goal[0]
     u0 = size * np.sin(np.arange(scene.task.steps * scene.nu, dtype=float)).reshape(scene.task.steps, scene.nu)
     told, last, best, rows = descend_in_python(kernel, law, eps, goal, (1.5, 1e-5), u0, settings)
-    found = descend(Objective(kernel, law=law, eps=eps, weights=Weights(terminal=1.5, running=1e-5), goal=goal), u0, settings, 60.0)
+    objective = Objective(kernel, law=law, eps=eps)
+    objective.aim(goal, Weights(terminal=1.5, running=1e-5))
+    found = descend(objective, u0, settings, 60.0)
     assert told == expected
     assert found.outcome is TOLD.get(told, found.outcome)
     assert told != "settled" or found.outcome in (Outcome.SOLVED, Outcome.STALLED)
@@ -214,12 +216,9 @@ def test_loss_and_gradient_are_those_of_the_formula_in_plain_pytorch(law: Contac
 
 
 def test_free_components_of_the_goal_cost_nothing():
-    free = (None, *SCENE.task.goal[1:])
-    objective, whole, u = (
-        Objective(KERNEL, law=ContactLaw.RELU, goal=free),
-        Objective(KERNEL, law=ContactLaw.RELU),
-        _inputs().detach().numpy(),
-    )
+    objective, whole = (Objective(KERNEL, law=ContactLaw.RELU) for _ in range(2))
+    objective.aim(np.array((np.nan, *SCENE.task.goal[1:])), Weights())
+    u = _inputs().detach().numpy()
     whole.value(u)
     assert objective.value(u) == pytest.approx(whole.value(u) - whole.error[0] ** 2 / 6.0, rel=1e-12)
     assert objective.error[0] == 0.0
