@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import partial
 
 from formulations.method import Clock, Kind, Method, OptionError, Session, option
-from formulations.shooting.options import LbfgsOptions
+from formulations.shooting.method import SearchOptions, WeightOptions
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
 
 # The goal is not displaced: what the mean misses is as much the noise as the plan.
 @dataclass(frozen=True, kw_only=True)
-class RandomisedSmoothingOptions(LbfgsOptions):
+class RandomisedSmoothingOptions(SearchOptions, WeightOptions):
     """Options of `randomised_smoothing`."""
 
     samples: int = option(16, "rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6)

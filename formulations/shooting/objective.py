@@ -35,14 +35,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from formulations.shooting.options import WeightOptions
-from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
+from formulations.shooting.method import WeightOptions
+from formulations.shooting.rollout import Loss, RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
-
-Loss = Callable[[RolloutTensors, Tensor], Tensor]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,9 @@ from scipy.optimize import Bounds, minimize
 
 from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent, dead_contact_message, sensitivity, stable_rate
+from formulations.shooting.method import SearchOptions
 from formulations.shooting.objective import Objective
-from formulations.shooting.options import GoalOptions, LbfgsOptions
 from formulations.solution import Outcome
-from models.scene import Scene
 
 _JUDGED_OVER = 20  # iterations over which the decrease is judged
 _SHRINKS, _HEAVIER = 0.25, 5.0  # a round that misses by more than this share of the least before makes the goal heavier
@@ -32,7 +31,7 @@ class _Run:
     """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
 
     def __init__(
-        self, objective: Objective, goal: np.ndarray, options: LbfgsOptions | GoalOptions, deadline: float, history: dict[str, list[float]]
+        self, objective: Objective, goal: np.ndarray, options: SearchOptions, deadline: float, history: dict[str, list[float]]
     ) -> None:
         self._objective, self._goal, self._options, self._deadline, self._history = objective, goal, options, deadline, history
         self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
@@ -50,11 +49,23 @@ class _Run:
             self._norm = float(np.linalg.norm(projected(self._objective, u, self._objective.gradient())))
         return value
 
-    @property
-    def flat(self) -> bool:
-        """Whether next to nothing is left of the projected gradient that the first point had."""
-        norms = self._history["gradient_norm"]
-        return self._norm <= _FLAT * (norms[0] if norms else 0.0)
+    def minimised(self, u: np.ndarray) -> np.ndarray:
+        """The inputs (steps, nu) [N, N m] where L-BFGS from u ends, which `ending` names. Raises what `function` does."""
+        lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(self._objective.kernel.scene))
+        options = self._options
+        result = minimize(
+            self.function,
+            u.ravel(),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=self.monitor,
+            options={"maxcor": options.memory, "maxiter": options.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
+        )
+        if not self.ending:  # nothing is left of the projected gradient that the first point had, or no step lowers the loss
+            norms = self._history["gradient_norm"]
+            self.ending = "flat" if self._norm <= _FLAT * (norms[0] if norms else 0.0) else "search"
+        return np.clip(result.x.reshape(u.shape), lower.reshape(u.shape), upper.reshape(u.shape))
 
     def function(self, point: np.ndarray) -> tuple[float, np.ndarray]:
         """Evaluate the scaled loss and its gradient (steps*nu,) [1/N, 1/N/m] at a point (steps*nu,) [N, N m]. Raises ShootingError for a loss of one's own that cannot be differentiated."""
@@ -62,13 +73,8 @@ class _Run:
         if not np.isfinite(value):  # a step too far: the line search shortens it
             return 1e300, np.zeros(point.size)
         gradient = self._objective.gradient().ravel()
-        self._last = (
-            point.copy(),
-            value,
-            gradient.copy(),
-            float(np.linalg.norm(self._objective.missed(self._goal))),
-            self._objective.cost,
-        )
+        missed = float(np.linalg.norm(self._objective.missed(self._goal)))
+        self._last = (point.copy(), value, gradient.copy(), missed, self._objective.cost)
         return value / self._scale, gradient / self._scale
 
     def monitor(self, point: np.ndarray) -> None:
@@ -89,9 +95,7 @@ class _Run:
             self.ending = "limit"
         elif perf_counter() >= self._deadline:
             self.ending = "time"
-        elif len(self.losses) > _JUDGED_OVER and self.losses[-1 - _JUDGED_OVER] - value <= options.tolerance * abs(
-            self.losses[-1 - _JUDGED_OVER]
-        ):
+        elif len(self.losses) > _JUDGED_OVER and (earlier := self.losses[-1 - _JUDGED_OVER]) - value <= options.tolerance * abs(earlier):
             self.ending = "settled"
         if self.ending:
             raise StopIteration
@@ -104,7 +108,7 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
     return np.where(beyond, 0.0, gradient)
 
 
-def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions | GoalOptions, time_limit: float) -> Descent:
+def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_limit: float) -> Descent:
     """Minimise from u0 (steps, nu) [N, N m] within the bounds; the objective's goal is left where it was.
 
     Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall seconds. Raises ShootingError for a loss of one's own that
@@ -150,7 +154,7 @@ def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions | GoalO
 
 
 def _rounds(
-    objective: Objective, u: np.ndarray, options: LbfgsOptions | GoalOptions, deadline: float, history: dict[str, list[float]]
+    objective: Objective, u: np.ndarray, options: SearchOptions, deadline: float, history: dict[str, list[float]]
 ) -> tuple[_Run | None, np.ndarray, float, int]:
     """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
     goal, best, least, displaced, weight, slow = objective.goal, u, np.inf, 0, objective.weights.terminal, 0
@@ -160,7 +164,7 @@ def _rounds(
         run = _Run(objective, goal, options, deadline, history)
         if not np.isfinite(run.start(u)):
             return None, u, np.inf, 0
-        u = _one(run, objective.kernel.scene, u, options)
+        u = run.minimised(u)
         objective.value(u)
         error = objective.missed(goal)
         missed = float(np.linalg.norm(error))
@@ -173,19 +177,3 @@ def _rounds(
         if run.ending in ("limit", "time") or missed <= options.goal_tolerance or displaced >= most or slow > 2:
             return run, best, least, displaced
         displaced += 1
-
-
-def _one(run: _Run, scene: Scene, u: np.ndarray, options: LbfgsOptions | GoalOptions) -> np.ndarray:
-    lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(scene))
-    result = minimize(
-        run.function,
-        u.ravel(),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=Bounds(lower, upper),
-        callback=run.monitor,
-        options={"maxcor": options.memory, "maxiter": options.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
-    )
-    if not run.ending:
-        run.ending = "flat" if run.flat else "search"
-    return np.clip(result.x.reshape(u.shape), lower.reshape(u.shape), upper.reshape(u.shape))

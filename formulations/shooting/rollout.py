@@ -19,7 +19,7 @@ on top. Decisions:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -48,6 +48,9 @@ class RolloutTensors(NamedTuple):
     lam: Tensor
     cost: Tensor
     end: Tensor
+
+
+Loss = Callable[[RolloutTensors, Tensor], Tensor]
 
 
 def rollout(
