@@ -49,13 +49,15 @@ def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
     if plan is None:
         return
     plan.check_fits(scene)
-    task = scene.task
-    if plan.steps != task.steps or not np.allclose(
-        plan.t - plan.t[0], uniform_grid(task.step, task.steps), rtol=1e-9, atol=1e-9 * task.step
-    ):
+    check_grid(plan, scene.task.steps, scene.task.step, f"scene {scene.name}")
+
+
+def check_grid(plan: Trajectory, steps: int, step: float, asker: str) -> None:
+    """Raise TrajectoryError for a plan that does not have so many steps of this length [s], which the asker has."""
+    if plan.steps != steps or not np.allclose(plan.t - plan.t[0], uniform_grid(step, steps), rtol=1e-9, atol=1e-9 * step):
         raise TrajectoryError(
-            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but scene {scene.name} has {task.steps} steps of "
-            f"{task.step:g} s; resample it to that grid."
+            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but {asker} has {steps} steps of {step:g} s; "
+            "resample it to that grid."
         )
 
 

@@ -23,7 +23,7 @@ from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, set_relaxation
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.solving import nearest
+from formulations.transcription.solving import nearest, out_of_reach
 from models.codegen.kernel import load_kernel
 from models.collocation import switch_error
 from models.errors import TrajectoryError
@@ -121,9 +121,7 @@ class CollocationSession(Session):
         if not guesses and outcome is not Outcome.SOLVED and not budget.is_over:
             found = nearest(self._scene, budget, self._options.max_iterations, self._options.first_sharpness / self._scene.length)
             if found.is_out_of_reach:
-                task = self._scene.task
-                words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
-                return [], Outcome.INFEASIBLE, words
+                return [], Outcome.INFEASIBLE, out_of_reach(self._scene, found)
             if found.is_solved:
                 outcome, message = homotopy.run(budget, options, found.plan, keep, STAGE_ITERATIONS)
         return guesses[: -_TRIED - 1 : -1], outcome, message

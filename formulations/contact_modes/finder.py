@@ -19,7 +19,7 @@ from formulations.grids import coarse_scene, on_grid, plan_of, rolled_plan
 from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
 from formulations.transcription.method import SolveBudget
-from formulations.transcription.solving import nearest
+from formulations.transcription.solving import nearest, no_plan, out_of_reach
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.scene.goal import goal_state
@@ -176,8 +176,7 @@ class Finder:
             return False
         found = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
         if found.is_out_of_reach:
-            words = f"no plan reaches the goal within the input bounds: the nearest found misses {found.words}."
-            self._ending = (Outcome.INFEASIBLE, words)
+            self._ending = (Outcome.INFEASIBLE, out_of_reach(self._scene, found))
         return found.is_out_of_reach
 
     def _coarse(self, budget: SolveBudget, start: Trajectory | None) -> tuple[Trajectory, int] | None:
@@ -198,12 +197,8 @@ class Finder:
         return None if plan is None else (on_grid(plan, self._scene), max(1, self._scene.task.steps // coarse.task.steps // 2))
 
     def _reason(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:
-        task = self._scene.task
         if outcome is Outcome.INFEASIBLE:
-            return outcome, (
-                f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds, not even with "
-                "forces at a distance."
-            )
+            return outcome, f"{no_plan(self._scene)}, not even with forces at a distance."
         if outcome is Outcome.SOLVED:
             return Outcome.STALLED, "softplus plans were found, but the contact modes read off them have no exact plan."
         return outcome, f"softplus homotopy: {message}"

@@ -28,7 +28,7 @@ from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model, move_ball, open_goal, read_plan
-from formulations.transcription.compiled import CompiledModel, primal_dual
+from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import ContactFormulation, hold_modes, set_relaxation
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
@@ -97,7 +97,7 @@ class SoftplusHomotopy:
                 set_relaxation(model, _eps(sharpness))
             for name, value in self._stiffness.items():
                 model.parameter_scene[name] = share * value
-            warm = primal_dual(before) if before is not None and sharpness >= _DUALS_FROM else None
+            warm = before if sharpness >= _DUALS_FROM else None
             allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], budget.iterations + most_iterations)}
             result = self.compiled.run(budget, allowed, warm)
             if not result.solved and warm is not None and plan is not None and not budget.is_over:
@@ -226,14 +226,12 @@ class NonlinearModes:
 
     def _multipliers(self, result: IpoptResult) -> np.ndarray:
         """(2, steps, nc) derivative of the Lagrangian without its bounds, by lam and by v = lam - k phi: the multipliers of their bounds."""
-        model, problem = self._compiled.model, self._compiled.problem(self._budget)
         if not self._scene.nc:
             return np.zeros((2, self._scene.task.steps, 0))
-        place = {id(variable): column for column, variable in enumerate(problem.variables)}
-        slope = problem.lagrangian_gradient(result.x, result.lagrange)
-        lam = [place[id(variable)] for variable in model.variable_lam.values()]
-        separation = [place[id(pair.v)] for pair in model.complementarity_contact.values()]
-        return slope[np.array([lam, separation])].reshape(2, -1, self._scene.nc)
+        model = self._compiled.model
+        separations = [pair.v for pair in model.complementarity_contact.values()]
+        _, slope = self._compiled.ends(self._budget, result, [*model.variable_lam.values(), *separations])
+        return slope.reshape(2, -1, self._scene.nc)
 
 
 class SceneModels:

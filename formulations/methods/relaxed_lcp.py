@@ -20,7 +20,6 @@ from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Outcome, Solution, ended
 from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work
 from models.codegen.kernel import load_kernel
-from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.stability import step_stability
 from models.trajectory import Trajectory
@@ -95,10 +94,7 @@ class RelaxedLCPSession(Session):
             cold_work=_COLD,
             warm_work=_WARM,
             takes_duals=eps <= options.duals_from,
-            may_release_goal=False,
             sharpest=float(softest) * math.log(2.0) / math.sqrt(eps),
-            sharper=lambda factor: eps / factor**2,
-            law=ContactLaw.RELU,
             plan_limits=plan_limits,
             promises=promises,
         )

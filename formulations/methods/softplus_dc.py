@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from formulations.method import Clock, Kind, Method, Session, option
 from formulations.solution import Solution
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work
-from models.contact_law import ContactLaw, sharpness
+from models.contact_law import sharpness
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -45,9 +45,7 @@ class SoftplusDCSession(Session):
 
         self._scene, self._options = scene, options
         self._band = homotopy.band_options()
-        self._homotopy = homotopy.Homotopy(
-            method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules, counts_nonzeros=True
-        )
+        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
@@ -62,10 +60,7 @@ class SoftplusDCSession(Session):
             cold_work=None,
             warm_work=_WORK,
             takes_duals=eps <= options.duals_from,
-            may_release_goal=scene.nc > 0 and scene.task.has_goal,
             sharpest=sharpness(eps, scene.length),
-            sharper=lambda factor: eps**factor,
-            law=ContactLaw.SOFTPLUS,
             plan_limits=dict.fromkeys(("dynamics_defect", "contact_law", "regularised_friction"), _BROKEN),
             promises={**options.promises(), **dict.fromkeys(("contact_law", "regularised_friction"), options.plan_tolerance)},
         )

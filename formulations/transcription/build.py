@@ -41,6 +41,7 @@ import numpy as np
 import pyomo.environ as pyo
 from pyomo.common.gc_manager import PauseGC
 
+from formulations.grids import check_grid
 from formulations.transcription import equations
 from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import (
@@ -202,17 +203,14 @@ def _add_variables(block: Any, scene: Scene) -> None:
 
 
 def _add_ends(block: Any, scene: Scene) -> None:
-    last = scene.task.steps
-    for end, node, equation in (("start", 0, equations.constraint_start), ("goal", last, equations.constraint_goal)):
+    for end, node in (("start", 0), ("goal", scene.task.steps)):
         for part, variable in (("position", block.variable_q), ("velocity", block.variable_v)):
             value = block.component(f"parameter_{end}_{part}")
             if value is None:  # a free end
                 continue
             rows = pyo.Constraint(
                 value.index_set(),
-                rule=lambda b, name, node=node, equation=equation, variable=variable, value=value: equation(
-                    variable[node, name], value[name]
-                ),
+                rule=lambda b, name, node=node, variable=variable, value=value: variable[node, name] == value[name],
             )
             block.add_component(f"constraint_{end}_{part}", rows)
 
@@ -315,12 +313,7 @@ def load_plan(block: Any, plan: Trajectory) -> None:
         unless the plan has the block's grid and numbers of columns
     """
     steps, h = len(block.set_steps), pyo.value(block.parameter_step)
-    grid = uniform_grid(h, steps)
-    if plan.steps != steps or not np.allclose(plan.t - plan.t[0], grid, rtol=1e-9, atol=1e-9 * h):
-        raise TrajectoryError(
-            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but model {block.name} has {steps} steps of {h:g} s; "
-            "resample it to that grid."
-        )
+    check_grid(plan, steps, h, f"model {block.name}")
     friction = block.component("variable_friction")
     nf = 0 if friction is None else len(friction) // steps
     nc = plan.lam.shape[1] - nf

@@ -12,7 +12,7 @@ force's complement, its definition and their product, and with Kelvin-Voigt as m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from time import perf_counter
 from typing import Any
 
@@ -80,30 +80,33 @@ class CompiledModel:
         self,
         budget: SolveBudget,
         options: Mapping[str, Any],
-        start: Start | None = None,
+        after: IpoptResult | None = None,
         *,
         share: float = 1.0,
         callback: Callback | None = None,
     ) -> IpoptResult:
-        """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model.
+        """Solve from the values of the model's variables, or with all that another solve knew, and write the point where it ended into the model.
 
         Parameters
         ----------
         budget : of the stage
         options : Ipopt's; max_iter counts for the whole stage
-        start : with multipliers, perhaps
+        after : the other solve, whose point and multipliers this one starts from
         share : part of the remaining time this run may take
         callback : called after each iteration; False stops
         """
         problem = self.problem(budget)
         left = {**options, "max_iter": int(max(0, min(options["max_iter"] - budget.iterations, budget.iterations_left(problem))))}
+        start = None if after is None else Start(x=after.x, lagrange=after.lagrange, zl=after.zl, zu=after.zu)
         result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * budget.remaining)
         budget.add(result, problem)
         if np.all(np.isfinite(result.x)):
             load(problem, result)
         return result
 
-
-def primal_dual(result: IpoptResult) -> Start:
-    """A start with all that the last solve knew."""
-    return Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu)
+    def ends(self, budget: SolveBudget, result: IpoptResult, variables: Iterable[Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Values (n,) of variables at the end of a solve, and by each the derivative (n,) of the Lagrangian without its bounds: the multipliers of these."""
+        problem = self.problem(budget)
+        place = {id(variable): column for column, variable in enumerate(problem.variables)}
+        columns = np.array([place[id(variable)] for variable in variables])
+        return result.x[columns], problem.lagrangian_gradient(result.x, result.lagrange)[columns]

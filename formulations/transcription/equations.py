@@ -13,16 +13,6 @@ import pyomo.environ as pyo
 from pyomo.mpec import complements
 
 
-def constraint_start(state: Any, start: Any) -> Any:
-    """x[0] = start   [m, rad or m/s, rad/s]."""
-    return state == start
-
-
-def constraint_goal(state: Any, goal: Any) -> Any:
-    """x[T] = goal   [m, rad or m/s, rad/s]."""
-    return state == goal
-
-
 def constraint_position_step(q_next: Any, q_now: Any, v_next: Any, h: Any) -> Any:
     """q[t+1] = q[t] + h v[t+1]   [m, rad]."""
     return q_next == q_now + h * v_next

@@ -26,7 +26,6 @@ from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions, Work
 from formulations.transcription.solving import PlanSolver
 from models.contact_law import ContactLaw as ForceLaw
-from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -39,10 +38,7 @@ _FEW, _MANY, _SHRINKS = 30, 100, 3
 
 
 class Homotopy:
-    """One method's model on a scene.
-
-    rules: what the method asks of a stage at an eps; counts_nonzeros: whether work is counted in nonzeros of the model or in its unknowns
-    """
+    """One method's model on a scene. rules: what the method asks of a stage at an eps."""
 
     def __init__(
         self,
@@ -52,11 +48,8 @@ class Homotopy:
         options: TranscriptionOptions,
         clock: Clock,
         rules: Callable[[float], StageRules],
-        *,
-        counts_nonzeros: bool = False,
     ) -> None:
-        self._method, self.options, self.rules, self.counts_nonzeros = method, options, rules, counts_nonzeros
-        self._is_nested = contact is ContactFormulation.COMPLEMENTARITY
+        self._method, self.options, self.rules = method, options, rules
         self.solver = PlanSolver(scene, contact, options, clock)
         self._failure: tuple[float, Trajectory | None, Outcome] | None = None  # eps, start and end of a stage that gave no plan
 
@@ -71,9 +64,10 @@ class Homotopy:
         self._method.check_stage(eps, time_limit)
         eps = cast(float, eps)
         softer, before, ending = self._failure or (0.0, None, Outcome.STALLED)
-        if start is before and eps < softer and (self._is_nested or start is not None):
+        is_nested = not self.solver.is_softplus
+        if start is before and eps < softer and (is_nested or start is not None):
             message = f"Not tried: from this start there was no plan at eps = {softer:g} either, where contact is softer."
-            outcome = ending if self._is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
+            outcome = ending if is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
             return Solution(method=self._method.name, outcome=outcome, message=message, options=asdict(self.options))
         budget = self.solver.begin(eps, start, time_limit)
         with self.stage(budget) as stage:
@@ -93,9 +87,13 @@ class Homotopy:
         stage.settle()
 
     def residuals(self, plan: Trajectory, eps: float) -> dict[str, float]:
-        """Residuals of a plan by name, held against the contact law of the rules at this eps."""
-        law = self.rules(eps).law
-        return self.solver.residuals.of(plan, law, eps if law is ForceLaw.SOFTPLUS else None)
+        """Residuals of a plan by name, held against the contact law at this eps."""
+        of = self.solver.residuals.of
+        return of(plan, ForceLaw.SOFTPLUS, eps) if self.solver.is_softplus else of(plan)
+
+    def sharper(self, eps: float, factor: float) -> float:
+        """The eps at which contact is sharper by a factor."""
+        return eps**factor if self.solver.is_softplus else eps / factor**2
 
 
 class Stage:
@@ -138,8 +136,8 @@ class Stage:
         result, here, factor = begin(first), first, _FACTOR
         known, shrinks = self._solver.last, 0
         while known is not None and here > eps and self.may_go_on and shrinks < _SHRINKS:
-            sharper, before = self._homotopy.rules(here).sharper, self._spent
-            there = sharper(factor) if sharper(factor**1.1) > eps else eps
+            sharper, before = self._homotopy.sharper, self._spent
+            there = sharper(here, factor) if sharper(here, factor**1.1) > eps else eps
             self._solver.load(known.plan)
             self._solver.last = known
             result = self.solve(there, known.plan)
@@ -160,7 +158,8 @@ class Stage:
     def solve(self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None) -> IpoptResult:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
         rules = self._homotopy.rules(eps)
-        size = self._solver.compiled.problem(self.budget).nonzeros if self._homotopy.counts_nonzeros else self._solver.unknowns
+        # work is counted in nonzeros of a softplus model, and in unknowns of one with complementarity
+        size = self._solver.problem(self.budget).nonzeros if self._solver.is_softplus else self._solver.unknowns
         own = SolveBudget(self.budget.remaining)
         self._budgets.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
@@ -171,10 +170,7 @@ class Stage:
 
     def left(self, eps: float) -> Trajectory | None:
         """What a solve at eps left in the model, if that is a plan."""
-        try:
-            plan = self._solver.read()
-        except TrajectoryError:
-            return None
+        plan = self._solver.read()
         return None if beyond(self._homotopy.rules(eps).plan_limits, self._homotopy.residuals(plan, eps)) else plan
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:

@@ -6,7 +6,7 @@ And which functions of SymPy have a form in Pyomo.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter, process_time
@@ -16,7 +16,6 @@ import sympy as sp
 
 from formulations.method import Options, option
 from formulations.solution import Seconds, Solution
-from models.contact_law import ContactLaw
 from models.errors import SceneError
 from models.scene import Scene
 
@@ -107,10 +106,9 @@ class StageRules:
     """What a method asks of a stage at one eps.
 
     ipopt: options of every solve; cold: further ones for a start without a plan; cold_work, warm_work: of one solve, None: as much as `max_iter` says;
-    takes_duals: whether a stage that follows another of the session starts with its multipliers too; may_release_goal: whether a cold start whose
-    multipliers run away is begun again without its goal; sharpest: sharpness b [1/m] of softplus contact that goes as far from the true law as the
-    method's own contact; sharper: the eps at which contact is sharper by a factor; law: the contact law that the plan is held against; plan_limits: largest residuals of a last iterate that was not solved
-    and is handed on all the same; promises: largest residuals with which the outcome may be SOLVED.
+    takes_duals: whether a stage that follows another of the session starts with its multipliers too; sharpest: sharpness b [1/m] of softplus contact that
+    goes as far from the true law as the method's own contact; plan_limits: largest residuals of a last iterate that was not solved and is handed on all the
+    same; promises: largest residuals with which the outcome may be SOLVED.
     """
 
     ipopt: Mapping[str, object]
@@ -118,10 +116,7 @@ class StageRules:
     cold_work: Work | None
     warm_work: Work | None
     takes_duals: bool
-    may_release_goal: bool
     sharpest: float
-    sharper: Callable[[float], float]
-    law: ContactLaw
     plan_limits: Mapping[str, float]
     promises: Mapping[str, float]
 

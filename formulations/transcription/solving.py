@@ -42,16 +42,15 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
-from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
+from formulations.ipopt import IpoptResult, Iteration
 from formulations.method import Clock
 from formulations.solution import Outcome, Solution, beyond, checked, ended
-from formulations.transcription.build import build_model, load_plan, read_plan, release_goal
-from formulations.transcription.compiled import CompiledModel, primal_dual, size_on_paper
+from formulations.transcription.build import build_model, release_goal
+from formulations.transcription.compiled import CompiledModel, size_on_paper
 from formulations.transcription.contact import ContactFormulation, hold_modes, pressed_columns, release_modes, set_relaxation, sides
 from formulations.transcription.method import SolveBudget, StageRules, TranscriptionOptions
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
-from models.errors import TrajectoryError
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
@@ -74,31 +73,19 @@ _RELEASED_ITERATIONS = 300  # of a solve with the goal let go; 29 to 51 were nee
 _NEAR_ENOUGH, _HEAVIER, _WEIGHTS = 0.1, 100.0, 3
 
 
-class RestorationMonitor:
-    """Ipopt callback: stops a solve that stays in restoration. `is_out`: it did."""
+class Monitor:
+    """Ipopt callback: stops a solve that stays in restoration (`is_out`), or, where its goal is watched, one whose multipliers run away (`has_lost_goal`)."""
 
-    def __init__(self) -> None:
-        self.is_out = False
-        self._restoring = 0
+    def __init__(self, *, watches_goal: bool = False) -> None:
+        self.is_out = self.has_lost_goal = False
+        self._watches_goal, self._restoring = watches_goal, 0
 
     def __call__(self, line: Iteration) -> bool:
         """Whether Ipopt shall go on."""
         self._restoring = self._restoring + 1 if line.restoration else 0
         self.is_out = self._restoring >= _MOST_RESTORATIONS
-        return not self.is_out
-
-
-class GoalMonitor(RestorationMonitor):
-    """Ipopt callback: also stops a solve whose multipliers run away. `has_lost_goal`: that is why it was stopped."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.has_lost_goal = False
-
-    def __call__(self, line: Iteration) -> bool:
-        """Whether Ipopt shall go on."""
-        self.has_lost_goal = line.inf_du > _RUNAWAY
-        return super().__call__(line) and not self.has_lost_goal
+        self.has_lost_goal = self._watches_goal and line.inf_du > _RUNAWAY
+        return not (self.is_out or self.has_lost_goal)
 
 
 def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
@@ -116,7 +103,7 @@ def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, optio
         if pyo.value(missed) <= _NEAR_ENOUGH or budget.is_over:
             break
         model.parameter_weight.value *= _HEAVIER
-    return read_plan(model)
+    return compiled.read()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +125,17 @@ class Nearest:
         return self.is_solved and self.miss > _OUT_OF_REACH
 
 
+def no_plan(scene: Scene) -> str:
+    """What is said of a scene before why: no plan was found."""
+    task = scene.task
+    return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds"
+
+
+def out_of_reach(scene: Scene, found: Nearest) -> str:
+    """The same, and by how much the nearest plan misses the goal."""
+    return f"{no_plan(scene)}: the nearest that was found misses {found.words}."
+
+
 def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
     """The plan that comes nearest to the goal, by softplus contact that is sharpened.
 
@@ -150,23 +148,15 @@ def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: fl
     """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     model.objective_miss = pyo.Objective(expr=_let_goal_go(model, scene))  # a free end leaves nothing but the constraints to be met
-    problem = compile_model(model)
-    is_solved = False
+    compiled, is_solved = CompiledModel(model), False
     for b in _sharpnesses(scene, sharpest):
         if scene.nc:
             model.parameter_sharpness.value = b
-            problem.refresh()
-        most = int(min(_ITERATIONS, max(0, max_iterations - budget.iterations), budget.iterations_left(problem)))
-        result = solve(problem, options={"max_iter": most}, time_limit=budget.remaining)
-        budget.add(result, problem)
-        is_solved = result.outcome is Outcome.SOLVED
-        if not np.all(np.isfinite(result.x)):
+        result = compiled.run(budget, {"max_iter": min(budget.iterations + _ITERATIONS, max_iterations)})
+        is_solved = result.outcome is Outcome.SOLVED and not budget.is_over
+        if budget.is_over or not np.all(np.isfinite(result.x)):
             break
-        load(problem, result)
-        if budget.is_over:
-            is_solved = False
-            break
-    return _measured(scene, read_plan(model), is_solved)
+    return _measured(scene, compiled.read(), is_solved)
 
 
 def _let_goal_go(model: Any, scene: Scene) -> Any:
@@ -210,12 +200,12 @@ _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6}
 _UNDECIDED, _WANTING = 1e-5, 1e-5
 
 
-class FixedModes:
+class FixedModes(CompiledModel):
     """The problem without complementarity of a built model, translated at its first use. options: Ipopt's; most_switches: rounds of switching."""
 
     def __init__(self, model: Any, options: Mapping[str, Any], most_switches: int) -> None:
-        self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
-        self._compiled = CompiledModel(model)
+        super().__init__(model)
+        self._options, self._most_switches = {**options, **_NEAR}, most_switches
 
     def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
         """The last solved problem, its plan left in the model.
@@ -230,40 +220,36 @@ class FixedModes:
         ValueError
             For modes of another shape.
         """
-        hold_modes(self._model, closed)
-        best = self._run(budget)
+        hold_modes(self.model, closed)
+        best = self._near(budget)
         for _ in range(self._most_switches):
             if best.outcome is not Outcome.SOLVED or budget.is_over:
                 return best
-            switch = _cheaper_modes(self._compiled.problem(budget), best, self._model, closed)
+            switch = self._cheaper_modes(budget, best, closed)
             if not switch.any():
                 return best
-            plan, closed = read_plan(self._model), closed ^ switch
-            hold_modes(self._model, closed)
-            again = self._run(budget)
+            plan, closed = self.read(), closed ^ switch
+            hold_modes(self.model, closed)
+            again = self._near(budget)
             if again.outcome is not Outcome.SOLVED or again.objective >= best.objective:
-                load_plan(self._model, plan)  # no gain beyond rounding: keep what was there
+                self.load(plan)  # no gain beyond rounding: keep what was there
                 return best
             best = again
         return best
 
-    def _run(self, budget: SolveBudget) -> IpoptResult:
+    def _near(self, budget: SolveBudget) -> IpoptResult:
         most = min(self._options["max_iter"], budget.iterations + _MODE_ITERATIONS)
-        return self._compiled.run(budget, {**self._options, "max_iter": most})
+        return self.run(budget, {**self._options, "max_iter": most})
 
-
-def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
-    """Pairs (steps, nc + 2 nf) at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
-    place = {id(variable): column for column, variable in enumerate(problem.variables)}
-    couples = sides(model)
-    lam, separation = (np.array([place[id(couple[side])] for couple in couples]) for side in (0, 1))
-    slope = problem.lagrangian_gradient(result.x, result.lagrange)
-    undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED
-    held = np.where(closed.ravel(), separation, lam)
-    switch = (undecided & (slope[held] < -_WANTING)).reshape(closed.shape)
-    for contact, forward in pressed_columns(model):  # a friction that nothing presses has no mode to switch
-        switch[:, forward : forward + 2] &= closed[:, contact : contact + 1]
-    return switch
+    def _cheaper_modes(self, budget: SolveBudget, result: IpoptResult, closed: np.ndarray) -> np.ndarray:
+        """Pairs (steps, nc + 2 nf) at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
+        both = self.ends(budget, result, [variable for couple in sides(self.model) for variable in couple])
+        (lam, separation), (of_lam, of_separation) = (numbers.reshape(-1, 2).T for numbers in both)
+        held = np.where(closed.ravel(), of_separation, of_lam)
+        switch = ((np.maximum(lam, separation) < _UNDECIDED) & (held < -_WANTING)).reshape(closed.shape)
+        for contact, forward in pressed_columns(self.model):  # a friction that nothing presses has no mode to switch
+            switch[:, forward : forward + 2] &= closed[:, contact : contact + 1]
+        return switch
 
 
 IpoptOptions = Mapping[str, Any]
@@ -278,26 +264,19 @@ class SolvedModel:
     result: IpoptResult
 
 
-class PlanSolver:
+class PlanSolver(CompiledModel):
     """See the module docstring. last: the stage solved last, None where the last stage was not solved; clock: of the opening."""
 
     def __init__(self, scene: Scene, contact: ContactFormulation, options: TranscriptionOptions, clock: Clock) -> None:
+        super().__init__(None)
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
-        self._compiled: CompiledModel | None = None
         self._nearest: dict[float, Nearest] = {}
         self._clock = clock
         clock.stop()
 
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
-
-    @property
-    def compiled(self) -> CompiledModel:
-        """The model, once it was prepared."""
-        if self._compiled is None:
-            raise ValueError("no model has been prepared yet.")
-        return self._compiled
 
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its budget, and the model with its start."""
@@ -314,29 +293,26 @@ class PlanSolver:
         TrajectoryError
             for a plan of another grid
         """
-        if self._compiled is None:
-            self._compiled = CompiledModel(build_model(self._scene, self._contact, eps=eps))
+        if self.model is None:
+            self.model = build_model(self._scene, self._contact, eps=eps)
         self.load(start)
-
-    def load(self, start: Trajectory | None) -> None:
-        """The model holds this plan, or the paper's first guess. Raises TrajectoryError for a plan of another grid."""
-        self.compiled.load(start)
-
-    def read(self) -> Trajectory:
-        """The plan that the model holds. Raises TrajectoryError for values that are not finite."""
-        return self.compiled.read()
 
     def set_relaxation(self, eps: float) -> None:
         """Move the relaxation: the sharpness of softplus contact, the bound of complementarity."""
-        set_relaxation(self.compiled.model, eps)
+        set_relaxation(self.model, eps)
 
     def release_modes(self) -> None:
         """Complementarity is a choice again."""
-        release_modes(self.compiled.model)
+        release_modes(self.model)
 
     def with_fixed_modes(self, most_switches: int) -> FixedModes:
         """The model without complementarity, of a translation of its own."""
-        return FixedModes(self.compiled.model, self._options.ipopt(), most_switches)
+        return FixedModes(self.model, self._options.ipopt(), most_switches)
+
+    @property
+    def is_softplus(self) -> bool:
+        """Whether forces act at a distance."""
+        return self._contact is ContactFormulation.SOFTPLUS
 
     @property
     def unknowns(self) -> int:
@@ -355,10 +331,11 @@ class PlanSolver:
         if self._scene.nl:
             self.set_relaxation(eps)
         known = self.solved_before(start) if start is not None and rules.takes_duals else None
-        duals = None if known is None else primal_dual(known.result)
-        release_at = eps if start is None and rules.may_release_goal else None
-        result = self.attempt(budget, options, from_plan=from_plan, sharpest=rules.sharpest, start=duals, release_at=release_at)
-        if result.outcome is not Outcome.SOLVED and duals is not None and not budget.is_over:
+        before = None if known is None else known.result
+        releases = start is None and self.is_softplus and self._scene.nc > 0 and self._scene.task.has_goal
+        release_at = eps if releases else None
+        result = self.attempt(budget, options, from_plan=from_plan, sharpest=rules.sharpest, after=before, release_at=release_at)
+        if result.outcome is not Outcome.SOLVED and before is not None and not budget.is_over:
             self.load(start)  # multipliers of another eps can mislead: the plan alone, then
             result = self.attempt(budget, options, from_plan=from_plan, sharpest=rules.sharpest)
         self.last = SolvedModel(eps, self.read(), result) if result.outcome is Outcome.SOLVED else None
@@ -372,10 +349,6 @@ class PlanSolver:
         same = all(np.array_equal(getattr(solved.plan, name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
         return solved if same else None
 
-    def run(self, budget: SolveBudget, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
-        """Ipopt once, from what the model holds, or with all that it knew after another solve."""
-        return self.compiled.run(budget, options, None if after is None else primal_dual(after))
-
     def attempt(
         self,
         budget: SolveBudget,
@@ -383,7 +356,7 @@ class PlanSolver:
         *,
         from_plan: IpoptOptions,
         sharpest: float = np.inf,
-        start: Start | None = None,
+        after: IpoptResult | None = None,
         share: float = 1.0,
         release_at: float | None = None,
     ) -> IpoptResult:
@@ -392,22 +365,21 @@ class PlanSolver:
         from_plan: Ipopt's options where it goes on from a plan; sharpest: as in `StageRules`; share: part of the remaining time of each solve;
         release_at: eps of softplus contact at which the goal may be let go, None where it may not.
         """
-        monitor = RestorationMonitor() if release_at is None else GoalMonitor()
-        result = self.compiled.run(budget, options, start, share=share, callback=monitor)
-        is_lost = isinstance(monitor, GoalMonitor) and (monitor.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
+        monitor = Monitor(watches_goal=release_at is not None)
+        result = self.run(budget, options, after, share=share, callback=monitor)
+        is_lost = release_at is not None and (monitor.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
         if release_at is not None and is_lost and not budget.is_over:
             plan = plan_with_goal_released(self._scene, release_at, budget, options)
             if plan is not None:
                 self.load(plan)
-                monitor = RestorationMonitor()
-                result = self.compiled.run(budget, options, share=share, callback=monitor)
+                monitor = Monitor()
+                result = self.run(budget, options, share=share, callback=monitor)
                 is_lost = False
         if budget.is_over or not (is_lost or monitor.is_out or result.outcome is Outcome.INFEASIBLE):
             return result
         found = self._nearest_plan(budget, sharpest)
         if found.is_out_of_reach:
-            message = f"{self._no_plan()}: the nearest that was found misses {found.words}."
-            return replace(result, outcome=Outcome.INFEASIBLE, message=message)
+            return replace(result, outcome=Outcome.INFEASIBLE, message=out_of_reach(self._scene, found))
         if found.is_solved:
             self.load(found.plan)
             options = {**options, **from_plan}
@@ -415,8 +387,8 @@ class PlanSolver:
             self.load(None)
         elif not monitor.is_out:
             shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
-            return replace(result, message=f"{self._no_plan()}: {shortfall}.")
-        again = self.compiled.run(budget, options, share=share)
+            return replace(result, message=f"{no_plan(self._scene)}: {shortfall}.")
+        again = self.run(budget, options, share=share)
         if again.outcome is Outcome.INFEASIBLE and found.is_solved:
             message = (
                 f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
@@ -430,10 +402,6 @@ class PlanSolver:
         if found is None or not found.is_solved:
             found = self._nearest[sharpest] = nearest(self._scene, budget, self._options.max_iterations, sharpest)
         return found
-
-    def _no_plan(self) -> str:
-        task = self._scene.task
-        return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds"
 
     # -- what is handed back ------------------------------------------------------------------------------------------------------
 
@@ -451,11 +419,7 @@ class PlanSolver:
         outcome, message = result.outcome, ended(result.message)
         plan, residuals, cost = None, {}, None
         if outcome.has_answer:
-            try:
-                plan = self.read()
-            except TrajectoryError:  # a value that is not finite: no plan
-                outcome, message = Outcome.EVALUATION_ERROR, f"the last iterate holds values that are not finite numbers ({message})"
-        if plan is not None:
+            plan = self.read()
             residuals, cost = residuals_of(plan), self.residuals.cost(plan)
             if outcome is not Outcome.SOLVED and beyond(plan_limits, residuals):
                 plan, cost = None, None
@@ -470,7 +434,7 @@ class PlanSolver:
             cost=cost,
             residuals=residuals,
             options=asdict(self._options),
-            size=self.compiled.size,
+            size=self.size,
             paper_size=size_on_paper(self._scene, self._contact),
         )
         return budget.spent_on(found)

@@ -15,7 +15,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.method import SolveBudget
-from formulations.transcription.solving import RestorationMonitor, nearest
+from formulations.transcription.solving import Monitor, nearest
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.collocation import defect, rollout
@@ -287,7 +287,7 @@ def test_restoration_monitor_counts_consecutive_restoration() -> None:
         numbers = dict.fromkeys(("objective", "inf_pr", "inf_du", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 0.0)
         return Iteration(iteration=0, restoration=restoration, trials=1, **numbers)
 
-    monitor = RestorationMonitor()
+    monitor = Monitor()
     assert all(monitor(line(True)) for _ in range(99))
     assert monitor(line(False))
     assert all(monitor(line(True)) for _ in range(99))

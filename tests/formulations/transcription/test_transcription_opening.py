@@ -15,7 +15,7 @@ from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import set_relaxation
 from formulations.transcription.method import SolveBudget, Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.solving import GoalMonitor, plan_with_goal_released
+from formulations.transcription.solving import Monitor, plan_with_goal_released
 from models.catalog import load_scene
 from models.contact_law import ContactLaw as ForceLaw
 from tests.formulations.transcription.rollouts import rolled_out
@@ -31,7 +31,7 @@ def line(inf_du: float) -> Iteration:
 
 
 def test_multipliers_that_run_away_stop_a_cold_start():
-    monitor = GoalMonitor()
+    monitor = Monitor(watches_goal=True)
     assert monitor(line(1e9))
     assert not monitor.has_lost_goal
     assert not monitor(line(1e13))
