@@ -66,23 +66,6 @@ class Options:
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
-def read_options(kind: type[AnyOptions], given: AnyOptions | Mapping[str, object], method: str) -> AnyOptions:
-    """Fill in the defaults of a method's options. given: such options, or values by name. Raises OptionError."""
-    if isinstance(given, Options):
-        if type(given) is not kind:
-            raise OptionError(f"method {method}: its options are {kind.__name__}, but {type(given).__name__} were given.")
-        return given
-    names = [item.name for item in fields(kind)]
-    for name in given:
-        if name not in names:
-            hint = did_you_mean(name, names, f"it has {', '.join(names) or 'none'}.")
-            raise OptionError(f"method {method}: there is no option {name!r}; {hint}")
-    try:
-        return kind(**given)
-    except OptionError as error:
-        raise OptionError(f"method {method}: {error}") from None
-
-
 def _check(item: Field[Any], value: object) -> None:
     if not item.metadata or (value is None and item.default is None):
         return
@@ -183,7 +166,9 @@ class Method(ABC, Generic[AnyOptions]):
         reason = self.accepts(scene)
         if reason is not None:
             raise OptionError(f"method {self.name}: {reason}")
-        return self.session(scene, read, clock)
+        opened = self.session(scene, read, clock)
+        clock.stop()
+        return opened
 
     def check_eps(self, eps: float | None) -> None:
         """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""
@@ -200,9 +185,22 @@ class Method(ABC, Generic[AnyOptions]):
         if not time_limit > 0.0:
             raise OptionError(f"method {self.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
 
-    def read_options(self, options: AnyOptions | Mapping[str, object]) -> AnyOptions:
+    def read_options(self, given: AnyOptions | Mapping[str, object]) -> AnyOptions:
         """Fill in the defaults of the options. Raises OptionError for unknown names and values out of range."""
-        return read_options(self.options, options, self.name)
+        kind, where = self.options, f"method {self.name}"
+        if isinstance(given, Options):
+            if type(given) is not kind:
+                raise OptionError(f"{where}: its options are {kind.__name__}, but {type(given).__name__} were given.")
+            return given
+        names = [item.name for item in fields(kind)]
+        for name in given:
+            if name not in names:
+                hint = did_you_mean(name, names, f"it has {', '.join(names) or 'none'}.")
+                raise OptionError(f"{where}: there is no option {name!r}; {hint}")
+        try:
+            return kind(**given)
+        except OptionError as error:
+            raise OptionError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

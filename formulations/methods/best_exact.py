@@ -95,7 +95,7 @@ class BestExactSession(Session):
         scene = self._scene
         solved: list[Solution] = []
         if load_method("mpcc").accepts(scene) is None:
-            found = self._stage("mpcc", None, start, ends)
+            found = self._stage("mpcc", start, ends)
             yield "mpcc", found
             solved += [found] if found.outcome is Outcome.SOLVED else []
             if solved and not self._options.all_ways:
@@ -110,11 +110,11 @@ class BestExactSession(Session):
                 without.add(method)
                 yield words, replace(walked, trajectory=None, cost=None)
                 continue
-            exact = _with_departure(scene, _after(walked, self._stage("strict_lcp", None, walked.trajectory, ends)))
+            exact = _with_departure(scene, _after(walked, self._stage("strict_lcp", walked.trajectory, ends)))
             solved += [exact] if exact.outcome is Outcome.SOLVED else []
             yield words, exact
         if not solved and monotonic() < ends:
-            yield "strict_lcp", self._stage("strict_lcp", None, start, ends)
+            yield "strict_lcp", self._stage("strict_lcp", start, ends)
         elif solved and not _is_followed(cheapest := _cheapest(solved)):
             yield from self._on_finer_steps(cheapest, ends)
 
@@ -126,7 +126,7 @@ class BestExactSession(Session):
             if motion is None or monotonic() >= ends:
                 return
             scene = finer_scene(scene, 2)
-            found = _with_departure(scene, self._stage("strict_lcp", None, motion, ends, scene))
+            found = _with_departure(scene, self._stage("strict_lcp", motion, ends, scene))
             yield f"strict_lcp from the cheapest of these, on {scene.task.steps} steps", found
             if found.outcome is not Outcome.SOLVED or found.residuals[_DEPARTURE] <= _CLEARLY:
                 return
@@ -144,9 +144,9 @@ class BestExactSession(Session):
                 walked = _after(walked, found)
         return walked
 
-    def _stage(self, name: str, eps: float | None, start: Trajectory | None, ends: float, scene: Scene | None = None) -> Solution:
+    def _stage(self, name: str, start: Trajectory | None, ends: float, scene: Scene | None = None) -> Solution:
         with load_method(name).open(scene or self._scene, {}) as session:
-            return session.solve(eps=eps, warm_start=start, time_limit=max(1e-3, ends - monotonic()))
+            return session.solve(eps=None, warm_start=start, time_limit=max(1e-3, ends - monotonic()))
 
 
 def _with_departure(scene: Scene, found: Solution) -> Solution:
@@ -193,7 +193,6 @@ class BestExact(Method[BestExactOptions]):
 
     def session(self, scene: Scene, options: BestExactOptions, clock: Clock) -> Session:
         """Open a session, which opens those of the ways as it goes them."""
-        clock.stop()
         return BestExactSession(self, scene, options)
 
 

@@ -36,7 +36,6 @@ class GlobalSession(Session):
 
         self._method, self._scene, self._options, self._prove = method, scene, options, prove
         self._clock = clock
-        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Prove a bound; warm_start: the incumbent. Raises TrajectoryError for a plan of another scene or grid."""

@@ -133,7 +133,6 @@ class MpccFrontSession(Session):
         self._method, self._scene = method, scene
         self._options = replace(options, tolerances=checked_tolerances(options.tolerances))
         self._clock = clock
-        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Sweep over the tolerances."""

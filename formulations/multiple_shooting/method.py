@@ -7,10 +7,10 @@ from time import perf_counter
 
 import numpy as np
 
-from formulations.grids import plan_of
+from formulations.grids import input_bounds, plan_of
 from formulations.method import Clock, Method, Session
-from formulations.multiple_shooting.solver import Costs, GoalTerm, MultipleShootingOptions, Solver, SolverResult
-from formulations.shooting.stage import arrived, first_inputs, measure_growth, plan_residuals, stage_seconds
+from formulations.multiple_shooting.solver import Costs, MultipleShootingOptions, Solver, SolverResult
+from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds
 from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
@@ -27,18 +27,15 @@ class MultipleShootingSession(Session):
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._steps, self._costs = load_kernel(scene), load_steps(scene), Costs(scene)
         self._clock = clock
-        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Shoot from the nodes of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
         stage, started = Clock(), perf_counter()
-        method, scene = self._method, self._scene
-        method.check_stage(eps, time_limit)
+        self._method.check_stage(eps, time_limit)
         x, u = self._first_guess(warm_start)
-        goal = GoalTerm(scene, self._options.goal_weight)
-        solver = Solver(steps=self._steps, costs=self._costs, law=method.law, eps=eps, options=self._options)
+        solver = Solver(steps=self._steps, costs=self._costs, law=self._method.law, eps=eps, options=self._options)
         solving = perf_counter()
-        found = solver.solve(x, u, goal, started + time_limit)
+        found = solver.solve(x, u, started + time_limit)
         solving = perf_counter() - solving
         solution = self._solution(found, eps)
         return replace(solution, seconds=stage_seconds(stage, self._clock, solver.evaluate_seconds, solving))
@@ -47,7 +44,7 @@ class MultipleShootingSession(Session):
         """Nodes (steps+1, 2*nq) from the start on, and inputs (steps, nu) within their bounds."""
         task = self._scene.task
         start = np.array(task.start)
-        u = first_inputs(self._scene, warm_start)
+        u = np.clip(given_inputs(self._scene, warm_start), *input_bounds(self._scene))
         if warm_start is not None:
             x = np.hstack([warm_start.q, warm_start.v])
         else:

@@ -26,7 +26,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -239,7 +238,7 @@ _FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one 
 class SolverResult:
     """How it ended: x (steps+1, 2*nq), u (steps, nu), the last nodes and inputs.
 
-    gap: largest entry; miss: |x_T - goal| at the last node; slope: promised decrease of the penalty function; history: columns of equal length, one row an
+    gap: largest entry; slope: promised decrease of the penalty function; history: columns of equal length, one row an
     iteration.
     """
 
@@ -248,17 +247,12 @@ class SolverResult:
     x: np.ndarray
     u: np.ndarray
     gap: float
-    miss: float
     slope: float
     iterations: int
     history: dict[str, list[float]]
 
 
-class _Taken(NamedTuple):
-    x: np.ndarray
-    u: np.ndarray
-    lin: Linearised
-    length: float
+_Taken = tuple[np.ndarray, np.ndarray, Linearised, float]  # nodes, inputs and their linearised steps, at the end of a step of this length
 
 
 @dataclass(eq=False)
@@ -275,7 +269,7 @@ class Solver:
         default_factory=lambda: {"penalty": [], "cost": [], "terminal_error": [], "gap": [], "length": []}
     )
 
-    def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> SolverResult:
+    def solve(self, x: np.ndarray, u: np.ndarray, deadline: float) -> SolverResult:
         """Iterate until nodes and inputs settle, or a limit is reached.
 
         Raises MachineError without a C compiler.
@@ -284,10 +278,10 @@ class Solver:
         ----------
         x : (steps+1, 2*nq) [m, rad, m/s, rad/s], first nodes, x[0] the start
         u : (steps, nu) [N, N m], first inputs, within their bounds
-        goal : the goal's term, whose multipliers and weight move
         deadline : of perf_counter [s]
         """
         scene, options = self.steps.scene, self.options
+        goal = GoalTerm(scene, options.goal_weight)
         self._lower, self._upper = input_bounds(scene)
         self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
         shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
@@ -296,9 +290,8 @@ class Solver:
 
         def ended(outcome: Outcome, message: str) -> SolverResult:
             gap = np.inf if lin is None else float(np.abs(lin.next - x[1:]).max())
-            miss = float(np.linalg.norm(goal.miss(x[-1])))
             return SolverResult(
-                outcome=outcome, message=message, x=x, u=u, gap=gap, miss=miss, slope=slope, iterations=iteration, history=self._history
+                outcome=outcome, message=message, x=x, u=u, gap=gap, slope=slope, iterations=iteration, history=self._history
             )
 
         if lin is None:
@@ -395,13 +388,13 @@ class Solver:
                 lin = None if trial is None else self._linearise(*trial)
                 if trial is not None and lin is not None:
                     if self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
-                        return _Taken(*trial, lin, length)
+                        return *trial, lin, length
                     if not rolled:  # what the step leaves open because the scene is not linear, closed by one more linear step
                         ddx, ddu = self._stages.forward(lin.next - trial[0][1:] - (1.0 - length) * self._stages.gap)
                         trial = self._moved(*trial, ddx, ddu)
                         lin = self._linearise(*trial)
                         if lin is not None and self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
-                            return _Taken(*trial, lin, length)
+                            return *trial, lin, length
                 length *= 0.5
         return None
 

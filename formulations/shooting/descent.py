@@ -37,7 +37,7 @@ from formulations.grids import input_bounds
 from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective
 from formulations.shooting.rollout import ShootingError
-from formulations.solution import Outcome
+from formulations.solution import Outcome, ended
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
@@ -289,7 +289,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     losses, best = Losses(), u.detach().clone()
     history: dict[str, list[float]] = {"loss": losses.values, "terminal_error": [], "cost": [], "gradient_norm": []}
 
-    def ended(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
+    def told(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
         """Say how it ended, with plan (steps, nu) [N, N m]."""
         return Descent(outcome=outcome, message=message, u=plan, iterations=iteration, gradient_norm=norm, history=history)
 
@@ -301,7 +301,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
         norm = _norm(gradient.numpy())
         if not (np.isfinite(value) and np.isfinite(norm)):
             message = divergence_message(objective, rate, iteration, best.numpy() if iteration else None)
-            return ended(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
+            return told(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
         progress = losses.add(value, options.tolerance)
         history["terminal_error"].append(objective.terminal_error)
         history["cost"].append(objective.cost)
@@ -313,7 +313,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     objective.seconds += perf_counter() - began
 
     if by_rule and progress is Progress.RUNAWAY:
-        return ended(Outcome.DIVERGED, divergence_message(objective, rate, iteration, best.numpy()), None, history["gradient_norm"][-1])
+        return told(Outcome.DIVERGED, divergence_message(objective, rate, iteration, best.numpy()), None, history["gradient_norm"][-1])
     if by_rule and progress is Progress.SETTLED:
         outcome, message = Outcome.SOLVED, ""
     elif iteration == limit:
@@ -334,7 +334,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     at_bound = int(((plan <= lower) | (plan >= upper)).sum())
     if at_bound:
         message = f"{message}; {at_bound} of {plan.size} inputs are held at their bound"
-    return ended(outcome, _sentence(message), plan, _norm(slope))
+    return told(outcome, ended(message), plan, _norm(slope))
 
 
 def _norm(array: np.ndarray) -> float:
@@ -366,7 +366,3 @@ def _settled(losses: Losses, tolerance: float, promise: float) -> tuple[Outcome,
     if share <= tolerance:
         return Outcome.SOLVED, f"{facts}, and one more step promises {100.0 * share:.2g} %"
     return Outcome.STALLED, f"{facts}, although each step promises {100.0 * share:.2g} %: it jumps to and fro; use a smaller learning rate"
-
-
-def _sentence(text: str) -> str:
-    return text if text.endswith(".") else f"{text}."

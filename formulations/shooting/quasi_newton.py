@@ -19,7 +19,7 @@ from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent, dead_contact_message, sensitivity, stable_rate
 from formulations.shooting.method import SearchOptions
 from formulations.shooting.objective import Objective
-from formulations.solution import Outcome
+from formulations.solution import Outcome, ended
 
 _JUDGED_OVER = 20  # iterations over which the decrease is judged
 _SHRINKS, _HEAVIER = 0.25, 5.0  # a round that misses by more than this share of the least before makes the goal heavier
@@ -149,8 +149,7 @@ def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_
         dead = dead_contact_message(objective, sensitivity(objective, u), rate)
     if dead:
         outcome, message = (Outcome.STALLED if outcome is Outcome.SOLVED else outcome), f"{message}; {dead}"
-    message = message if message.endswith(".") else f"{message}."
-    return Descent(outcome=outcome, message=message, u=u, iterations=iterations, gradient_norm=gradient, history=history)
+    return Descent(outcome=outcome, message=ended(message), u=u, iterations=iterations, gradient_norm=gradient, history=history)
 
 
 def _rounds(

@@ -42,7 +42,6 @@ class ShootingSession(Session):
         self._method, self._scene, self._options, self._objective = method, scene, options, objective
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         self._clock = clock
-        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Descend from the inputs of the warm start. Raises TrajectoryError for a plan of another scene or grid."""

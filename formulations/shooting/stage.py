@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from formulations.grids import bound_excess, check_warm_start, input_bounds
+from formulations.grids import bound_excess, check_warm_start
 from formulations.method import Clock
 from formulations.solution import Outcome, Seconds
 from models.codegen.steps import Steps
@@ -50,11 +50,6 @@ class GradientGrowth:
         centred = to_go - to_go.mean()
         return float(centred @ self.exponents / (centred @ centred))
 
-    @property
-    def horizon(self) -> float:
-        """The horizon [s]."""
-        return self.step * (len(self.exponents) - 1)
-
     def residuals(self) -> dict[str, float]:
         """Give what a solution says of it: gradient_growth [-] and growth_rate [1/s]."""
         return {"gradient_growth": self.factor, "growth_rate": self.rate}
@@ -63,8 +58,9 @@ class GradientGrowth:
         """Say what the growth means for shooting, or "" while it is harmless."""
         if self.exponents[0] < math.log(HARMLESS):
             return ""
+        horizon = self.step * (len(self.exponents) - 1)
         return (
-            f"The gradient grows by {_power(float(self.exponents[0]))} over the {self.horizon:g} s (about e^({self.rate:.3g} T), T in s): what "
+            f"The gradient grows by {_power(float(self.exponents[0]))} over the {horizon:g} s (about e^({self.rate:.3g} T), T in s): what "
             "happens early is known to so many digits fewer at the end; multiple shooting does not carry it over more than one step."
         )
 
@@ -118,14 +114,8 @@ def measure_growth(
 _TOLERANCE = 1e-6
 
 
-def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """Give the inputs (steps, nu) [N, N m] of the warm start within their bounds, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
-    lower, upper = input_bounds(scene)
-    return np.clip(given_inputs(scene, warm_start), lower, upper)
-
-
 def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """Give them as they are: (steps, nu) [N, N m]. Raises TrajectoryError for a plan of another scene or grid."""
+    """Give the inputs (steps, nu) [N, N m] of the warm start, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
     task = scene.task
     check_warm_start(scene, warm_start)
     return np.zeros((task.steps, scene.nu)) if warm_start is None else np.array(warm_start.u)

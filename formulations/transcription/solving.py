@@ -274,7 +274,6 @@ class PlanSolver(CompiledModel):
         self.last: SolvedModel | None = None
         self._nearest: dict[float, Nearest] = {}
         self._clock = clock
-        clock.stop()
 
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
 

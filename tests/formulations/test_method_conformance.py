@@ -14,7 +14,7 @@ from example_scenes import example_scene
 from wording import unsaid
 
 from formulations import ContactFormulation, build_model
-from formulations.method import Kind, Method, OptionError, Options, option, read_options
+from formulations.method import Clock, Kind, Method, OptionError, Options, Session, option
 from formulations.methods.mpcc import MpccOptions
 from formulations.methods.softplus_dc import SoftplusDCOptions
 from formulations.pipelines import PIPELINES, load_method, method_names, pipelines_for
@@ -176,10 +176,18 @@ class _Own(_Base):
     most: int | None = option(None, "none: no limit", lower=1)
 
 
+class _OwnMethod(Method[_Own]):
+    name, options = "m", _Own
+
+    def session(self, scene: Scene, options: _Own, clock: Clock) -> Session:
+        raise NotImplementedError
+
+
 def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
     assert list(asdict(_Own())) == ["weight", "rounds", "search", "guess", "most"]
-    assert repr(read_options(_Own, {"weight": 2, "search": False}, "m").weight) == "2", "keys of stored results hold what was given"
-    assert read_options(_Own, _Own(rounds=2), "m") == read_options(_Own, {"rounds": 2}, "m") == _Own(rounds=2)
+    read_options = _OwnMethod().read_options
+    assert repr(read_options({"weight": 2, "search": False}).weight) == "2", "keys of stored results hold what was given"
+    assert read_options(_Own(rounds=2)) == read_options({"rounds": 2}) == _Own(rounds=2)
 
 
 @pytest.mark.parametrize(("given", "sentence"), [
@@ -192,7 +200,7 @@ def test_defaults_are_filled_in_and_values_kept_as_they_were_given():
 ])  # fmt: skip
 def test_one_sentence_says_what_is_wrong(given, sentence):
     with pytest.raises(OptionError) as caught:
-        read_options(_Own, given, "m")
+        _OwnMethod().read_options(given)
     assert not unsaid(caught.value, sentence)
 
 
