@@ -64,7 +64,6 @@ class CollocationSession(Session):
         self._scheme = Scheme(options.scheme)
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._clock = clock
-        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Find a plan of collocated steps; the models are built at the first solve. Raises TrajectoryError for a plan of another grid."""

@@ -21,8 +21,7 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
-from models.scene.goal import miss
+from formulations.contact_modes.linear import BandedKKT, LinearScene
 
 # Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from multiplier less clearly.
 _TOLERANCE = 1e-10
@@ -137,13 +136,12 @@ class DualActiveSet:
     def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
         self._linear, self._kkt = linear, kkt
 
-    def solve(self, closed: np.ndarray, goal: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
+    def solve(self, closed: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
         """Impose violated conditions until there is none, or the cost passes `ceiling`.
 
         Parameters
         ----------
         closed : (steps, nc) [-], whether a contact is closed in a step
-        goal : (n,) [m, rad, m/s, rad/s], NaN where the end is free
         ceiling : cost above which the optimum is of no interest
         softness : of the goal, as in `ModesProblem`
 
@@ -161,14 +159,14 @@ class DualActiveSet:
         none_u, none_c = np.zeros((lin.steps, lin.nu), dtype=bool), np.zeros((lin.steps, lin.nc), dtype=bool)
         if not kkt.factor(closed, none_u, none_c, softness=softness):
             return "infeasible"
-        right = kkt.right_side(closed, none_u, np.zeros(none_u.shape), none_c, goal)
+        right = kkt.right_side(closed, none_u, np.zeros(none_u.shape), none_c)
         x = kkt.solve(right)
         if not np.abs(kkt.product(x) - right).max() <= 1e-8 * max(1.0, np.abs(right).max()):
             return "infeasible"
         imposed: list[tuple[int, int, int]] = []
         columns = np.zeros((_MOST, lin.steps * (lin.nc + lin.nu)))
         gram, force = np.zeros((0, 0)), np.zeros(0)
-        cost, values = self._cost(kkt.point(x), goal, softness), self._moved(x, sign)
+        cost, values = lin.soft_cost(kkt.point(x), softness), self._moved(x, sign)
         values[: sign.size] += np.vstack([np.zeros((1, lin.nc)), sign[1:] * lin.p]).ravel()
         for _ in range(_MOST):
             condition, violation = self._worst(values, imposed)
@@ -210,10 +208,6 @@ class DualActiveSet:
             columns[len(imposed)] = column
             imposed.append(condition)
         return "unfinished"
-
-    def _cost(self, point: Point, goal: np.ndarray, softness: float) -> float:
-        cost = self._linear.cost(point.z[:-1], point.u)
-        return cost if softness == 0.0 else cost + 0.5 / softness * float((miss(point.z[-1], goal) ** 2).sum())
 
     def _moved(self, x: np.ndarray, sign: np.ndarray) -> np.ndarray:
         """All that conditions ask of a solution: its phi without p, with their signs (0 at the start), then its u: (steps * (nc + nu),)."""

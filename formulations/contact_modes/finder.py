@@ -20,8 +20,6 @@ from formulations.pipelines import RELAXED_FROM, RELAXED_TO, load_method
 from formulations.solution import Outcome
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.solving import nearest, no_plan, out_of_reach
-from models.codegen.kernel import Kernel
-from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 
@@ -53,9 +51,9 @@ class FinderResult:
 class Finder:
     """Finds contact modes of one scene; its models serve every solve."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, options: MpccOptions, scene_models: SceneModels) -> None:
-        self._scene, self._kernel, self._options, self._models = scene, kernel, options, scene_models
-        self._is_linear = scene_models.is_linear
+    def __init__(self, models: SceneModels, options: MpccOptions) -> None:
+        self._scene, self._kernel, self._is_linear = models.scene, models.kernel, models.is_linear
+        self._options, self._models = options, models
         self._is_walked = False  # relaxed complementarity was: whatever the start, its plan is the same
         self._random_failed = False  # all random inputs were corrected once, and none of them gave a plan
         self._on_coarse: Finder | None = None
@@ -188,7 +186,7 @@ class Finder:
         begun, allowed = budget.work, budget.most_work
         budget.most_work = self._most_work  # what it searches once it has a plan is no search for a first one
         if self._on_coarse is None:
-            self._on_coarse = Finder(coarse, self._kernel, self._options, self._models.coarser(coarse))
+            self._on_coarse = Finder(self._models.coarser(coarse), self._options)
         found = self._on_coarse.find(budget, start=begin_at)
         budget.most_work = min(self._most_work, allowed + budget.work - begun)
         if found.answer is None:
@@ -258,17 +256,13 @@ class Finder:
         def is_over() -> bool:
             return problem.solves >= most or budget.work >= done or perf_counter() >= end
 
-        def improve(closed: np.ndarray, near: ModesAnswer, below: float) -> ModesAnswer | None:
-            """Ask for a cheaper plan with modes closed (steps, nc) [-]. Raises ValueError for modes of another shape."""
-            return problem.solve(closed, near=near, below=below)
-
         found = SearchResult(best=answer, tried=0, complete=False)
         if self._options.search:
-            found = search_sequences(answer, improve, stride=stride, is_over=is_over, far=far)
+            found = search_sequences(answer, problem.solve, stride=stride, is_over=is_over, far=far)
         is_late = perf_counter() >= end
         if not found.complete:  # the plan is to be stationary all the same
             last = problem.solves + self._most_sequences()
-            flipped = flip_wrong_signs(found.best, improve, is_over=lambda: problem.solves >= last or budget.is_over)
+            flipped = flip_wrong_signs(found.best, problem.solve, is_over=lambda: problem.solves >= last or budget.is_over)
             found = SearchResult(best=flipped.best, tried=found.tried + flipped.tried, complete=False)
         if self._is_linear:
             budget.linear_algebra += perf_counter() - begin

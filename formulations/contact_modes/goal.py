@@ -191,7 +191,7 @@ def continue_to_goal(problem: ModesProblem, closed: np.ndarray, stride: int, is_
             last = problem.solves + _TRIES
             found = search_sequences(
                 answer,
-                lambda modes, near, below: problem.solve(modes, near=near, below=below),
+                problem.solve,
                 stride=stride,
                 is_over=lambda last=last: is_over() or problem.solves > last,
             )

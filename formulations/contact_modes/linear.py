@@ -8,7 +8,7 @@ z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi
 
     kkt = BandedKKT(linear)
     kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
-    point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching, goal)))
+    point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching)))
 
 Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
 multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
@@ -35,7 +35,7 @@ from formulations.grids import input_bounds
 from models.codegen.compiler import cached_library, load_library
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
-from models.scene.goal import goal_state
+from models.scene.goal import goal_state, miss
 
 _SOURCE = Path(__file__).with_name("band.c")
 _SIGNATURES = {"band_factor": ("n", "nnpp"), "band_solve": ("", "nnppp"), "band_product": ("", "nnppp")}
@@ -157,6 +157,11 @@ class LinearScene:
         """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m]. Raises ValueError for an array of another shape."""
         x = np.hstack([z, u])
         return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
+
+    def soft_cost(self, point: Point, softness: float) -> float:
+        """The cost of a point, with what it misses of a goal of this softness, as in `ModesProblem`."""
+        cost = self.cost(point.z[:-1], point.u)
+        return cost if softness == 0.0 else cost + 0.5 / softness * float((miss(point.z[-1], self.goal) ** 2).sum())
 
 
 def why_not_linear(scene: Scene) -> str | None:
@@ -353,14 +358,13 @@ class BandedKKT:
         flat[self._at_w] -= softness * self._linear.aimed
         return self._lu.factor(band)
 
-    def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Give the right-hand side of the optimality system.
 
         Parameters
         ----------
         closed, held, touching : (steps, nc), (steps, nu), (steps, nc) [-], as in `factor`
         bound : (steps, nu) [N, N m], values of the inputs that are held
-        goal : (n,) [m, rad, m/s, rad/s], where z[T] is to be
 
         Returns
         -------
@@ -380,7 +384,7 @@ class BandedKKT:
         right[self._y], right[self.rows_u] = step, np.where(held, bound, slope)
         right[self.rows_z[:-1]] = -lin.g[:n]
         right[self.rows_mu[:-1]] = np.where(touching[1:], -lin.p, 0.0)
-        right[self.rows_w] = np.where(lin.aimed, goal, 0.0)
+        right[self.rows_w] = np.where(lin.aimed, lin.goal, 0.0)
         return right
 
     def goal_columns(self) -> np.ndarray:

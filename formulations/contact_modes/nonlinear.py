@@ -71,10 +71,6 @@ class SoftplusHomotopy:
         open_goal(model, ball)
         self.compiled = CompiledModel(model)
 
-    def move_ball(self, ball: float) -> None:
-        """Change the radius of the goal: positive if it was built with one, else 0."""
-        move_ball(self.compiled.model, ball)
-
     def run(
         self,
         budget: SolveBudget,
@@ -157,22 +153,22 @@ class NonlinearAnswer(ModesAnswer):
 class NonlinearModes:
     """One model, whose modes are fixed by bounds. guess: the plan that the first solve starts from."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, ball: float) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
         self._compiled, self._residuals = CompiledModel(model), PlanResiduals(scene)
-        self.begin(ball, budget, options)
 
-    def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:
-        """Begin as if built anew; ball: positive if it was built with one, else 0."""
+    def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> NonlinearModes:
+        """Begin, as if built anew each time; ball: positive if it was built with one, else 0."""
         move_ball(self._compiled.model, ball)
         self._budget, self._options = budget, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
+        return self
 
-    def solve(self, closed: np.ndarray, *, near: NonlinearAnswer | None = None, below: float = np.inf) -> NonlinearAnswer | None:
+    def solve(self, closed: np.ndarray, near: NonlinearAnswer | None = None, below: float = np.inf) -> NonlinearAnswer | None:
         """Find an optimum for these modes.
 
         Parameters
@@ -238,7 +234,7 @@ class SceneModels:
     """The models of one scene. A goal that is a point and one that is a ball are two models, balls of any radius one."""
 
     def __init__(self, scene: Scene, kernel: Kernel) -> None:
-        self._scene, self._kernel = scene, kernel
+        self.scene, self.kernel = scene, kernel
         self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
         self._nonlinear: dict[bool, NonlinearModes] = {}
         self._coarser: dict[int, SceneModels] = {}
@@ -247,15 +243,15 @@ class SceneModels:
     def coarser(self, scene: Scene) -> SceneModels:
         """Give those of the same scene with fewer steps."""
         if scene.task.steps not in self._coarser:
-            self._coarser[scene.task.steps] = SceneModels(scene, self._kernel)
+            self._coarser[scene.task.steps] = SceneModels(scene, self.kernel)
         return self._coarser[scene.task.steps]
 
     def homotopy(self, ball: float, schedule: tuple[float, ...]) -> SoftplusHomotopy:
         """Give the softplus homotopy with this ball around the goal."""
         key = (ball > 0.0, schedule)
         if key not in self._homotopies:
-            self._homotopies[key] = SoftplusHomotopy(self._scene, ball, schedule)
-        self._homotopies[key].move_ball(ball)
+            self._homotopies[key] = SoftplusHomotopy(self.scene, ball, schedule)
+        move_ball(self._homotopies[key].compiled.model, ball)
         return self._homotopies[key]
 
     def modes(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
@@ -265,16 +261,14 @@ class SceneModels:
             return self._linear
         is_ball = ball > 0.0
         if is_ball not in self._nonlinear:
-            self._nonlinear[is_ball] = NonlinearModes(self._scene, self._kernel, ball, budget, options)
-        else:
-            self._nonlinear[is_ball].begin(ball, budget, options)
-        return self._nonlinear[is_ball]
+            self._nonlinear[is_ball] = NonlinearModes(self.scene, self.kernel, ball)
+        return self._nonlinear[is_ball].begin(ball, budget, options)
 
     @cached_property
     def _linear(self) -> ModesProblem:
-        return ModesProblem(linear_scene(self._scene))
+        return ModesProblem(linear_scene(self.scene))
 
     @cached_property
     def judge(self) -> PlanJudge:
         """What certifies plans of this scene."""
-        return PlanJudge(self._scene)
+        return PlanJudge(self.scene)

@@ -33,7 +33,6 @@ import numpy as np
 
 from formulations.contact_modes.dual_active_set import DualActiveSet, DualAnswer, WorkingSet, interior_point_active_set
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
-from models.scene.goal import miss
 
 _ZERO = 1e-6  # part of the largest multiplier that counts as zero
 
@@ -80,31 +79,6 @@ def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarr
 
 
 _HALVINGS = 80  # of the interval in which the logarithm of the multiplier lies: below rounding
-
-
-def nearest_goal(kkt: BandedKKT, x: np.ndarray, columns: np.ndarray, right: np.ndarray, ball: float) -> tuple[np.ndarray, np.ndarray]:
-    """Move the goal to the cheapest end within the ball around it.
-
-    Parameters
-    ----------
-    x, right : (size,) [-], solution of the optimality system for the goal itself, and its right-hand side
-    columns : (size, n) [-], solutions for the goal moved by one in each direction that is given
-    ball : radius [m, rad, m/s, rad/s]
-
-    Returns
-    -------
-    (size,) [-] each: the solution and its right-hand side with the goal moved by the best e.
-
-    Raises
-    ------
-    ValueError
-        For an array of another shape.
-    """
-    moved = kkt.goal_columns()
-    place = np.nonzero(moved)[0]
-    curvature = -columns[place]
-    e = cheapest_in_ball(-x[place], 0.5 * (curvature + curvature.T), ball)
-    return x + columns @ e, right + moved @ e
 
 
 def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
@@ -203,7 +177,7 @@ class ModesProblem:
         self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
         self._dual = DualActiveSet(linear, self.kkt)
 
-    def solve(self, closed: np.ndarray, *, near: QuadraticAnswer | None = None, below: float = np.inf) -> QuadraticAnswer | None:
+    def solve(self, closed: np.ndarray, near: QuadraticAnswer | None = None, below: float = np.inf) -> QuadraticAnswer | None:
         """Find the optimum for these modes.
 
         What modes were found to cost at least is remembered, since searches from other starts end among the same modes.
@@ -244,7 +218,7 @@ class ModesProblem:
         if self.ball == 0.0 or softness > 0.0:
             # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
             credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
-            dual = self._dual.solve(closed, self.linear.goal, below + credit, softness)
+            dual = self._dual.solve(closed, below + credit, softness)
             if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
                 return None
             if isinstance(dual, DualAnswer):
@@ -286,7 +260,7 @@ class ModesProblem:
                 return None
             better = self._next(point, sign, active)
             is_bound = not ((better.side != active.side) & (active.side != 0)).any() and not (active.touching & ~better.touching).any()
-            if better.same_as(active) or (is_bound and self._cost(point) >= below):
+            if better.same_as(active) or (is_bound and self.linear.soft_cost(point, self.softness) >= below):
                 return self._answer(closed, point, active)
             active = better
         return None
@@ -305,17 +279,13 @@ class ModesProblem:
             u=point.u,
             point=point,
             active=active,
-            cost=self._cost(point),
+            cost=lin.soft_cost(point, self.softness),
             phi=phi,
             biactive=biactive,
             of_force=of_force[:, contacts],
             of_separation=(both - of_force)[:, contacts],
             dual_infeasibility=float(np.abs(np.where(active.side == 0, self._slopes(point), 0.0)).max(initial=0.0)),
         )
-
-    def _cost(self, point: Point) -> float:
-        cost = self.linear.cost(point.z[:-1], point.u)
-        return cost if self.softness == 0.0 else cost + 0.5 / self.softness * float((miss(point.z[-1], self.linear.goal) ** 2).sum())
 
     def _next(self, point: Point, sign: np.ndarray, active: WorkingSet) -> WorkingSet:
         lin, side = self.linear, active.side
@@ -334,13 +304,17 @@ class ModesProblem:
         if not self.kkt.factor(closed, held, active.touching, softness=self.softness):
             return None
         bound = np.where(active.side > 0, lin.upper, np.where(active.side < 0, lin.lower, 0.0))
-        right = self.kkt.right_side(closed, held, bound, active.touching, lin.goal)
+        right = self.kkt.right_side(closed, held, bound, active.touching)
         x = self.kkt.solve(right)
         if self.ball > 0.0:
-            columns = self.kkt.solve(self.kkt.goal_columns())
+            moved = self.kkt.goal_columns()
+            columns = self.kkt.solve(moved)
             if not max(np.abs(x).max(), np.abs(columns).max()) < _ENORMOUS:
                 return None
-            x, right = nearest_goal(self.kkt, x, columns, right, self.ball)
+            place = np.nonzero(moved)[0]
+            curvature = -columns[place]
+            e = cheapest_in_ball(-x[place], 0.5 * (curvature + curvature.T), self.ball)  # the goal moved to the cheapest end
+            x, right = x + columns @ e, right + moved @ e
         residual = np.abs(self.kkt.product(x) - right).max()
         if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution
             return None

@@ -314,21 +314,22 @@ class _Search(Generic[Answer]):
         """Whether one of the moves helped; each is tried for as long as it does."""
         helped = False
         for move in moves:
-            while not self._is_over() and self._step(move):
+            while self._step(move):
                 helped = True
         return helped
 
-    def _step(self, move: Move) -> bool:
-        moved = move.apply(mode_sequence(self._best.closed), self._steps)
-        return moved is not None and self._take(closed_steps(moved, self._steps))
+    def _step(self, move: Move, sequence: ModeSequence | None = None) -> bool:
+        """Whether a move of the best sequence, or of this one, is cheaper, and the best from now on."""
+        return self._lead(move.apply(sequence or mode_sequence(self._best.closed), self._steps))
+
+    def _lead(self, moved: ModeSequence | None) -> bool:
+        return moved is not None and not self._is_over() and self._take(closed_steps(moved, self._steps))
 
     def _repeat(self) -> bool:
         """The cheapest of the plans with one interval repeated, if it is cheaper."""
         begin, sequence = self._best, mode_sequence(self._best.closed)
         for move in repetitions(sequence, self._steps):
-            moved = move.apply(sequence, self._steps)
-            if moved is not None and not self._is_over():
-                self._take(closed_steps(moved, self._steps))
+            self._step(move, sequence)
         return self._best is not begin
 
     def flip_wrong_signs(self) -> None:
@@ -344,8 +345,7 @@ class _Search(Generic[Answer]):
             alone = [order[one : one + 1] for one in range(1, min(len(order), _ALONE))]
             if not any(self._switch(pairs) for pairs in (*together, *alone)):
                 return
-            further = onwards(before, mode_sequence(self._best.closed), times, self._steps)
-            helped = further is not None and not self._is_over() and self._take(closed_steps(further, self._steps))
+            helped = self._lead(onwards(before, mode_sequence(self._best.closed), times, self._steps))
             times = 2 * times if helped else max(1, times // 2)
 
     def _switch(self, pairs: np.ndarray) -> bool:

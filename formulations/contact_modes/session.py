@@ -45,7 +45,7 @@ from formulations.mpec.certificate.certificate import Certificate
 from formulations.solution import Attempt, Outcome, Solution, checked
 from formulations.transcription.method import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
-from models.codegen.kernel import Kernel, load_kernel
+from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -64,8 +64,9 @@ class _Start:
 class MultiStart:
     """The starts of one scene, and its throws. finder: searches modes from each, and around the best throw."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, scene_models: SceneModels) -> None:
-        self._scene, self._kernel, self._finder, self._options, self._models = scene, kernel, finder, options, scene_models
+    def __init__(self, models: SceneModels, finder: Finder, options: MpccOptions) -> None:
+        self._scene, self._kernel = models.scene, models.kernel
+        self._finder, self._options, self._models = finder, options, models
 
     def run(self, budget: SolveBudget, numbers: range, warm_start: Trajectory | None) -> tuple[FinderResult, tuple[Attempt, ...]]:
         """Try the starts of these numbers; the best, and what became of each. Starts for which there is no time are not among them.
@@ -131,9 +132,14 @@ class MultiStart:
             start=start.words,
             outcome=found.outcome,
             cost=None if answer is None else float(answer.cost),
-            windows=() if answer is None else named_intervals(self._scene, answer.closed),
+            windows=() if answer is None else self._named_intervals(answer.closed),
             seconds=seconds,
         )
+
+    def _named_intervals(self, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
+        """(contact, first step, last step) of each time a contact is closed."""
+        rows = zip(self._scene.contacts, mode_sequence(closed), strict=True)
+        return tuple((contact.name, first, stop - 1) for contact, row in rows for first, stop in row)
 
     # -- throws -------------------------------------------------------------------------------------------------------------------
 
@@ -183,22 +189,6 @@ class MultiStart:
         return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
 
 
-def named_intervals(scene: Scene, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
-    """Give (contact, first step, last step) of each time a contact is closed.
-
-    Parameters
-    ----------
-    closed : (steps, nc) [-], whether a contact is closed in a step
-
-    Raises
-    ------
-    ValueError
-        For another number of contacts.
-    """
-    names = [contact.name for contact in scene.contacts]
-    return tuple((name, first, stop - 1) for name, row in zip(names, mode_sequence(closed), strict=True) for first, stop in row)
-
-
 def _cost(search: FinderResult) -> float:
     return float("inf") if search.answer is None else search.answer.cost
 
@@ -210,16 +200,17 @@ class MpccSession(Session):
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._models = scene_models or SceneModels(scene, self._kernel)
-        self._finder = Finder(scene, self._kernel, self._options, self._models)
-        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, self._models)
+        self._starts = MultiStart(self._models, Finder(self._models, options), options)
         self._clock = clock
-        clock.stop()
 
     def within(self, goal_tolerance: float, *, from_a_plan: bool = True) -> MpccSession:
         """Open a session for another radius of the goal on the models of this one; what starts without a plan may do `first_work` more."""
         more = 0.0 if from_a_plan else self._options.first_work
         options = replace(self._options, goal_tolerance=goal_tolerance, work=self._options.work + more)
-        return MpccSession(self._method, self._scene, options, Clock(), self._models)
+        clock = Clock()
+        session = MpccSession(self._method, self._scene, options, clock, self._models)
+        clock.stop()
+        return session
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Find a plan from the starts asked for. Raises TrajectoryError for a plan of another scene or grid."""

@@ -332,7 +332,7 @@ def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allow
     finder, budget = _Finder(spends), SolveBudget(60.0)
     budget.most_work = 100.0
     kernel = load_kernel(SCENE)
-    starts = MultiStart(SCENE, kernel, cast(Any, finder), MpccOptions(), SceneModels(SCENE, kernel))
+    starts = MultiStart(SceneModels(SCENE, kernel), cast(Any, finder), MpccOptions())
     best, attempts = starts.run(budget, range(5, 10), None)
     assert finder.allowed == allowed
     assert [attempt.number for attempt in attempts] == list(range(5, 5 + len(allowed)))
