@@ -37,6 +37,11 @@ class WorkingSet:
     side: np.ndarray
     touching: np.ndarray
 
+    @classmethod
+    def none(cls, linear: LinearScene) -> WorkingSet:
+        """No condition."""
+        return cls(side=np.zeros((linear.steps, linear.nu), dtype=int), touching=np.zeros((linear.steps, linear.nc), dtype=bool))
+
     @property
     def count(self) -> int:
         """How many conditions are active."""
@@ -121,22 +126,13 @@ def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: flo
     return WorkingSet(side=side.reshape(T, nu), touching=np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)]))
 
 
-@dataclass(frozen=True, eq=False)
-class DualAnswer:
-    """Cost of the optimum, or a lower bound of it where `is_cut`, and the active conditions."""
-
-    cost: float
-    is_cut: bool
-    active: WorkingSet
-
-
 class DualActiveSet:
     """The dual active-set method. A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi."""
 
     def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
         self._linear, self._kkt = linear, kkt
 
-    def solve(self, closed: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
+    def solve(self, closed: np.ndarray, ceiling: float, softness: float = 0.0) -> WorkingSet | None:
         """Impose violated conditions until there is none, or the cost passes `ceiling`.
 
         Parameters
@@ -147,7 +143,7 @@ class DualActiveSet:
 
         Returns
         -------
-        The optimum or a bound above `ceiling`; "infeasible" or "unfinished" where there is none.
+        The active conditions of the optimum, no condition where it was not found, or None where there is no plan or only dearer ones.
 
         Raises
         ------
@@ -158,11 +154,11 @@ class DualActiveSet:
         sign = np.where(closed, 1.0, -1.0)
         none_u, none_c = np.zeros((lin.steps, lin.nu), dtype=bool), np.zeros((lin.steps, lin.nc), dtype=bool)
         if not kkt.factor(closed, none_u, none_c, softness=softness):
-            return "infeasible"
+            return None
         right = kkt.right_side(closed, none_u, np.zeros(none_u.shape), none_c)
         x = kkt.solve(right)
         if not np.abs(kkt.product(x) - right).max() <= 1e-8 * max(1.0, np.abs(right).max()):
-            return "infeasible"
+            return None
         imposed: list[tuple[int, int, int]] = []
         columns = np.zeros((_MOST, lin.steps * (lin.nc + lin.nu)))
         gram, force = np.zeros((0, 0)), np.zeros(0)
@@ -170,11 +166,13 @@ class DualActiveSet:
         values[: sign.size] += np.vstack([np.zeros((1, lin.nc)), sign[1:] * lin.p]).ravel()
         for _ in range(_MOST):
             condition, violation = self._worst(values, imposed)
-            if condition is None or cost >= ceiling:
-                side, touching = np.zeros((lin.steps, lin.nu), dtype=int), none_c.copy()
+            if condition is None:
+                active = WorkingSet.none(lin)
                 for kind, t, column in imposed:
-                    (touching if kind == 0 else side)[t, column] = kind or 1
-                return DualAnswer(cost, condition is not None, WorkingSet(side=side, touching=touching))
+                    (active.touching if kind == 0 else active.side)[t, column] = kind or 1
+                return active
+            if cost >= ceiling:
+                return None
             column = self._moved(kkt.solve(self._right(condition, sign), refine=False), sign)
             own, own_force = self._value(column, condition), 0.0
             cross = np.array([self._value(column, other) for other in imposed])
@@ -183,7 +181,7 @@ class DualActiveSet:
                 try:
                     share = np.linalg.solve(gram, cross) if held else np.zeros(0)
                 except np.linalg.LinAlgError:  # conditions that depend on each other: left to the interior point
-                    return "unfinished"
+                    return WorkingSet.none(lin)
                 slope = own - float(cross @ share)
                 falling = np.flatnonzero(share > 1e-14)
                 drop = int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1
@@ -191,7 +189,7 @@ class DualActiveSet:
                 full = -violation / slope if slope > _DEPENDENT * own else np.inf
                 step = min(partial, full)
                 if not np.isfinite(step):
-                    return "infeasible"
+                    return None
                 if np.isfinite(full):
                     values += step * (column - share @ columns[:held])
                     cost += step * slope * (0.5 * step + own_force)
@@ -207,7 +205,7 @@ class DualActiveSet:
             force = np.append(force, own_force)
             columns[len(imposed)] = column
             imposed.append(condition)
-        return "unfinished"
+        return WorkingSet.none(lin)
 
     def _moved(self, x: np.ndarray, sign: np.ndarray) -> np.ndarray:
         """All that conditions ask of a solution: its phi without p, with their signs (0 at the start), then its u: (steps * (nc + nu),)."""

@@ -31,7 +31,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from formulations.contact_modes.dual_active_set import DualActiveSet, DualAnswer, WorkingSet, interior_point_active_set
+from formulations.contact_modes.dual_active_set import DualActiveSet, WorkingSet, interior_point_active_set
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
 
 _ZERO = 1e-6  # part of the largest multiplier that counts as zero
@@ -213,16 +213,13 @@ class ModesProblem:
             if found is not None:
                 return found if found.cost < below else None
         softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
-        lin = self.linear
-        guess = WorkingSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
+        guess: WorkingSet | None = WorkingSet.none(self.linear)
         if self.ball == 0.0 or softness > 0.0:
             # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
             credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
-            dual = self._dual.solve(closed, below + credit, softness)
-            if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
+            guess = self._dual.solve(closed, below + credit, softness)
+            if guess is None:
                 return None
-            if isinstance(dual, DualAnswer):
-                guess = dual.active
         found = self._rounds(closed, guess)
         if found is None:
             active = interior_point_active_set(self.linear, closed, self.ball, self.softness)

@@ -27,7 +27,7 @@ the terminal error (1e-9) is taken out by Newton steps.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from time import process_time
 
 import numpy as np
@@ -54,13 +54,6 @@ _PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt k
 _CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Start:
-    words: str
-    plan: Trajectory | None
-    for_modes: bool  # whether the plan's own modes are tried first
-
-
 class MultiStart:
     """The starts of one scene, and its throws. finder: searches modes from each, and around the best throw."""
 
@@ -81,31 +74,30 @@ class MultiStart:
             if best is not None and budget.is_over:
                 break
             began = process_time()
-            start = self._start(budget, number, warm_start)
-            found = self._finder.find(budget, start.plan if start.for_modes else None, start.plan)
-            attempts.append(self._attempt(number, start, found, process_time() - began))
+            words, plan, for_modes = self._start(budget, number, warm_start)
+            found = self._finder.find(budget, plan if for_modes else None, plan)
+            attempts.append(self._attempt(number, words, found, process_time() - began))
             if best is None or _cost(found) < _cost(best):
                 best = found
-        if best is None:
-            raise ValueError("a range of starts is never empty: the options see to that.")
+        assert best is not None, "a range of starts is never empty: the options see to that"
         began = process_time()
         thrown = self._thrown_instead(best, budget, (self._options.seed, numbers[0]))
         if thrown is not best:
             place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
-            start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
-            attempts[place] = self._attempt(attempts[place].number, start, thrown, attempts[place].seconds + process_time() - began)
+            before, seconds = attempts[place], attempts[place].seconds + process_time() - began
+            attempts[place] = self._attempt(before.number, f"{before.start}, then throws", thrown, seconds)
         return thrown, tuple(attempts)
 
-    def _start(self, budget: SolveBudget, number: int, warm_start: Trajectory | None) -> _Start:
+    def _start(self, budget: SolveBudget, number: int, warm_start: Trajectory | None) -> tuple[str, Trajectory | None, bool]:
+        """A start in words, its plan, and whether the plan's own modes are tried first."""
         if number == 0:
-            words = "the paper's first guess" if warm_start is None else "the plan given"
-            return _Start(words=words, plan=warm_start, for_modes=warm_start is not None)
+            return "the paper's first guess" if warm_start is None else "the plan given", warm_start, warm_start is not None
         plan, words = self._special(budget, number) if number <= 4 else (None, "")
         if plan is not None:
-            return _Start(words=words, plan=plan, for_modes=True)
+            return words, plan, True
         plan = random_plan(self._scene, self._kernel, (self._options.seed, number))
         for_modes = number % 2 == 0 and plan is not None
-        return _Start(words="random inputs, steered to the goal" if for_modes else "random inputs", plan=plan, for_modes=for_modes)
+        return "random inputs, steered to the goal" if for_modes else "random inputs", plan, for_modes
 
     def _special(self, budget: SolveBudget, number: int) -> tuple[Trajectory | None, str]:
         """The starts 1 to 4, by name."""
@@ -125,11 +117,11 @@ class MultiStart:
         homotopy.run(budget, ipopt, None, stages.append)
         return stages[-1] if stages else None
 
-    def _attempt(self, number: int, start: _Start, found: FinderResult, seconds: float) -> Attempt:
+    def _attempt(self, number: int, words: str, found: FinderResult, seconds: float) -> Attempt:
         answer = found.answer
         return Attempt(
             number=number,
-            start=start.words,
+            start=words,
             outcome=found.outcome,
             cost=None if answer is None else float(answer.cost),
             windows=() if answer is None else self._named_intervals(answer.closed),

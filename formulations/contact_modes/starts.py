@@ -34,9 +34,8 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Give the bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
     far = _UNBOUNDED / _SHARE
-    lower = np.array([-far if np.isinf(item.lower) else item.lower for item in scene.inputs])
-    upper = np.array([far if np.isinf(item.upper) else item.upper for item in scene.inputs])
-    return lower, upper
+    lower, upper = input_bounds(scene)
+    return np.where(np.isinf(lower), -far, lower), np.where(np.isinf(upper), far, upper)
 
 
 def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
