@@ -16,9 +16,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from formulations.grids import coarse_scene, on_grid
-from formulations.method import Clock, Kind, Method, Session, option
+from formulations.method import Clock, Kind, Method, Session
 from formulations.solution import Outcome, Solution, ended
-from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work
+from formulations.transcription.method import BarrierOptions, SolveBudget, StageRules, Work, duals_option, first_eps_option
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.stability import step_stability
@@ -46,20 +46,8 @@ _LONG, _SHORT = 2000, 500
 class RelaxedLCPOptions(BarrierOptions):
     """Options of `relaxed_lcp`."""
 
-    duals_from: float = option(
-        1e-4,
-        "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much",
-        unit="N^2",
-        lower=0.0,
-        upper=1.0,
-    )
-    first_eps: float = option(
-        0.0,
-        "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost",
-        unit="N^2",
-        lower=0.0,
-        upper=0.99,
-    )
+    duals_from: float = duals_option("N^2")
+    first_eps: float = first_eps_option(0.99, "N^2")
 
 
 class RelaxedLCPSession(Session):

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from formulations.method import Clock, Kind, Method, Session, option
+from formulations.method import Clock, Kind, Method, Session
 from formulations.solution import Solution
-from formulations.transcription.method import StageRules, TranscriptionOptions, Work
+from formulations.transcription.method import StageRules, TranscriptionOptions, Work, duals_option, first_eps_option
 from models.contact_law import sharpness
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -26,15 +26,8 @@ _BROKEN = 1e-2
 class SoftplusDCOptions(TranscriptionOptions):
     """Options of `softplus_dc`."""
 
-    duals_from: float = option(
-        1e-4,
-        "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much",
-        lower=0.0,
-        upper=1.0,
-    )
-    first_eps: float = option(
-        0.0, "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost", lower=0.0, upper=0.5
-    )
+    duals_from: float = duals_option()
+    first_eps: float = first_eps_option(0.5)
 
 
 class SoftplusDCSession(Session):

@@ -68,7 +68,7 @@ class SceneExpressions:
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
-        self.nq, self.nc = len(d.q), len(d.lam)
+        self.nq = len(d.q)
         self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
         self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, (*d.lam, *d.f), d.p)
         self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
@@ -84,9 +84,6 @@ class SceneExpressions:
 def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:
     check_smooth(dynamics.scene, what, expressions)
     return sp.lambdify([list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True)
-
-
-_TRANSFORMATION = "mpec.simple_nonlinear"
 
 
 def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
@@ -120,12 +117,12 @@ def relax(block: Any, eps: float) -> None:
     """
     if not _families(block):
         raise ModelError(
-            f"{_name(block)} has no complementarity to relax; build it with contact=ContactFormulation.COMPLEMENTARITY and eps=None."
+            f"model {block.name} has no complementarity to relax; build it with contact=ContactFormulation.COMPLEMENTARITY and eps=None."
         )
     if hasattr(block, "mpec_bound"):
-        raise ModelError(f"{_name(block)} is relaxed already; move its bound with set_relaxation(model, eps).")
+        raise ModelError(f"model {block.name} is relaxed already; move its bound with set_relaxation(model, eps).")
     bound = _checked_bound(block, eps)
-    pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
+    pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(block, mpec_bound=bound)
     for _, pair in pairs(block):
         pair.c.deactivate()  # that a force or slip is not negative is its bound already; as a row it would cost a slack each
     settle_separation(block)  # the transformation leaves v without a value
@@ -159,7 +156,7 @@ def set_relaxation(block: Any, eps: float) -> None:
     elif hasattr(block, "mpec_bound"):
         block.mpec_bound.value = _checked_bound(block, eps)
     else:
-        raise ModelError(f"{_name(block)} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
+        raise ModelError(f"model {block.name} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
 
 
 def pairs(block: Any) -> list[tuple[Any, Any]]:
@@ -231,12 +228,10 @@ def release_modes(block: Any) -> None:
 
 def _checked_bound(block: Any, eps: Any) -> float:
     if isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 <= eps < math.inf:
-        raise ModelError(f"{_name(block)}: eps is {eps!r}, but the bound of lam (lam - k phi) must be a finite number of at least 0 N^2.")
+        raise ModelError(
+            f"model {block.name}: eps is {eps!r}, but the bound of lam (lam - k phi) must be a finite number of at least 0 N^2."
+        )
     return float(eps)
-
-
-def _name(block: Any) -> str:
-    return f"model {block.name}"
 
 
 def add_contact_law(
@@ -299,12 +294,14 @@ def add_springs(
         i = place[name]
         force = b.variable_spring[t, name]
         if name in switched:
-            return equations.complementarity_switch(force, b.variable_touch[t, name])
+            return equations.complementarity_reserve(force, 1 - b.variable_touch[t, name])  # a spring that is compressed touches
         return equations.complementarity_contact(force, k[i] * phi[t][i])
 
     def touch(b: Any, t: int, name: str) -> Any:
         i = place[name]
-        return equations.complementarity_touch(b.variable_touch[t, name], b.variable_spring[t, name], k[i] * phi[t][i])
+        return equations.complementarity_reserve(
+            b.variable_touch[t, name], b.variable_spring[t, name] - k[i] * phi[t][i]
+        )  # what touches has no gap
 
     block.complementarity_spring = Complementarity(block.set_steps, block.set_damped, rule=spring)
     if switched:
@@ -383,7 +380,7 @@ def add_friction(
     def complementarity(b: Any, t: int, name: str, way: str) -> Any:
         i = place[name]
         against = force[t][i] if way == FORWARD else -force[t][i]
-        return equations.complementarity_friction(b.variable_slip[t, name, way], limit[t][i] + against)
+        return equations.complementarity_reserve(b.variable_slip[t, name, way], limit[t][i] + against)
 
     block.constraint_slip = pyo.Constraint(block.set_steps, block.set_frictions, rule=split)
     block.complementarity_friction = Complementarity(block.set_steps, block.set_frictions, block.set_ways, rule=complementarity)

@@ -68,16 +68,6 @@ def expression_hunt_crossley(spring: Any, c: Any, rate: Any) -> Any:
     return spring * (1 + c * rate)
 
 
-def complementarity_switch(spring: Any, touch: Any) -> Any:
-    """0 <= sigma [N]  complements  1 - w >= 0: a spring that is compressed touches."""
-    return complements(1 - touch >= 0, spring >= 0)
-
-
-def complementarity_touch(touch: Any, spring: Any, push: Any) -> Any:
-    """0 <= w  complements  sigma - k phi >= 0 [N]: what touches has no gap."""
-    return complements(spring - push >= 0, touch >= 0)
-
-
 def complementarity_contact(lam: Any, push: Any) -> Any:
     """0 <= lam[t]  complements  lam[t] - push >= 0   [N];  push = k phi(q[t]) without damping   (paper, eq. 7).
 
@@ -97,9 +87,9 @@ def constraint_slip(forward: Any, backward: Any, slip: Any) -> Any:
     return forward - backward == slip
 
 
-def complementarity_friction(way: Any, reserve: Any) -> Any:
-    """0 <= slip one way [m/s]  complements  mu N + f (or - f) >= 0 [N]: it slips only against all of mu N."""
-    return complements(reserve >= 0, way >= 0)
+def complementarity_reserve(variable: Any, reserve: Any) -> Any:
+    """0 <= variable  complements  reserve >= 0: slip one way [m/s] and mu N + f (or - f) [N], since it slips only against all of mu N; springs and switches."""
+    return complements(reserve >= 0, variable >= 0)
 
 
 def expression_cost(costs: Sequence[Any]) -> Any:

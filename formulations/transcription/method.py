@@ -71,6 +71,18 @@ class TranscriptionOptions(Options):
         return dict.fromkeys(names, self.plan_tolerance)
 
 
+def duals_option(unit: str = "1") -> Any:
+    """Declare the option `duals_from`. unit: of eps."""
+    words = "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much"
+    return option(1e-4, words, unit=unit, lower=0.0, upper=1.0)
+
+
+def first_eps_option(upper: float, unit: str = "1") -> Any:
+    """Declare the option `first_eps`. upper: the largest eps there is, of this unit."""
+    words = "walk down from this eps where it is above the one asked for, in steps that adapt to what they cost"
+    return option(0.0, words, unit=unit, lower=0.0, upper=upper)
+
+
 # Ipopt's own 0.1 and 0.01 start a complementarity model so close to its bounds (no force, no separation) that it crawls along them: 428
 # iterations to the first relaxed plan of the three carts, 78 from a start well inside.
 @dataclass(frozen=True, kw_only=True)
