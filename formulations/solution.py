@@ -54,11 +54,6 @@ class Seconds:
     def __add__(self, other: Seconds) -> Seconds:
         return Seconds(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
-    @property
-    def solve(self) -> float:
-        """Seconds in the solver: functions, derivatives and linear algebra."""
-        return self.evaluate + self.linear_algebra
-
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:

@@ -81,11 +81,6 @@ class GoalTerm:
         self.multipliers = np.zeros(len(self._goal))
         self.weight = weight
 
-    @property
-    def any(self) -> bool:
-        """Whether a component of the end is given."""
-        return bool(self._given.any())
-
     def miss(self, end: np.ndarray) -> np.ndarray:
         """Give end - goal (2*nq,) [m, rad, m/s, rad/s] of an end (2*nq,) [m, rad, m/s, rad/s]. Raises ValueError for another length."""
         return miss(end, self._goal)
@@ -116,7 +111,6 @@ class Costs:
         state, inputs = [*d.q, *d.v], list(d.u)
         values = scene.parameter_values
         running, final = sp.sympify(d.running_cost).xreplace(values), sp.sympify(d.final_cost).xreplace(values)
-        self._nx, self._nu = len(state), len(inputs)
         self._running = _Derivatives(running, [*state, *inputs])
         self._final = _Derivatives(final, state)
 
@@ -285,7 +279,7 @@ class Solver:
         self._lower, self._upper = input_bounds(scene)
         self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
         shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
-        precision = max(options.tolerance, _FIRST_PRECISION) if goal.any else options.tolerance
+        precision = max(options.tolerance, _FIRST_PRECISION) if scene.task.has_goal else options.tolerance
         lin = self._linearise(x, u)
 
         def ended(outcome: Outcome, message: str) -> SolverResult:

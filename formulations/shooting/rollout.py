@@ -92,7 +92,7 @@ def rollout(
     return RolloutTensors(*_Rollout.apply(u, start, kernel, step, law, eps))
 
 
-def _check(scene: Scene, u: object, start: object) -> None:
+def _check(scene: Scene, u: Tensor, start: Tensor) -> None:
     for name, tensor, dimensions in (("u", u, 2), ("start", start, 1)):
         where = f"scene {scene.name}: {name}"
         if not isinstance(tensor, Tensor):
@@ -103,21 +103,20 @@ def _check(scene: Scene, u: object, start: object) -> None:
             raise ShootingError(f"{where} has {tensor.dim()} dimensions, but needs {dimensions} or, for several plans, more.")
         if tensor.device.type == "cpu" and tensor.dtype != torch.float64:
             raise ShootingError(f"{where} is {tensor.dtype}, but the compiled rollout computes in torch.float64; pass {name}.double().")
-    if isinstance(u, Tensor) and isinstance(start, Tensor):
-        if (u.device, u.dtype) != (start.device, start.dtype):
-            raise ShootingError(
-                f"scene {scene.name}: u is {u.dtype} on {u.device}, start {start.dtype} on {start.device}; pass start.to(u.device, u.dtype)."
-            )
-        if u.device.type != "cpu" and scene.nf:
-            raise ShootingError(
-                f"scene {scene.name}: u is on {u.device}, but a scene with friction has a compiled rollout only, on the CPU; pass u.cpu()."
-            )
-        sizes = (u.shape[-1], start.shape[-1])
-        if sizes != (scene.nu, 2 * scene.nq):
-            raise ShootingError(
-                f"scene {scene.name}: the last dimensions of u and start are {sizes[0]} and {sizes[1]}, but {scene.nu} inputs and "
-                f"{2 * scene.nq} positions and velocities are needed."
-            )
+    if (u.device, u.dtype) != (start.device, start.dtype):
+        raise ShootingError(
+            f"scene {scene.name}: u is {u.dtype} on {u.device}, start {start.dtype} on {start.device}; pass start.to(u.device, u.dtype)."
+        )
+    if u.device.type != "cpu" and scene.nf:
+        raise ShootingError(
+            f"scene {scene.name}: u is on {u.device}, but a scene with friction has a compiled rollout only, on the CPU; pass u.cpu()."
+        )
+    sizes = (u.shape[-1], start.shape[-1])
+    if sizes != (scene.nu, 2 * scene.nq):
+        raise ShootingError(
+            f"scene {scene.name}: the last dimensions of u and start are {sizes[0]} and {sizes[1]}, but {scene.nu} inputs and "
+            f"{2 * scene.nq} positions and velocities are needed."
+        )
 
 
 class _Rollout(torch.autograd.Function):

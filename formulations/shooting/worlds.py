@@ -35,12 +35,6 @@ from models.trajectory import Trajectory
 _NOMINAL = 120.0
 
 
-def end_limits(scene: Scene) -> list[float | None]:
-    """How far positions [m, rad] and velocities [m/s, rad/s] may end from the goal; None where that is not limited. Raises nothing."""
-    limits = (scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity"))
-    return [None if limit is None else limit.value for limit in limits]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrawnWorld:
     """A world to plan for: kernel of its parameters; start (2*nq,); gain (nu,) [-], noise (steps, nu) [N, N m] and delay [steps] of the inputs."""
@@ -90,8 +84,8 @@ class WorldsObjective(Objective):
 
     def __init__(self, kernel: Kernel, u: np.ndarray, options: RobustOptions) -> None:
         scene = kernel.scene
-        goal, limits = goal_state(scene.task), end_limits(scene)
-        scale = np.repeat([1.0 / limit if limit else 0.0 for limit in limits], scene.nq)
+        goal, limits = goal_state(scene.task), [scene.limit(f"replay_terminal_{name}_error") for name in ("position", "velocity")]
+        scale = np.repeat([1.0 / limit.value if limit and limit.value else 0.0 for limit in limits], scene.nq)
         self._goal, self._shares = torch.from_numpy(np.nan_to_num(goal)), torch.from_numpy(np.where(np.isnan(goal), 0.0, scale))
         self._worlds = drawn(kernel, u, options.worlds, options.seed)
         motion = kernel.rollout(np.array(scene.task.start), u, scene.task.step)
