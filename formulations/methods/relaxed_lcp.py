@@ -91,9 +91,7 @@ class RelaxedLCPSession(Session):
         """Solve the model, which holds the start already."""
         if self._scene.task.steps <= self._longest or self._solver.last is not None:  # a later stage starts from a plan of this grid
             return self._reached_cold(stage, eps) if start is None else stage.reach(eps, start)
-        on_coarser = SolveBudget(stage.budget.remaining)
-        coarse = self._from_coarser_grid(on_coarser, eps, start)
-        stage.include(on_coarser)
+        coarse = self._from_coarser_grid(stage.budget, eps, start)
         if coarse is not None:
             self._solver.load(coarse)
         return stage.reach(eps, start if coarse is None else coarse)
@@ -107,8 +105,7 @@ class RelaxedLCPSession(Session):
             session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
             start = None if start is None else on_grid(start, coarse)
             session._solver.prepare(eps, start)
-        with session._homotopy.stage(budget) as stage:
-            session._found(stage, eps, start)
+        session._found(session._homotopy.stage(budget), eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 

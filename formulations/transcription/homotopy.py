@@ -12,10 +12,8 @@ plan in the end, relaxed 1e-2, 1e-3, 1e-4 and walked from 0.9: transport 0.916 a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any, cast
 
 from formulations.ipopt import IpoptResult
@@ -70,8 +68,8 @@ class Homotopy:
             outcome = ending if is_nested and ending is Outcome.INFEASIBLE else Outcome.STALLED
             return Solution(method=self._method.name, outcome=outcome, message=message, options=asdict(self.options))
         budget = self.solver.begin(eps, start, time_limit)
-        with self.stage(budget) as stage:
-            result, eps = stage.walk(eps, max(eps, first), partial(begin, stage))
+        stage, first = self.stage(budget), max(eps, first)
+        result, eps = stage.walk(begin(stage, first), first, eps)
         rules = self.rules(eps)
         limits = {"plan_limits": rules.plan_limits, "promises": rules.promises}
         found = self.solver.solution(self._method.name, budget, result, lambda plan: self.residuals(plan, eps), **limits)
@@ -79,12 +77,9 @@ class Homotopy:
             self._failure = eps, start, found.outcome
         return found
 
-    @contextmanager
-    def stage(self, budget: SolveBudget) -> Iterator[Stage]:
-        """A stage, whose solves are in the budget when it ends."""
-        stage = Stage(self, budget)
-        yield stage
-        stage.settle()
+    def stage(self, budget: SolveBudget) -> Stage:
+        """A stage that spends of this budget."""
+        return Stage(self, budget)
 
     def residuals(self, plan: Trajectory, eps: float) -> dict[str, float]:
         """Residuals of a plan by name, held against the contact law at this eps."""
@@ -97,26 +92,16 @@ class Homotopy:
 
 
 class Stage:
-    """The solves of one stage, each with a budget of its own, because iterations are limited for each."""
+    """The solves of one stage, whose iterations are limited for each."""
 
     def __init__(self, homotopy: Homotopy, budget: SolveBudget) -> None:
         self._homotopy, self._solver, self.budget = homotopy, homotopy.solver, budget
-        self._budgets: list[SolveBudget] = []
-        self._spent = 0
+        self._spent = 0  # iterations of its solves
 
     @property
     def may_go_on(self) -> bool:
         """Whether time and iterations are left."""
         return not self.budget.is_over and self._spent < self._homotopy.options.max_iterations
-
-    def settle(self) -> None:
-        """All that was spent counts in the budget of the stage."""
-        for own in reversed(self._budgets):
-            self.budget.include(own)
-
-    def include(self, elsewhere: SolveBudget) -> None:
-        """What was spent on another grid comes before what follows."""
-        self._budgets.append(elsewhere)
 
     def reach(self, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve at this eps from the start, which the model holds already; by half way where it is a plan of this session and leads to none."""
@@ -131,9 +116,9 @@ class Stage:
                 result = replace(result, message=f"{ended(result.message)} {words}".lstrip())
         return result
 
-    def walk(self, eps: float, first: float, begin: Callable[[float], IpoptResult]) -> tuple[IpoptResult, float]:
-        """From what `begin` finds at the first eps down to this one, each step from the plan before; and the eps of the last plan, which the model holds."""
-        result, here, factor = begin(first), first, _FACTOR
+    def walk(self, result: IpoptResult, first: float, eps: float) -> tuple[IpoptResult, float]:
+        """From what was found at the first eps down to this one, each step from the plan before; and the eps of the last plan, which the model holds."""
+        here, factor = first, _FACTOR
         known, shrinks = self._solver.last, 0
         while known is not None and here > eps and self.may_go_on and shrinks < _SHRINKS:
             sharper, before = self._homotopy.sharper, self._spent
@@ -160,12 +145,11 @@ class Stage:
         rules = self._homotopy.rules(eps)
         # work is counted in nonzeros of a softplus model, and in unknowns of one with complementarity
         size = self._solver.problem(self.budget).nonzeros if self._solver.is_softplus else self._solver.unknowns
-        own = SolveBudget(self.budget.remaining)
-        self._budgets.append(own)
+        begun = self.budget.iterations
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
         warm = self._limited({**rules.ipopt}, rules.warm_work, size)
-        result = self._solver.solve_at(eps, start, own, rules, cold if start is None else warm, warm)
-        self._spent += own.iterations
+        result = self._solver.solve_at(eps, start, self.budget, rules, cold if start is None else warm, warm)
+        self._spent += self.budget.iterations - begun
         return result
 
     def left(self, eps: float) -> Trajectory | None:
@@ -175,5 +159,6 @@ class Stage:
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
         """With no more iterations than the stage has left, and than the work allows."""
-        most = max(0, options["max_iter"] - self._spent)
-        return {**options, "max_iter": most if work is None else min(most, work.iterations(size))}
+        left = max(0, options["max_iter"] - self._spent)
+        most = left if work is None else min(left, work.iterations(size))
+        return {**options, "max_iter": self.budget.iterations + most}

@@ -182,18 +182,6 @@ class SolveBudget:
             for name in _COLUMNS:
                 self.history[name].append(getattr(line, name))
 
-    def include(self, earlier: SolveBudget) -> None:
-        """What was spent before, in this budget's time."""
-        self.iterations += earlier.iterations
-        self.work += earlier.work
-        self._count(earlier, earlier.solver)
-        self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
-
-    def _count(self, seconds: Any, solver: str) -> None:
-        self.solver = self.solver or solver
-        for name in ("build", "translate", "evaluate", "linear_algebra"):
-            setattr(self, name, getattr(self, name) + getattr(seconds, name))
-
     @contextmanager
     def building(self) -> Iterator[None]:
         """What is done inside counts as making models."""
@@ -215,7 +203,9 @@ class SolveBudget:
     def told(self, found: Solution) -> None:
         """What the stage of another method spent in this budget's time; its own rules limit its work."""
         self.iterations += found.iterations
-        self._count(found.seconds, found.solver)
+        self.solver = self.solver or found.solver
+        for name in ("build", "translate", "evaluate", "linear_algebra"):
+            setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
         self.history = {name: values + list(found.history.get(name, ())) for name, values in self.history.items()}
 
     @property

@@ -273,13 +273,14 @@ class PlanSolver(CompiledModel):
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
         self._nearest: dict[float, Nearest] = {}
+        self._begun = 0  # iterations of the budget before this solve
         self._clock = clock
 
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
 
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its budget, and the model with its start."""
-        budget = SolveBudget(time_limit, self._clock.pay())
+        budget, self._begun = SolveBudget(time_limit, self._clock.pay()), 0
         with budget.building():
             self.prepare(eps, start)
         return budget
@@ -327,6 +328,7 @@ class PlanSolver(CompiledModel):
 
         options, from_plan: Ipopt's for this start, and for a plan.
         """
+        self._begun = budget.iterations
         if self._scene.nl:
             self.set_relaxation(eps)
         known = self.solved_before(start) if start is not None and rules.takes_duals else None
@@ -399,7 +401,7 @@ class PlanSolver(CompiledModel):
         """Searched once for each sharpness; searched again if it was cut off."""
         found = self._nearest.get(sharpest)
         if found is None or not found.is_solved:
-            found = self._nearest[sharpest] = nearest(self._scene, budget, self._options.max_iterations, sharpest)
+            found = self._nearest[sharpest] = nearest(self._scene, budget, self._begun + self._options.max_iterations, sharpest)
         return found
 
     # -- what is handed back ------------------------------------------------------------------------------------------------------

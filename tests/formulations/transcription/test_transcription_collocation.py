@@ -274,7 +274,8 @@ def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, mo
     run = CompiledModel.run
 
     def denied(self: CompiledModel, *args: object, **options: object):
-        return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)
+        found = run(self, *args, **options)  # the search for the plan nearest to the goal has its answer
+        return found if self.model.component("objective_miss") is not None else replace(found, outcome=Outcome.INFEASIBLE)
 
     monkeypatch.setattr(CompiledModel, "run", denied)
     solution = solved(method, POSSIBLE["two seconds"])
