@@ -143,14 +143,13 @@ class Method(ABC, Generic[AnyOptions]):
     name: str
     title: str
     kind: Kind
-    purpose: str = "plan"  # what it would do with inputs, in words of its refusal where there are none
     needs_eps: bool  # whether `solve` takes a relaxation eps
     exact: bool = False  # whether its plan claims to solve the exact contact problem: a campaign then certifies it
     options: type[AnyOptions] = Options  # pyright: ignore[reportAssignmentType] - of a method that has none
 
     def accepts(self, scene: Scene) -> str | None:
         """Give None, or the reason why this method does not apply to the scene: that there are no inputs, unless the method says otherwise."""
-        return without_inputs(scene, self.purpose)
+        return without_inputs(scene, "plan")
 
     @abstractmethod
     def session(self, scene: Scene, options: AnyOptions, clock: Clock) -> Session:

@@ -33,7 +33,6 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
     name = "randomised_smoothing"
     title = "L-BFGS on ReLU contact, averaged over random inputs"
     kind = Kind.INDIRECT
-    purpose = "descend on"
     needs_eps = True  # standard deviation of the noise, in half ranges of the inputs
     options = RandomisedSmoothingOptions
 

@@ -17,7 +17,6 @@ class Robust(Method[RobustOptions]):
     name = "robust"
     title = "L-BFGS on ReLU contact, for several worlds at once"
     kind = Kind.DIRECT
-    purpose = "descend on"
     needs_eps = False
     options = RobustOptions
 

@@ -98,7 +98,6 @@ class MultipleShootingSession(Session):
 class MultipleShootingMethod(Method[MultipleShootingOptions]):
     """Multiple shooting under one contact law."""
 
-    purpose = "shoot with"
     law: ContactLaw
     options = MultipleShootingOptions
 

@@ -97,7 +97,6 @@ _Weighted = TypeVar("_Weighted", bound=DescentOptions | QuasiNewtonOptions)
 class ShootingMethod(Method[_Weighted]):
     """Single shooting under one contact law. PyTorch is imported when a session is opened: 1.7 s that planning a campaign does without."""
 
-    purpose = "descend on"
     law: ContactLaw
 
     def loss(self, scene: Scene) -> Loss | None:
