@@ -130,10 +130,6 @@ class LinearScene:
         """Whether a component of the end is given: (n,) [-]."""
         return ~np.isnan(self.goal)
 
-    def with_bounds(self, closed: np.ndarray) -> np.ndarray:
-        """Append the modes of the velocity bounds, always open, to those of the contacts: (steps, contacts) [-] -> (steps, nc) [-]. Raises ValueError unless closed has two dimensions."""
-        return np.hstack([closed, np.zeros((len(closed), self.nc - self.contacts), dtype=bool)])
-
     @property
     def n(self) -> int:
         """Number of states, positions and velocities."""

@@ -233,8 +233,9 @@ class ModesProblem:
 
     def _whole(self, closed: np.ndarray) -> np.ndarray:
         """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
-        fixed = self.linear.with_bounds(np.array(closed, dtype=bool))
-        fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
+        lin = self.linear
+        fixed = np.hstack([np.array(closed, dtype=bool), np.zeros((len(closed), lin.nc - lin.contacts), dtype=bool)])
+        fixed[0] = lin.penetration(lin.start[None])[0] > 0.0
         return fixed
 
     def _slopes(self, point: Point) -> np.ndarray:

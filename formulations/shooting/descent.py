@@ -89,9 +89,9 @@ def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) 
     return found
 
 
-def dead_contact_message(objective: Objective, rows: Sensitivity, learning_rate: float) -> str:
-    """Say which coordinate misses the goal although nothing moves it; "" where there is none."""
-    found = out_of_reach(objective, rows, learning_rate)
+def dead_contact_message(objective: Objective, u: np.ndarray, learning_rate: float) -> str:
+    """Say which coordinate misses the goal although nothing moves it at inputs u (steps, nu) [N, N m], those evaluated last; "" where there is none. Raises KernelError where the mass matrix is not positive definite along the rollout."""
+    found = out_of_reach(objective, sensitivity(objective, u), learning_rate)
     if not found:
         return ""
     names = " and ".join(found)
@@ -327,7 +327,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     if outcome is Outcome.SOLVED:
         step = np.clip(plan - rate * slope, lower, upper) - plan
         outcome, message = _settled(losses, options.tolerance, -float((slope * step).sum()))
-    dead = dead_contact_message(objective, sensitivity(objective, plan), rate)
+    dead = dead_contact_message(objective, plan, rate)
     if dead:
         outcome = Outcome.STALLED if outcome is Outcome.SOLVED else outcome
         message = f"{message}; {dead}"

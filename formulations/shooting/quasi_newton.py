@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from formulations.grids import input_bounds
-from formulations.shooting.descent import Descent, dead_contact_message, sensitivity, stable_rate
+from formulations.shooting.descent import Descent, dead_contact_message, stable_rate
 from formulations.shooting.method import SearchOptions
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome, ended
@@ -146,7 +146,7 @@ def minimise(objective: Objective, u0: np.ndarray, options: SearchOptions, time_
     if missed > options.goal_tolerance:
         rate = min(stable_rate(objective, u), 1e12)
         objective.value(u)
-        dead = dead_contact_message(objective, sensitivity(objective, u), rate)
+        dead = dead_contact_message(objective, u, rate)
     if dead:
         outcome, message = (Outcome.STALLED if outcome is Outcome.SOLVED else outcome), f"{message}; {dead}"
     return Descent(outcome=outcome, message=ended(message), u=u, iterations=iterations, gradient_norm=gradient, history=history)

@@ -43,7 +43,7 @@ from pyomo.common.gc_manager import PauseGC
 
 from formulations.grids import check_grid
 from formulations.transcription import equations
-from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, scheme_of, settle_stages
+from formulations.transcription.collocation import add_collocation, forces_at_nodes, is_collocated, settle_stages
 from formulations.transcription.contact import (
     ContactFormulation,
     ModelError,
@@ -353,15 +353,14 @@ def load_first_guess(block: Any) -> None:
 def read_plan(block: Any) -> Trajectory:
     """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value."""
     steps = len(block.set_steps)
-    arrays = {}
+    arrays, scheme = {}, Scheme.SEMI_IMPLICIT_EULER
     for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
         variable = block.component(f"variable_{name}")
-        if name == "lam" and is_collocated(block):
-            arrays[name] = forces_at_nodes(block)
-            continue
         arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+    if is_collocated(block):
+        arrays["lam"], scheme = forces_at_nodes(block), block.scheme
     arrays["lam"] = np.hstack([arrays["lam"], arrays.pop("friction")])
-    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme_of(block), **arrays)
+    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme, **arrays)
 
 
 def read_values(variable: Any) -> np.ndarray:

@@ -163,11 +163,6 @@ def is_collocated(block: Any) -> bool:
     return block.component("set_stages") is not None
 
 
-def scheme_of(block: Any) -> Scheme:
-    """The time step a block is made of."""
-    return block.scheme if is_collocated(block) else Scheme.SEMI_IMPLICIT_EULER
-
-
 def settle_stages(block: Any) -> None:
     """Give stages the values on the straight line between their nodes, and every force what the contact law says of its stage."""
     table = tableau(block.scheme)
