@@ -153,7 +153,7 @@ class Method(ABC, Generic[AnyOptions]):
 
     @abstractmethod
     def session(self, scene: Scene, options: AnyOptions, clock: Clock) -> Session:
-        """Open a session on a scene that the method accepts; clock: runs since opening began, before anything was imported for it."""
+        """Open a session on a scene that the method accepts; clock: runs since opening began, before anything was imported for it, until the session is open."""
 
     def open(self, scene: Scene, options: AnyOptions | Mapping[str, object] = MappingProxyType({})) -> Session:
         """Open on a scene. options: such an object, or values by name.
