@@ -24,8 +24,8 @@ from benchmarks.records import Table
 from benchmarks.results import store_tables
 from benchmarks.suite.peers import torch_loop
 from formulations.shooting.descent import descend
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import GoalLoss, Objective
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import rollout
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -190,8 +190,8 @@ _ITERATIONS, _RATE = 100, 1e-9
 def gd_iteration(size: Size, folder: Path) -> Work:
     """Loss, gradient, history, stopping rule, step and projection on the bounds, as the methods of single shooting run it."""
     from formulations.shooting.descent import descend
-    from formulations.shooting.method import DescentOptions
     from formulations.shooting.objective import Objective
+    from formulations.shooting.options import DescentOptions
     from models.contact_law import ContactLaw
 
     objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from formulations.method import Clock, Kind, Method, OptionError, Session, option
-from formulations.shooting.method import SearchOptions, WeightOptions
+from formulations.shooting.options import SearchOptions, WeightOptions
 from models.contact_law import ContactLaw
 from models.scene import Scene
 

@@ -7,7 +7,7 @@ true contact law that meets the goal itself.
 from __future__ import annotations
 
 from formulations.method import Clock, Kind, Method, Session
-from formulations.shooting.method import RobustOptions
+from formulations.shooting.options import RobustOptions
 from models.scene import Scene
 
 

@@ -18,5 +18,5 @@ descent     gradient descent: its limits, its stopping rule, and its messages; w
             growth over the horizon, a rate that would do
 quasi_newton   L-BFGS within the bounds of the inputs, and the goal met by multipliers
 stage       warm start and plan of a stage, its residuals and seconds, and how fast gradients grow on their way back over its horizon
-session     a method opened on a scene; method: what the methods share beside it, and their options
+session     a method opened on a scene; method: what the methods share beside it; options: of both kinds
 """

@@ -34,8 +34,8 @@ import torch
 from torch import Tensor
 
 from formulations.grids import input_bounds
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome, ended
 from models.contact_law import ContactLaw

@@ -1,95 +1,19 @@
-"""What the single shooting methods share: a loss of the inputs alone under one contact law, made small by gradient descent or by L-BFGS; and their options.
+"""What the single shooting methods share: a loss of the inputs alone under one contact law, made small by gradient descent or by L-BFGS.
 
 Light to import: no PyTorch.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from formulations.method import Clock, Method, OptionError, Options, Session, option
+from formulations.method import Clock, Method, Session
+from formulations.shooting.options import DescentOptions, QuasiNewtonOptions
 from models.contact_law import ContactLaw
 
 if TYPE_CHECKING:
     from formulations.shooting.rollout import Loss
     from models.scene import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeightOptions(Options):
-    """The weights of the paper's loss."""
-
-    input_weight: float = option(5e-6, "weight of the running cost in the loss", lower=0.0, upper=1e12)
-    terminal_weight: float = option(1.0, "weight of the mean squared terminal error in the loss", lower=1e-12, upper=1e12)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DescentOptions(WeightOptions):
-    """Options of gradient descent."""
-
-    learning_rate: float = option(
-        500.0, "step along the gradient; 500 is the paper's scene's, other scenes and horizons may need less", lower=1e-12, upper=1e12
-    )
-    iterations: int | None = option(
-        None,
-        "exactly so many iterations and the last plan (the paper's way); none: our stopping rule and the best plan",
-        lower=1,
-        upper=10**9,
-    )
-    max_iterations: int = option(20000, "most iterations under our stopping rule", lower=1, upper=10**9)
-    tolerance: float = option(
-        1e-4,
-        "our stopping rule: relative decrease of the loss over the last quarter of the iterations that counts as none",
-        lower=0.0,
-        upper=1.0,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.iterations is not None and not isinstance(self.iterations, int):
-            raise OptionError(f"option iterations is {self.iterations!r}, but must be a whole number or left out.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions(Options):
-    """Options of L-BFGS itself."""
-
-    goal_rounds, goal_tolerance = 0, 0.0  # no options yet: the goal is not displaced
-
-    memory: int = option(20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000)
-    max_iterations: int = option(2000, "most iterations, over all rounds", lower=1, upper=10**9)
-    tolerance: float = option(
-        1e-4, "our stopping rule: relative decrease of the loss over 20 iterations that counts as none", lower=0.0, upper=1.0
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class GoalOptions(SearchOptions):
-    """Options of L-BFGS that meets the goal by aiming beside it."""
-
-    goal_rounds: int = option(
-        10,
-        "how often the goal that is aimed at is displaced by what was missed (multipliers); 0: the loss of gradient descent",
-        lower=0,
-        upper=1000,
-    )
-    goal_tolerance: float = option(1e-6, "no more rounds where the goal is missed by less than this", lower=0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class QuasiNewtonOptions(GoalOptions, WeightOptions):
-    """Options of L-BFGS on the paper's loss."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobustOptions(GoalOptions):
-    """Options of L-BFGS for several worlds at once."""
-
-    worlds: int = option(64, "how many worlds are drawn", lower=1, upper=10**5)
-    weight: float = option(12.0, "what a mean miss of its limit costs, as a share of what the first inputs cost", lower=0.0, upper=1e12)
-    seed: int = option(1, "of the worlds; a campaign tries plans in those of another", lower=0)
-
 
 _Weighted = TypeVar("_Weighted", bound=DescentOptions | QuasiNewtonOptions)
 

@@ -35,7 +35,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from formulations.shooting.method import WeightOptions
+from formulations.shooting.options import WeightOptions
 from formulations.shooting.rollout import Loss, RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw

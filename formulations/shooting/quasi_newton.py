@@ -17,8 +17,8 @@ from scipy.optimize import Bounds, minimize
 
 from formulations.grids import input_bounds
 from formulations.shooting.descent import Descent, dead_contact_message, stable_rate
-from formulations.shooting.method import SearchOptions
 from formulations.shooting.objective import Objective
+from formulations.shooting.options import SearchOptions
 from formulations.solution import Outcome, ended
 
 _JUDGED_OVER = 20  # iterations over which the decrease is judged

@@ -11,8 +11,8 @@ import numpy as np
 from formulations.grids import plan_of
 from formulations.method import Clock, Method, Session
 from formulations.shooting.descent import Descent, descend
-from formulations.shooting.method import DescentOptions, SearchOptions
 from formulations.shooting.objective import Objective, noise, paper_objective
+from formulations.shooting.options import DescentOptions, SearchOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.stage import arrived, given_inputs, measure_growth, plan_residuals, stage_seconds, with_growth
 from formulations.solution import Outcome, Solution

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from formulations.grids import input_bounds, scene_of
 from formulations.method import Clock, Method
-from formulations.shooting.method import RobustOptions
 from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.options import RobustOptions
 from formulations.shooting.rollout import rollout
 from formulations.shooting.session import ShootingSession
 from formulations.solution import Solution

@@ -10,7 +10,7 @@ import torch
 
 from formulations.grids import departure, finer_scene, motion_on_finer_steps, plan_of, scene_of
 from formulations.pipelines import load_method
-from formulations.shooting.method import RobustOptions
+from formulations.shooting.options import RobustOptions
 from formulations.shooting.worlds import DrawnWorld, WorldsObjective, drawn
 from formulations.solution import Outcome
 from models.catalog import load_scene

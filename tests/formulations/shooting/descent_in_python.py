@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from formulations.shooting.method import DescentOptions
+from formulations.shooting.options import DescentOptions
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 

@@ -19,8 +19,8 @@ from wording import unsaid
 
 from formulations.pipelines import load_method
 from formulations.shooting.descent import Losses, Progress, descend, sensitivity, stable_rate
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import GoalLoss, Objective, Weights, noise
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.reference import reference_cost, reference_rollout
 from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from formulations.shooting.stage import GradientGrowth, measure_growth
@@ -99,7 +99,7 @@ import sys
 import numpy as np
 from formulations.shooting.descent import descend
 from formulations.shooting.objective import Objective
-from formulations.shooting.method import DescentOptions
+from formulations.shooting.options import DescentOptions
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw

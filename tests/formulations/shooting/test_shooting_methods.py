@@ -9,8 +9,8 @@ from wording import unsaid
 
 from formulations.method import Kind, OptionError
 from formulations.pipelines import load_method
-from formulations.shooting.method import QuasiNewtonOptions
 from formulations.shooting.objective import Objective, Weights, noise
+from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
