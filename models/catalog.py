@@ -77,7 +77,9 @@ def load_scene(reference: str) -> Scene:
                     scene_text(module.SCENE)  # kept with it: what its own functions are from is known only while the file is executed
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a file may raise what it likes
             raise SceneError(f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}") from error
         problem = step_problem(path.read_bytes())
         if problem is not None:
