@@ -8,7 +8,6 @@ Tasks are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
 import shutil
@@ -20,7 +19,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from models.codegen.compiler import find_compiler
 from models.scene import Scene
@@ -45,11 +44,11 @@ from validate.store.stored import (
     CAMPAIGN,
     CampaignError,
     campaign_of,
-    campaign_text,
     check_folder,
     earlier_schema,
+    found_campaign,
     identity,
-    of_content,
+    same_campaign,
     stored_campaign,
     with_others,
 )
@@ -58,7 +57,10 @@ from validate.tasks.paper import measure
 from validate.tasks.plugins import load_plugin
 from validate.tasks.task import PlannedLeg, RunTask, Task, TaskRecord, task_to_json
 
-__all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "Narrator", "run_campaign", "select", "stored_campaign", "with_stored"]
+if TYPE_CHECKING:
+    from validate.cli.narrator import PlainNarrator
+
+__all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
@@ -89,32 +91,7 @@ class CampaignResult:
         return 1 if self.failures else 0
 
 
-class Narrator(Protocol):
-    """Who hears how it goes (validate.cli.narrator)."""
-
-    def begins(self, total: int, stored: int, anew: int) -> None:
-        """The campaign has so many tasks, of which so many are stored; so many stored ones are run anew."""
-
-    def notes(self, sentence: str) -> None:
-        """Something is worth knowing."""
-
-    def found(self, runs: Sequence[RunRecord]) -> None:
-        """All runs of a scene have ended; these are they, those that were split into parts as one."""
-
-    def warns(self, sentence: str) -> None:
-        """Something is unusual, but goes on."""
-
-    def runs(self, workers: Sequence[Running]) -> None:
-        """These are at work; called five times a second."""
-
-    def finished(self, record: TaskRecord) -> None:
-        """One has ended, and is stored."""
-
-    def ends(self) -> None:
-        """The campaign runs nothing any more."""
-
-
-def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
+def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> CampaignResult:
     """Run what is not stored and write campaign.json, results.csv, checks.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
@@ -135,18 +112,19 @@ def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResu
     provenance = gather(settings.command)
     selected, scenes = [entry.task.key for entry in entries], {run.scene.name: run.scene for run in _runs(entries)}
     named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
-    # The keys of the folder's campaign from now on, in order; and the campaign it holds until now, if this one is a part of it.
-    earlier, keys = with_others(store, named) if settings.is_part else (None, tuple(named.values()))
+    before, other_schema = found_campaign(settings.out), earlier_schema(settings.out)
+    # The keys of the folder's campaign from now on, in order.
+    keys = with_others(store, before, named) if settings.is_part and before is not None else tuple(named.values())
     records = {entry.task.key: entry.stored for entry in entries if entry.stored is not None}
     others = {key: record for key in set(keys).difference(selected) if (record := store.read(key)) is not None}
-    campaign = _campaign(settings, entries, left_out, earlier if others else None, keys, provenance)
-    text, before, other_schema = campaign.model_dump_json(indent=1), campaign_text(settings.out), earlier_schema(settings.out)
-    ran = len(records) < len(entries)
+    steps = time_steps(scenes.values(), () if before is None else before.time_steps)
+    campaign = _campaign(settings, entries, left_out, steps, before if others else None, keys, provenance)
+    text, ran = campaign.model_dump_json(indent=1), len(records) < len(entries)
 
     def write() -> tuple[RunRecord, ...]:
         """All that is told of the folder; the runs, those of one that was split into parts as one."""
         done, checks = divided({**others, **records}[key] for key in keys if key in others or key in records)
-        if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
+        if ran or before is None or not same_campaign(campaign, before):  # else it says as before when and how these results were made
             write_durably(settings.out / CAMPAIGN, text)
         merged = collected(done)
         write_tables(settings.out, merged, checks, campaign.violation)
@@ -198,13 +176,12 @@ def _campaign(
     settings: CampaignSettings,
     entries: Sequence[PlannedRun | PlannedCheck],
     left_out: tuple[str, ...],
+    steps: tuple[TimeStepRecord, ...],
     earlier: CampaignRecord | None,
     keys: tuple[str, ...],
     provenance: ProvenanceRecord,
 ) -> CampaignRecord:
     """What campaign.json says. earlier: the campaign of the folder whose other runs stay, if there are any; keys: of all runs and checks from now on."""
-    scenes = {run.scene.name: run.scene for run in _runs(entries)}.values()
-    steps = time_steps(scenes, settings.out)
     title, command, quick, violation = settings.title or TITLE, settings.command, settings.quick, ()
     if earlier is not None:
         title, quick, violation = settings.title or earlier.title, quick and earlier.quick, earlier.violation
@@ -212,7 +189,7 @@ def _campaign(
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
     if not violation:  # what relaxations do to contact physics, on the first scene that has contacts
-        violation = next((measure(scene) for scene in scenes if scene.nc), ())
+        violation = next((measure(run.scene) for run in _runs(entries) if run.scene.nc), ())
     return CampaignRecord(
         title=title,
         command=command,
@@ -226,14 +203,12 @@ def _campaign(
     )
 
 
-def time_steps(scenes: Iterable[Scene], folder: Path) -> tuple[TimeStepRecord, ...]:
+def time_steps(scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()) -> tuple[TimeStepRecord, ...]:
     """Whether the time step of each scene is stable while contacts are closed, looked at before anything runs.
 
-    folder: of a campaign; what an earlier one found there is used again where the scene is the same. Raises MachineError without a compiler.
+    earlier: what an earlier campaign found, used again where the scene is the same. Raises MachineError without a compiler.
     """
-    known: dict[tuple[str, str], TimeStepRecord] = {}
-    with contextlib.suppress(CampaignError):
-        known = {(item.scene, item.digest): item for item in campaign_of(folder).time_steps}
+    known = {(item.scene, item.digest): item for item in earlier}
     found = []
     for scene in scenes:
         digest = hashlib.sha256(scene_text(scene).encode()).hexdigest()
@@ -247,7 +222,7 @@ def time_steps(scenes: Iterable[Scene], folder: Path) -> tuple[TimeStepRecord, .
 
 
 def _note_scene(
-    record: TaskRecord, entries: Sequence[PlannedRun | PlannedCheck], records: Mapping[str, TaskRecord], narrator: Narrator
+    record: TaskRecord, entries: Sequence[PlannedRun | PlannedCheck], records: Mapping[str, TaskRecord], narrator: PlainNarrator
 ) -> None:
     """Say what was found on a scene when the last of its runs has ended."""
     if isinstance(record, RunRecord):
@@ -265,7 +240,7 @@ def _run(
     store: Store,
     provenance: ProvenanceRecord,
     settings: CampaignSettings,
-    narrator: Narrator,
+    narrator: PlainNarrator,
 ) -> Generator[TaskRecord, None, None]:
     if not entries:
         return
@@ -299,7 +274,7 @@ def run_tasks(
     context: ExecutionContext,
     waits: Callable[[Task, Sequence[Task]], bool],
     again: Callable[[TaskRecord], bool],
-    narrator: Narrator,
+    narrator: PlainNarrator,
 ) -> Generator[TaskRecord, None, None]:
     """Run all tasks and yield the record of each when it has finished.
 

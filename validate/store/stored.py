@@ -5,6 +5,7 @@ campaign, records = stored_campaign(Path("runs/all"))
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -20,8 +21,6 @@ from validate.store.store import RECORD, Store
 CAMPAIGN = "campaign.json"
 # What a campaign that ran nothing leaves as it was: the report says when its results were made.
 _OF_THE_CALL = ("command", "started", "provenance")
-# What damaged content raises where it is read.
-_NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
 
 
 class CampaignError(TouchstoneError):
@@ -97,16 +96,19 @@ def campaign_of(folder: Path) -> CampaignRecord:
         ) from error
 
 
-def with_others(store: Store, selected: Mapping[str, str]) -> tuple[CampaignRecord | None, tuple[str, ...]]:
-    """The campaign that a folder holds, and the keys of a part of it and of all its other runs that are stored, each behind what it stood behind.
+def found_campaign(folder: Path) -> CampaignRecord | None:
+    """The campaign of a folder; None where there is none that can be read."""
+    with contextlib.suppress(CampaignError):
+        return campaign_of(folder)
+    return None
+
+
+def with_others(store: Store, earlier: CampaignRecord, selected: Mapping[str, str]) -> tuple[str, ...]:
+    """The keys of a part of the campaign that a folder holds and of all its other runs that are stored, each behind what it stood behind.
 
     selected: what a task of the part is called (`identity`) -> its key.
     """
     keys, place = list(selected.values()), 0
-    try:
-        earlier = campaign_of(store.folder)
-    except CampaignError:
-        return None, tuple(keys)
     for key in earlier.keys:
         task = store.request(key)
         mine = key if key in keys else selected.get(identity(task))
@@ -115,7 +117,7 @@ def with_others(store: Store, selected: Mapping[str, str]) -> tuple[CampaignReco
             mine = key
         if mine is not None:
             place = keys.index(mine) + 1
-    return earlier, tuple(keys)
+    return tuple(keys)
 
 
 def earlier_schema(folder: Path) -> str:
@@ -132,14 +134,6 @@ def earlier_schema(folder: Path) -> str:
     )
 
 
-def campaign_text(folder: Path) -> str:
-    """What a folder's campaign is, apart from the call; empty if there is none that can be read."""
-    try:
-        return of_content((folder / CAMPAIGN).read_bytes())
-    except (OSError, *_NO_CAMPAIGN):
-        return ""
-
-
-def of_content(campaign: str | bytes) -> str:
-    """Of the text of a campaign.json, what is not of the call. Raises one of _NO_CAMPAIGN for what is none."""
-    return json.dumps({name: value for name, value in json.loads(campaign).items() if name not in _OF_THE_CALL}, sort_keys=True)
+def same_campaign(one: CampaignRecord, other: CampaignRecord) -> bool:
+    """Whether two campaigns differ in nothing but when and how they were called."""
+    return one.model_copy(update={name: getattr(other, name) for name in _OF_THE_CALL}) == other

@@ -209,10 +209,9 @@ def _entry() -> Any:
 def resume(path: Path) -> None:
     from reports.records.load import load
     from validate.cli.compare import compare
-    from validate.execution.campaign import time_steps
     from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.store.store import Store
-    from validate.store.stored import campaign_text, earlier_schema
+    from validate.store.stored import earlier_schema, found_campaign
 
     store, settings = Store(path), CampaignSettings(out=path)
     store.prepare()
@@ -220,8 +219,7 @@ def resume(path: Path) -> None:
     reasons(found, store)
     store.damaged_file(KEY)
     earlier_schema(path)
-    time_steps((), path)
-    campaign_text(path)
+    found_campaign(path)
     good = path.with_name("good")
     if not good.exists():
         spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))

@@ -10,6 +10,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid, write_csv
 from validate.execution import campaign
 from validate.execution.campaign import time_steps
+from validate.store.stored import campaign_of
 
 UNSTABLE = """from models.catalog import load_scene
 from dataclasses import replace
@@ -18,7 +19,7 @@ SCENE = replace(load_scene("two_body_collision"), name="stiff_pair", limits=(), 
 
 
 def test_a_stable_step_is_stored_without_a_warning(tmp_path):
-    (found,) = time_steps([load_scene("three_cart")], tmp_path)
+    (found,) = time_steps([load_scene("three_cart")])
     assert found.warning == ""
     assert found.radius <= 1.0 + 1e-6
     assert found.largest_step is not None
@@ -47,7 +48,7 @@ def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch)
     path.write_text(UNSTABLE)
     cli("all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out"))
     monkeypatch.setattr(campaign, "step_stability", lambda scene: None)  # asked again, it would fail
-    (found,) = time_steps([load_scene(str(path))], tmp_path / "out")
+    (found,) = time_steps([load_scene(str(path))], campaign_of(tmp_path / "out").time_steps)
     assert found.warning
 
 

@@ -26,9 +26,10 @@ from validate.store.stored import (
     CAMPAIGN,
     CampaignError,
     campaign_of,
-    campaign_text,
     earlier_schema,
+    found_campaign,
     identity,
+    same_campaign,
     stored_campaign,
     stored_names,
     title_of,
@@ -391,18 +392,20 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
     assert ("drop --last-failed" in said) is (failures == 0)
 
 
-def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_path: Path) -> None:
-    told = {"keys": ["a", "b"], "quick": False, "command": "first", "started": "1", "provenance": {"cpu": "x"}}
-    (tmp_path / "campaign.json").write_text(json.dumps(told))
-    before = campaign_text(tmp_path)
-    (tmp_path / "campaign.json").write_text(json.dumps({**told, "command": "second", "started": "2"}, indent=1))
-    assert campaign_text(tmp_path) == before != ""
-    for change in ({"keys": ["a"]}, {"quick": True}, {"violation": [1]}):
-        (tmp_path / "campaign.json").write_text(json.dumps({**told, **change}))
-        assert campaign_text(tmp_path) != before
-    for unreadable in ("", "[1]", "{half"):
-        (tmp_path / "campaign.json").write_text(unreadable)
-        assert campaign_text(tmp_path) == ""
+def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called() -> None:
+    told = factory.campaign(factory.runs()[:2])
+    called = {"command": "second", "started": "2", "provenance": factory.provenance(cpu="another")}
+    read = type(told).model_validate_json(told.model_copy(update=called).model_dump_json())
+    assert same_campaign(told, read)
+    for change in ({"keys": told.keys[:1]}, {"quick": not told.quick}, {"title": "another"}):
+        assert not same_campaign(told, read.model_copy(update=change))
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{half", None])
+def test_a_campaign_that_cannot_be_read_is_none(text: str | None, tmp_path: Path) -> None:
+    if text is not None:
+        (tmp_path / CAMPAIGN).write_text(text)
+    assert found_campaign(tmp_path) is None
 
 
 def _asked(pipeline: str) -> dict:
@@ -423,14 +426,11 @@ def _store_of(folder: Path, runs: list[RunRecord], names: Iterable[str]) -> Stor
 )  # B: the same run, of other code
 def test_a_part_leaves_the_others_where_they_are(part: list[str], keys: str, tmp_path: Path):
     store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "abc")
-    earlier, found = with_others(store, {identity(_asked(key.lower())): key for key in part})
-    assert earlier is not None
+    found = with_others(store, campaign_of(store.folder), {identity(_asked(key.lower())): key for key in part})
     assert "".join(found) == keys
 
 
 def test_what_cannot_be_read_does_not_stay(tmp_path: Path):
     store = _store_of(tmp_path, [factory.run("strict", None, "strict_lcp", key=key) for key in "abc"], "ab")
     (store.runs / "b" / "record.json").unlink()
-    assert with_others(store, {identity(_asked("d")): "d"})[1] == ("a", "d")
-    (store.folder / CAMPAIGN).unlink()
-    assert with_others(store, {identity(_asked("d")): "d"}) == (None, ("d",))
+    assert with_others(store, campaign_of(store.folder), {identity(_asked("d")): "d"}) == ("a", "d")
