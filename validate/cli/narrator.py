@@ -5,18 +5,15 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from reports.findings import NOT_ASKED
 from reports.judged import end_of
 from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
 from validate.cli.table import in_words, one_line, say
-
-if TYPE_CHECKING:
-    from validate.execution.engine import Running
+from validate.store.store import progress_in
 
 # Width of the bar [characters]: what runs needs the room.
 _BAR = 12
@@ -67,8 +64,8 @@ class PlainNarrator:
         """What the user should know before anything runs."""
         self._line(f"warning: {sentence}")
 
-    def runs(self, workers: Sequence[Running]) -> None:
-        """Called many times a second with the running workers."""
+    def runs(self, folders: Mapping[str, Path]) -> None:
+        """Called many times a second with what runs: what each task is called -> its unfinished folder."""
 
     def finished(self, record: RunRecord | CheckRecord) -> None:
         """A run or check ended with this record; runs that do not apply to their scene are told together (`found`)."""
@@ -111,11 +108,11 @@ class BarNarrator(PlainNarrator):
         self._progress.start()
         self._began, self._said = time.monotonic(), 0.0
 
-    def runs(self, workers: Sequence[Running]) -> None:
+    def runs(self, folders: Mapping[str, Path]) -> None:
         """Say what runs, no more often than an eye reads."""
         if time.monotonic() - self._said > 0.25:
             self._said = time.monotonic()
-            text = "; ".join(f"{worker.task.title}: {worker.progress()}" for worker in workers)
+            text = "; ".join(f"{title}: {progress_in(folder)}" for title, folder in folders.items())
             self._progress.update(self._task, description=one_line(text), left=self._left())
 
     def _left(self) -> str:

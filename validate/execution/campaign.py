@@ -32,10 +32,10 @@ from reports.records.load import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
-from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, open_local
+from validate.execution.engine import LOCAL, Engine, ExecutionContext, check_engine, open_local
 from validate.execution.process import interrupts_wait
 from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_last_failed, select, with_stored
-from validate.plan.warnings import doubts
+from validate.plan.warnings import warnings_of
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
 from validate.store.results import TABLES, write_tables
@@ -138,7 +138,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     if others:
         narrator.notes(f"{len(others)} other runs and checks of the campaign in {settings.out} stay in its tables and report")
     unstable = [item.warning for item in campaign.time_steps if item.warning and item.scene in scenes]
-    for sentence in (*filter(None, [other_schema]), *unstable, *doubts(scenes.values())):
+    for sentence in (*filter(None, [other_schema]), *unstable, *warnings_of(scenes.values())):
         narrator.warns(sentence)
     try:
         with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
@@ -317,10 +317,10 @@ def _startable(
             yield task
 
 
-def _begun(tasks: Iterable[Task], context: ExecutionContext) -> list[Running]:
-    """Those of the tasks that have an unfinished folder, wherever they run."""
+def _begun(tasks: Iterable[Task], context: ExecutionContext) -> dict[str, Path]:
+    """What those of the tasks are called that have an unfinished folder, wherever they run -> that folder."""
     folders = {path.name.split("-")[1]: path for path in context.unfinished()}
-    return [Running(task=task, folder=folders[task.key[:12]]) for task in tasks if task.key[:12] in folders]
+    return {task.title: folders[task.key[:12]] for task in tasks if task.key[:12] in folders}
 
 
 def _path(task: Task) -> tuple[PlannedLeg, ...]:

@@ -209,7 +209,7 @@ def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: in
     """
     quieten()
     with contextlib.ExitStack() as open_now:
-        mark = context.store.open_partial(CAMPAIGN, context.token + uuid.uuid4().hex[:16]).resolve()
+        mark = context.store.open_partial(CAMPAIGN, context.token).resolve()
         open_now.enter_context(closing(KeptFolder(mark)))
         client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or usable_cores()))
         engine = DaskEngine(client, context, jobs if where else None, mark, tasks)
@@ -300,7 +300,7 @@ class DaskEngine:
     def _crashed(self, task: Task, tries: _Tries, message: str) -> TaskRecord:
         """The record of a task that took its workers with it, stored."""
         context = self._context
-        folder = context.store.open_partial(task.key, context.token + uuid.uuid4().hex[:16])
+        folder = context.store.open_partial(task.key, context.token)
         child = ChildExit(outcome="crashed", message=message, wall=time.monotonic() - tries.since, cpu=0.0, log="")
         record = record_for_crash(task, context.provenance, child, folder, context.loaded.get(task.key))
         write_request(folder, task, context.provenance)

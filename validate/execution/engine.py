@@ -25,7 +25,7 @@ from typing import Any, Protocol
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
 from validate.execution.process import Preloaded, interrupts_wait, usable_cores
-from validate.execution.worker import Worker, progress_in
+from validate.execution.worker import Worker
 from validate.store.disk import PARTIAL
 from validate.store.store import Store
 from validate.tasks.path import LoadedRun
@@ -56,18 +56,6 @@ class ExecutionContext:
     def unfinished(self) -> list[Path]:
         """Folders of the campaign's tasks that are being written."""
         return [path for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*") if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Running:
-    """A task at work, and its unfinished folder."""
-
-    task: Task
-    folder: Path
-
-    def progress(self) -> str:
-        """Where the task is, in words."""
-        return progress_in(self.folder)
 
 
 class Engine(Protocol):

@@ -6,7 +6,6 @@ was for memory. A fork of it that comes back through our code - an FMU may fork 
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import errno
 import gc
@@ -14,8 +13,8 @@ import importlib
 import json
 import os
 import pickle
+import resource
 import select
-import shutil
 import signal
 import sys
 import tempfile
@@ -30,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.process import TEMPORARY, Child, Ended, Fork, can_fork, exit_in_words
-from validate.store.disk import no_temporary_folder, raise_if_disk_ended
+from validate.store.disk import no_temporary_folder, raise_if_disk_ended, tail, temporary_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -149,11 +148,8 @@ def run_isolated(
         If the temporary folder cannot be written.
     """
     limits = limits or Limits()
-    try:
-        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
-    except OSError as error:
-        raise no_temporary_folder(error) from error
-    try:
+    with temporary_folder(FOLDER_PREFIX) as place:
+        folder = place.resolve()
         _write_request(folder, function, request, arrays, limits)
         began = time.monotonic()
         begin = Fork if ours and can_fork() else Child
@@ -161,8 +157,6 @@ def run_isolated(
             over_time = not child.wait(limits.seconds)
             ended = child.end()
             return _told(folder, ended, over_time, time.monotonic() - began, limits, what)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def packed(*things: Any) -> dict[str, np.ndarray]:
@@ -275,14 +269,14 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
     answer, arrays = left_by(folder)
     if not answer:
         _see_room(folder)
-    refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in _tail(folder / OUTPUT, _LAST_WORDS))
+    refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in tail(folder / OUTPUT, _LAST_WORDS))
     ending, sentence = _classify(answer, ended, over_time, peak, limits, what, refused)
     return Isolated(
         ending=ending,
         sentence=sentence,
         value=answer.get("value") if ending is Ending.OK else None,
         arrays=arrays,
-        output=_tail(folder / OUTPUT, limits.output),
+        output=tail(folder / OUTPUT, limits.output),
         code=ended.code,
         strays=ended.strays,
         cpu=ended.cpu,
@@ -300,7 +294,7 @@ def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if answer.get("ending") != Ending.OK.name:
         return answer, {}
     try:
-        return answer, _arrays(folder)
+        return answer, _arrays_in(folder / TAKEN)
     except Exception:  # noqa: BLE001 - of any type: numpy, zipfile and zlib have many
         return {}, {}
 
@@ -327,7 +321,7 @@ def _classify(
         return Ending.MEMORY_LIMIT, f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB."
     if ending is not None:
         return ending, f"{what}: {ending.value}: {str(answer['sentence']).rstrip('.')}."
-    if over_time or ended.code == -getattr(signal, "SIGXCPU", 0):
+    if over_time or ended.code == -signal.SIGXCPU:
         return Ending.TIME_LIMIT, f"{what}: {Ending.TIME_LIMIT.value} of {limits.seconds:g} s."
     if ended.code == -signal.SIGABRT:
         return Ending.ABORT, f"{what}: {Ending.ABORT.value} (SIGABRT)."
@@ -336,20 +330,13 @@ def _classify(
     return Ending.NO_RESULT, f"{what}: {Ending.NO_RESULT.value} ({exit_in_words(ended.code)})."
 
 
-def _arrays(folder: Path) -> dict[str, np.ndarray]:
-    if not (folder / TAKEN).exists():
+def _arrays_in(path: Path) -> dict[str, np.ndarray]:
+    if not path.exists():
         return {}
     import numpy as np
 
-    with np.load(folder / TAKEN, allow_pickle=False) as stored:
+    with np.load(path, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
-
-
-def _tail(path: Path, size: int) -> str:
-    with contextlib.suppress(OSError), open(path, "rb") as file:
-        file.seek(max(0, os.path.getsize(path) - size))
-        return file.read().decode("utf-8", errors="replace")
-    return ""
 
 
 # New objects after which Python looks for cycles among them, instead of 700: those of NumPy and FMPy stay, and looking took a fifteenth of a replay.
@@ -365,10 +352,6 @@ def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_sec
     """
     if file_bytes < _ANY_BYTECODE:
         sys.dont_write_bytecode = True
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     wanted = {
         resource.RLIMIT_FSIZE: file_bytes,
@@ -387,8 +370,6 @@ def mark_refused_memory(mark: Path) -> Any:
     Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called through ctypes, as FMUs are; it puts the former handler
     back and returns, so that the crash goes on as it would have. What is returned must live as long as the process lives.
     """
-    if sys.platform == "win32":
-        return None
     signals = (signal.SIGSEGV, signal.SIGBUS)
     set_handler: Any = ctypes.CDLL(None).signal
     set_handler.restype, set_handler.argtypes = ctypes.c_void_p, (ctypes.c_int, ctypes.c_void_p)
@@ -407,12 +388,7 @@ def mark_refused_memory(mark: Path) -> Any:
 
 def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     module, _, name = request["function"].partition(":")
-    arrays: dict[str, Any] = {}
-    if (folder / GIVEN).exists():
-        import numpy as np
-
-        with np.load(folder / GIVEN, allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
+    arrays = _arrays_in(folder / GIVEN)
     function = getattr(importlib.import_module(module), name)
     sys.dont_write_bytecode = True  # foreign code may narrow the limit of files, and what Python then writes is cut off
     value = function(request["request"], arrays)

@@ -13,7 +13,6 @@ import json
 import os
 import shutil
 import time
-import uuid
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -25,13 +24,11 @@ from reports.records.check_record import record_of
 from reports.records.record import ProvenanceRecord, RunRecord
 from validate.execution.process import TEMPORARY, Child, Ended, Preloaded, exit_in_words
 from validate.store.disk import disk_error, refusals_in_words, remove, write_durably
-from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
+from validate.store.store import LOG, MACHINE, RECORD, REQUEST, Store, log_in, progress_in
 from validate.tasks.check import unfinished_check
 from validate.tasks.path import LoadedRun, load_run, unfinished_run
 from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
 
-_TAIL_BYTES = 20_000
-_TOKEN = 32
 # How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at once.
 _LOOK = 0.05
 # What a child does.
@@ -56,7 +53,7 @@ class Worker:
         token_begins: str = "",
     ) -> None:
         self._task, self._provenance, self._store, self._loaded = task, provenance, store, loaded
-        self._folder = store.open_partial(task.key, (token_begins + uuid.uuid4().hex)[:_TOKEN]).resolve()
+        self._folder = store.open_partial(task.key, token_begins).resolve()
         try:
             write_request(self._folder, task, provenance)
             with refusals_in_words(self._folder):
@@ -117,7 +114,7 @@ class Worker:
         return MachineError(text.strip()) if whole else disk_error(self._folder, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
     def _without_record(self, ended: Ended, problem: str, *, over_time: bool) -> TaskRecord:
-        place, log = progress_in(self._folder), self._log()
+        place, log = progress_in(self._folder), log_in(self._folder)
         if over_time:
             message = f"ended at its time limit of {self._task.time_limit:g} s, during {place}."
         else:
@@ -128,11 +125,6 @@ class Worker:
         record = record_for_crash(self._task, self._provenance, child, self._folder, self._loaded)
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record
-
-    def _log(self) -> str:
-        with refusals_in_words(self._folder / LOG), open(self._folder / LOG, "rb") as file:
-            file.seek(max(0, os.path.getsize(self._folder / LOG) - _TAIL_BYTES))
-            return file.read().decode("utf-8", errors="replace")
 
 
 def write_request(folder: Path, task: Task, provenance: ProvenanceRecord) -> None:
@@ -148,14 +140,6 @@ def record_for_crash(
     if isinstance(task, CheckTask):
         return unfinished_check(task, provenance, child)
     return unfinished_run(task, loaded or load_run(task), provenance, child, folder)
-
-
-def progress_in(folder: Path) -> str:
-    """Where the task is whose unfinished folder this is, in words."""
-    try:
-        return (folder / PROGRESS).read_text(encoding="utf-8")
-    except OSError:
-        return "its start"
 
 
 def _last_line(log: str, code: int) -> str:

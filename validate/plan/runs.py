@@ -128,7 +128,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
             ):
                 if _is_too_long(settings, scene):
                     long.append(scene.name)
-                elif settings.quick and pipeline.name not in plugin.quick_names():
+                elif settings.quick and pipeline.name not in plugin.quick:
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in parts_of(pipeline):

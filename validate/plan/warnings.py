@@ -26,16 +26,10 @@ def scene_doubts(scene: Scene) -> tuple[str, ...]:
     return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene))
 
 
-def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
-    """Those of several scenes, each scene once."""
-    for scene in {scene.name: scene for scene in scenes}.values():
-        yield from scene_doubts(scene)
-
-
 def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
     """Sentences on scenes, each scene once. steps: also on a time step that is unstable in contact, for which scenes that are not in the bank are compiled."""
     each = list({scene.name: scene for scene in scenes}.values())
-    return [*doubts(each), *(_unstable(each) if steps else ())]
+    return [*(sentence for scene in each for sentence in scene_doubts(scene)), *(_unstable(each) if steps else ())]
 
 
 def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:

@@ -108,6 +108,14 @@ def fsync(path: Path) -> None:
         os.close(descriptor)
 
 
+def tail(path: Path, size: int) -> str:
+    """The last `size` bytes of a file, as text; empty where it cannot be read."""
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        file.seek(max(0, os.path.getsize(path) - size))
+        return file.read().decode("utf-8", errors="replace")
+    return ""
+
+
 def aside_name(what: str, token: str) -> str:
     """The name of what is not finished; it says whose it is."""
     return f"{PARTIAL}{what}-{token}-{os.getpid()}-{socket.gethostname()}"

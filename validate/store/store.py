@@ -23,14 +23,18 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, refusals_in_words, remove
+from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, refusals_in_words, remove, tail
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
 FILES = "files.json"
+# How much of a log is read, from its end [bytes].
+_LOG_BYTES = 20_000
 # In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
 _DUE = "due"
 _OLD = "-old"
+# Letters and digits of what tells one unfinished folder of a task from another.
+_TOKEN = 32
 
 
 class StoreError(TouchstoneError):
@@ -40,6 +44,19 @@ class StoreError(TouchstoneError):
 def progress(folder: Path, text: str) -> None:
     """Say where a task is, for the parent to read if it never comes back."""
     (folder / PROGRESS).write_text(text, encoding="utf-8")
+
+
+def progress_in(folder: Path) -> str:
+    """Where the task is whose unfinished folder this is, in words."""
+    try:
+        return (folder / PROGRESS).read_text(encoding="utf-8")
+    except OSError:
+        return "its start"
+
+
+def log_in(folder: Path) -> str:
+    """The end of a task's log; empty where there is none."""
+    return tail(folder / LOG, _LOG_BYTES)
 
 
 class Store:
@@ -125,8 +142,8 @@ class Store:
         yield from filter(None, map(_request, sorted(self.runs.glob(f"[!.]*/{REQUEST}"))))
 
     def open_partial(self, key: str, token: str) -> Path:
-        """A new folder for a task that is about to run."""
-        folder = self.runs / aside_name(key[:12], token)
+        """A new folder for a task that is about to run. token: what its own begins with, at most 16 letters and digits."""
+        folder = self.runs / aside_name(key[:12], (token + uuid.uuid4().hex)[:_TOKEN])
         with refusals_in_words(folder):
             folder.mkdir()
         return folder

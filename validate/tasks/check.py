@@ -23,7 +23,7 @@ from models.errors import MachineError, TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
-from validate.store.store import LOG, progress
+from validate.store.store import log_in, progress
 from validate.tasks.records import LOG_LINES
 from validate.tasks.task import CheckTask, ChildExit
 
@@ -77,35 +77,32 @@ def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began
         raise_if_disk_ended(folder, error)
         traceback.print_exc()
         outcome, message = "crashed", f"{type(error).__name__}: {next(iter(str(error).splitlines()), '') or 'no further words.'}"
-    log = folder / LOG
-    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
     used = os.times()
     cpu = used.user + used.system + used.children_user + used.children_system
-    return _record(task, provenance, found, outcome, message, time.monotonic() - began, cpu, text)
+    how = ChildExit(outcome=outcome, message=message, wall=time.monotonic() - began, cpu=cpu, log=log_in(folder))
+    return _record(task, provenance, found, how)
 
 
 def unfinished_check(task: CheckTask, provenance: ProvenanceRecord, child: ChildExit) -> CheckRecord:
     """The record of a check whose child left none."""
-    return _record(task, provenance, Found(False, ""), child.outcome, child.message, child.wall, child.cpu, child.log)
+    return _record(task, provenance, Found(False, ""), child)
 
 
-def _record(
-    task: CheckTask, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
-) -> CheckRecord:
+def _record(task: CheckTask, provenance: ProvenanceRecord, found: Found, how: ChildExit) -> CheckRecord:
     return CheckRecord(
         key=task.key,
         kind=task.kind,
         name=task.name,
         expected=task.expected,
         scene=task.scene,
-        outcome=outcome,
+        outcome=how.outcome,
         passed=found.passed,
         found=found.sentence,
-        message=message,
+        message=how.message,
         figures=found.figures,
-        wall_seconds=wall,
-        cpu_seconds=cpu,
+        wall_seconds=how.wall,
+        cpu_seconds=how.cpu,
         provenance=provenance,
-        log_tail="\n".join(log.splitlines()[-LOG_LINES:]),
+        log_tail="\n".join(how.log.splitlines()[-LOG_LINES:]),
         **found.details,
     )

@@ -26,7 +26,7 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import HOLD, LegRecord, SurveyRecord, stage_files
 from validate.store.disk import raise_if_disk_ended, write_durably
 from validate.store.provenance import content_key
-from validate.store.store import LOG, Store, progress
+from validate.store.store import Store, log_in, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, planned_stages
 from validate.tasks.plugins import load_plugin, plugin_source
@@ -92,11 +92,9 @@ def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: f
         profile.lap("survey")
     cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
     drawn = scene_record(scene)
-    log = folder / LOG
-    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
     profile.lap("record")
     wall, cpu = profile.total, time.process_time()
-    return run_record(task, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
+    return run_record(task, drawn, stages, provenance, wall=wall, cpu=cpu, log=log_in(folder), message=cause, profile=profile.seconds)
 
 
 def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path) -> RunRecord:

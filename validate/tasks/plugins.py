@@ -66,11 +66,11 @@ def _write_report(folder: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """See the module docstring. quick: the pipelines that `--quick` runs."""
+    """See the module docstring. quick: the names of the pipelines that `--quick` runs."""
 
     load_method: Callable[[str], Method] = load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
-    quick: tuple[str, ...] | None = None
+    quick: tuple[str, ...] = QUICK
     checks: Callable[[Sequence[SceneReference]], Sequence[CheckTask]] = _checks
     compile: Callable[[Scene], object] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
@@ -83,10 +83,6 @@ class Plugin:
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
         """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
         return {leg.method: self.load_method(leg.method) for leg in pipeline.legs}
-
-    def quick_names(self) -> tuple[str, ...]:
-        """The names of the pipelines that `--quick` runs."""
-        return QUICK if self.quick is None else self.quick
 
 
 DEFAULT = Plugin()

@@ -191,7 +191,7 @@ def task_from_json(data: Mapping[str, Any]) -> Task:
 
 @dataclass(frozen=True, kw_only=True)
 class ChildExit:
-    """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
+    """How a task ended, such as a child that left no record. outcome: that of its record; message: one sentence; wall, cpu [s]; log: its end."""
 
     outcome: str
     message: str

@@ -15,6 +15,7 @@ from tests.reports import record_factory as factory
 from validate.cli import narrator
 from validate.cli.table import print_metrics, say, short, table, terminal_width, use_colour, wide_option, wrapped
 from validate.store.disk import write_durably
+from validate.store.store import progress
 
 TITLES = ["scene", "cost", "eps", "why"]
 ROWS = [["three_cart", "490.55", "0.001", "the plan does not reach the goal within its limit"], ["two_discs", "1.0", "", "it holds"]]
@@ -105,16 +106,8 @@ def test_a_zero_has_no_sign():
     assert short(-0.0, ".4e") == "0.0000e+00"
 
 
-class _Busy:
-    class task:  # noqa: N801 - stands for a worker's task
-        title = "three_cart_steps_50_step_0p1 x softplus_dc+strict"
-
-    def progress(self) -> str:
-        return "the certificate of stage 1 (strict_lcp)"
-
-
 @pytest.mark.parametrize("width", [60, 80, 200])
-def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(monkeypatch, width):
+def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(monkeypatch, tmp_path, width):
     """The bar is drawn when something is told; the last time when it ends."""
     shown, clock = io.StringIO(), iter(range(1000, 100000, 10))
     terminal = functools.partial(rich.console.Console, file=shown, force_terminal=True, width=width, no_color=True)
@@ -123,9 +116,11 @@ def test_the_bar_has_the_numbers_whole_and_what_runs_as_far_as_there_is_room(mon
     monkeypatch.setattr(narrator.time, "monotonic", lambda: float(next(clock)))
     bar = narrator.BarNarrator()
     bar.begins(30, 4, 2)
-    bar.runs([_Busy(), _Busy()])  # type: ignore[list-item]
+    progress(tmp_path, "the certificate of stage 1 (strict_lcp)")
+    busy = "three_cart_steps_50_step_0p1 x softplus_dc+strict"
+    bar.runs({busy: tmp_path, f"{busy} (2 of 2)": tmp_path})
     bar.finished(factory.run("strict", None, "strict_lcp"))
-    bar.runs([_Busy()])  # type: ignore[list-item]
+    bar.runs({busy: tmp_path})
     bar.ends()
     lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()))
     assert max(map(len, lines)) <= width

@@ -12,7 +12,7 @@ from models.catalog import load_scene, scene_names
 from models.scene import Input, Limit, Parameter
 from models.trajectory import Trajectory, write_csv
 from validate.cli.group import run
-from validate.plan.warnings import doubts, scene_doubts
+from validate.plan.warnings import scene_doubts, warnings_of
 
 WRONG_SIGN = """import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ SCENE = replace(bank, name="wrong_sign", limits=(), answers=(), contacts=tuple(r
 
 
 def test_no_scene_of_the_bank_gives_cause():
-    assert not list(doubts(map(load_scene, scene_names())))
+    assert not warnings_of(map(load_scene, scene_names()))
 
 
 @pytest.mark.slow

@@ -14,11 +14,11 @@ from reports.records.record import RunRecord
 from validate.execution import worker as module
 from validate.execution.engine import MODULES
 from validate.execution.process import Preloaded
-from validate.execution.worker import Worker, progress_in
+from validate.execution.worker import Worker
 from validate.store.disk import PARTIAL
 from validate.store.provenance import gather
 from validate.store.results import rows
-from validate.store.store import Store
+from validate.store.store import Store, progress_in
 from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.path import run_path
 from validate.tasks.task import RunTask
