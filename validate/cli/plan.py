@@ -12,10 +12,11 @@ import click
 from validate.cli.options import campaign_options, result_options
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
-from validate.plan.runs import CampaignSettings, PlannedRun, only_last_failed, past_seconds, reasons, select, with_stored
+from validate.plan.runs import CampaignSettings, only_last_failed, past_seconds, reasons, scenes_of, select, with_stored
 from validate.plan.warnings import warnings_of
 from validate.store.store import Store
 from validate.store.stored import earlier_schema
+from validate.tasks.task import RunTask
 
 _EPILOG = """\b
 Examples:
@@ -41,7 +42,7 @@ def command(as_json: bool, as_table: bool, **options: Any) -> int:
 def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> int:
     """Print it. Raises TouchstoneError."""
     entries, left_out = select(settings)
-    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
+    scenes = scenes_of(entries)
     warn(warnings_of(scenes.values(), steps=True))
     if sentence := earlier_schema(settings.out):
         warn([sentence])
@@ -49,7 +50,7 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
         entries = only_last_failed(entries, store)
-    groups = [entry.scene.name if isinstance(entry, PlannedRun) else entry.task.kind for entry in entries]
+    groups = [entry.task.scene_name if isinstance(entry.task, RunTask) else entry.task.kind for entry in entries]
     explained = zip(entries, groups, reasons(entries, store), strict=True)
     told = [_Line(entry.task.title, group, entry.task.key, why) for entry, group, why in explained]
     seconds = past_seconds(entries, store)

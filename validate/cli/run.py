@@ -12,7 +12,6 @@ from validate.cli.all import run_and_tell
 from validate.cli.options import file_options, result_options
 from validate.cli.plan import tell_plan
 from validate.plan.read import read_campaign
-from validate.plan.runs import CampaignSettings
 from validate.plan.schema import CampaignFile
 from validate.store.provenance import command_line
 
@@ -43,12 +42,10 @@ missing; 130 interrupted.
 def command(
     arguments: tuple[str, ...],
     file: Path | None,
-    out: Path | None,
     only_plan: bool,
     schema: bool,
     as_json: bool,
     as_table: bool,
-    plugin: str,
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
@@ -58,10 +55,7 @@ def command(
         return 0
     if file is None:
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
-
-    campaign = read_campaign(file, plugin)
-    out = out or Path("runs") / file.stem
-    settings = CampaignSettings(out=out, plugin=plugin, command=command_line(arguments), **options, **campaign.settings())
+    settings = read_campaign(file, command=command_line(arguments), **options)
     if only_plan:
         return tell_plan(settings, as_json=as_json, as_table=as_table)
     return run_and_tell(settings, arguments, as_json=as_json, as_table=as_table)

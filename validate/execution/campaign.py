@@ -34,7 +34,7 @@ from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, check_engine, open_local
 from validate.execution.process import interrupts_wait
-from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_last_failed, select, with_stored
+from validate.plan.runs import CampaignSettings, PlannedTask, only_last_failed, scenes_of, select, with_stored
 from validate.plan.warnings import warnings_of
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
@@ -42,14 +42,12 @@ from validate.store.results import TABLES, write_tables
 from validate.store.store import Store
 from validate.store.stored import (
     CAMPAIGN,
-    CampaignError,
     campaign_of,
     check_folder,
     earlier_schema,
     found_campaign,
     identity,
     same_campaign,
-    stored_campaign,
     with_others,
 )
 from validate.tasks.leg import forget, must_wait
@@ -59,8 +57,6 @@ from validate.tasks.task import PlannedLeg, RunTask, Task, TaskRecord, task_to_j
 
 if TYPE_CHECKING:
     from validate.cli.narrator import PlainNarrator
-
-__all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a task's end [s]; a task that ends is seen at once.
@@ -110,7 +106,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
     for name, text in settings.files.items():
         write_durably(settings.out / name, text)
     provenance = gather(settings.command)
-    selected, scenes = [entry.task.key for entry in entries], {run.scene.name: run.scene for run in _runs(entries)}
+    selected, scenes = [entry.task.key for entry in entries], scenes_of(entries)
     named = {identity(task_to_json(entry.task)): entry.task.key for entry in entries}
     before, other_schema = found_campaign(settings.out), earlier_schema(settings.out)
     # The keys of the folder's campaign from now on, in order.
@@ -174,7 +170,7 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
 
 def _campaign(
     settings: CampaignSettings,
-    entries: Sequence[PlannedRun | PlannedCheck],
+    entries: Sequence[PlannedTask],
     left_out: tuple[str, ...],
     steps: tuple[TimeStepRecord, ...],
     earlier: CampaignRecord | None,
@@ -189,7 +185,7 @@ def _campaign(
         named = {item.scene for item in steps}
         steps = (*(item for item in earlier.time_steps if item.scene not in named), *steps)
     if not violation:  # what relaxations do to contact physics, on the first scene that has contacts
-        violation = next((measure(run.scene) for run in _runs(entries) if run.scene.nc), ())
+        violation = next((measure(scene) for scene in scenes_of(entries).values() if scene.nc), ())
     return CampaignRecord(
         title=title,
         command=command,
@@ -221,22 +217,16 @@ def time_steps(scenes: Iterable[Scene], earlier: Iterable[TimeStepRecord] = ()) 
     return tuple(found)
 
 
-def _note_scene(
-    record: TaskRecord, entries: Sequence[PlannedRun | PlannedCheck], records: Mapping[str, TaskRecord], narrator: PlainNarrator
-) -> None:
+def _note_scene(record: TaskRecord, entries: Sequence[PlannedTask], records: Mapping[str, TaskRecord], narrator: PlainNarrator) -> None:
     """Say what was found on a scene when the last of its runs has ended."""
     if isinstance(record, RunRecord):
-        keys = [run.task.key for run in _runs(entries) if run.scene.name == record.scene.name]
+        keys = [entry.task.key for entry in entries if isinstance(entry.task, RunTask) and entry.task.scene_name == record.scene.name]
         if all(key in records for key in keys):
             narrator.found(collected(divided(records[key] for key in keys)[0]))
 
 
-def _runs(entries: Iterable[PlannedRun | PlannedCheck]) -> list[PlannedRun]:
-    return [entry for entry in entries if isinstance(entry, PlannedRun)]
-
-
 def _run(
-    entries: Sequence[PlannedRun | PlannedCheck],
+    entries: Sequence[PlannedTask],
     store: Store,
     provenance: ProvenanceRecord,
     settings: CampaignSettings,
@@ -261,7 +251,8 @@ def _run(
     def waits(task: Task, running: Sequence[Task]) -> bool:
         return must_wait(_path(task), map(_path, running), store.legs, task.time_limit)
 
-    context = ExecutionContext(store=store, provenance=provenance, loaded={run.task.key: run.loaded for run in _runs(entries)})
+    loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
+    context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
     where = settings.engine.partition(":")[2]
     opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
     with opened(settings.jobs, context, len(tasks)) as engine:

@@ -1,7 +1,6 @@
 """Reads a campaign file, in full or not at all: TOML -> what a campaign runs. Every mistake of a file is reported at once, with its place.
 
-campaign = read_campaign(Path("stiffness.toml"))
-run_campaign(CampaignSettings(out=out, **campaign.settings()), narrator)
+run_campaign(read_campaign(Path("stiffness.toml"), out=out), narrator)
 
 Pipelines: ours by name, its own as they are spelt out, each once a seed where it draws at random. Scenes: loaded, changed and named, one for each
 combination of swept values.
@@ -14,7 +13,7 @@ import itertools
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from models.errors import TouchstoneError, did_you_mean
 from models.scene import Scene
 from models.scene.checks import check_expressions
 from validate.judge.score import check_limits, metric_names
+from validate.plan.runs import CampaignSettings
 from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
@@ -55,31 +55,11 @@ class ConfigError(TouchstoneError):
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}")
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """A campaign file that can be run. text, resolved: the file as it was given, and as another campaign file in which nothing is left open."""
+def read_campaign(path: Path, *, out: Path | None = None, plugin: str = DEFAULT_PLUGIN, **given: Any) -> CampaignSettings:
+    """Read and check. out: runs/NAME of the file without it; given: other fields of the settings, which a file does not decide.
 
-    file: CampaignFile
-    text: str
-    resolved: str
-    scenes: tuple[SceneReference, ...]
-    bases: tuple[SceneReference, ...]
-    pipelines: tuple[Pipeline, ...]
-
-    def settings(self) -> dict[str, Any]:
-        """The fields of validate.plan.runs.CampaignSettings that the file decides."""
-        return {
-            "chosen": self.scenes,
-            "pipelines": self.pipelines,
-            "checked": self.bases if self.file.checks else (),
-            "time_limit": self.file.time_limit,
-            "title": self.file.title,
-            "files": {GIVEN: self.text, RESOLVED: self.resolved},
-        }
-
-
-def read_campaign(path: Path, plugin: str = DEFAULT_PLUGIN) -> Campaign:
-    """Read and check. Raises ConfigError with every mistake, UnknownNameError for `plugin`."""
+    Raises ConfigError with every mistake, UnknownNameError for `plugin`.
+    """
     loaded = load_plugin(plugin)
     try:
         text, data = read_toml(path)
@@ -96,8 +76,17 @@ def read_campaign(path: Path, plugin: str = DEFAULT_PLUGIN) -> Campaign:
     mistakes += wrong
     if mistakes:
         raise ConfigError(path, mistakes)
-    resolved = resolved_text(file, scenes, loaded.load_method, path.name)
-    return Campaign(file, text, resolved, tuple(scenes), tuple(bases), pipelines)
+    return CampaignSettings(
+        out=out or Path("runs") / path.stem,
+        plugin=plugin,
+        chosen=tuple(scenes),
+        pipelines=pipelines,
+        checked=tuple(bases) if file.checks else (),
+        time_limit=file.time_limit,
+        title=file.title,
+        files={GIVEN: text, RESOLVED: resolved_text(file, scenes, loaded.load_method, path.name)},
+        **given,
+    )
 
 
 def _hint(name: str, known: Iterable[str]) -> str:

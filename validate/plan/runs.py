@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from formulations.pipelines import parts_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
-from reports.records.check_record import CheckRecord
 from reports.records.record import HOLD, RunRecord
 from reports.rule import failed_keys
 from validate.judge.score import check_limits
@@ -28,7 +27,7 @@ from validate.store.stored import CampaignError, identity, stored_campaign
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
-from validate.tasks.task import CheckTask, RunTask, SceneReference, task_to_json
+from validate.tasks.task import CheckTask, RunTask, SceneReference, Task, TaskRecord, task_to_json
 
 NOTHING_STORED = "nothing is stored of it"
 # So many unknown words of a -k are answered.
@@ -86,34 +85,28 @@ class CampaignSettings:
 
 
 @dataclass(frozen=True)
-class PlannedRun:
-    """A run with what the parent knows of it: as it is loaded here, and its stored record if that can be used."""
+class PlannedTask:
+    """A task with what the parent knows of it.
 
-    task: RunTask
-    loaded: LoadedRun
-    stored: RunRecord | CheckRecord | None = None
-    why: str = ""  # it is run, although something like it may be stored
+    loaded: a run as it is loaded here; stored: its record if that can be used; why: it is run, although something like it may be stored.
+    """
 
-    @property
-    def scene(self) -> Scene:
-        """Its scene."""
-        return self.loaded.scene
-
-
-@dataclass(frozen=True)
-class PlannedCheck:
-    """A check, and its stored record if that can be used."""
-
-    task: CheckTask
-    stored: RunRecord | CheckRecord | None = None
+    task: Task
+    loaded: LoadedRun | None = None
+    stored: TaskRecord | None = None
     why: str = ""
 
 
-def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
+def scenes_of(entries: Iterable[PlannedTask]) -> dict[str, Scene]:
+    """The scenes of the runs among these tasks, by name."""
+    return {entry.loaded.scene.name: entry.loaded.scene for entry in entries if entry.loaded is not None}
+
+
+def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ...]]:
     """The tasks asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     plugin = load_plugin(settings.plugin)
     scenes = list(settings.chosen) or _scenes(settings)
-    entries: list[PlannedRun | PlannedCheck] = []
+    entries: list[PlannedTask] = []
     seen: list[str] = []
     left_out: list[tuple[str, str]] = []
     long: list[str] = []
@@ -185,13 +178,13 @@ def scene_cost(scene: Scene) -> int:
 
 def _checks(
     settings: CampaignSettings, plugin: Plugin, scenes: Sequence[SceneReference], seen: list[str]
-) -> tuple[list[PlannedCheck], tuple[str, ...]]:
+) -> tuple[list[PlannedTask], tuple[str, ...]]:
     """The checks asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
 
     Where scenes are named, only checks of these scenes are meant.
     """
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
-    wanted: list[PlannedCheck] = []
+    wanted: list[PlannedTask] = []
     left_out: list[CheckTask] = []
     for item in plugin.checks(scenes):
         if item.scene is None and (settings.scenes or settings.chosen):
@@ -202,7 +195,7 @@ def _checks(
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
             continue
-        wanted.append(PlannedCheck(replace(item, key=check_key(item), time_limit=settings.time_limit)))
+        wanted.append(PlannedTask(replace(item, key=check_key(item), time_limit=settings.time_limit)))
     return wanted, _counted(left_out)
 
 
@@ -220,7 +213,7 @@ def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
 
 
-def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedRun:
+def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedTask:
     plan = planned_stages(task.pipeline, plugin.methods_of(task.pipeline))
     source = plugin_source(task.plugin)
 
@@ -229,16 +222,16 @@ def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedRun:
         return content_key(scene, asked, {planned.name for planned in stages}, source, robust=robust)
 
     key = key_of(plan, task.pipeline.name, task.pipeline.title, robust=task.robust)
-    return PlannedRun(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
+    return PlannedTask(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
 
 
-def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, settings: CampaignSettings) -> list[PlannedRun | PlannedCheck]:
+def with_stored(entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings) -> list[PlannedTask]:
     """The same tasks, each with its stored record where that can be used again, else with the reason why not."""
     usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
     return [replace(entry, stored=record, why=why) for entry, (record, why) in zip(entries, usable, strict=True)]
 
 
-def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRecord | CheckRecord | None, str]:
+def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, str]:
     record = store.read(task.key)
     if record is None:
         return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
@@ -261,7 +254,7 @@ def _usable(store: Store, task: RunTask | CheckTask, fresh: bool) -> tuple[RunRe
     return record, ""
 
 
-def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[str]:
+def reasons(entries: Sequence[PlannedTask], store: Store) -> list[str]:
     """For each task why it would be run, "" where its record is used; one of which another version is stored says that."""
     others = {identity(request) for request in store.requests()}
     return [
@@ -272,7 +265,7 @@ def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[
     ]
 
 
-def past_seconds(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> dict[str, float]:
+def past_seconds(entries: Sequence[PlannedTask], store: Store) -> dict[str, float]:
     """Key of a task that is to be run -> CPU seconds [s] that it took when it last ran into this folder, whatever code it was; without those that never did."""
     keys: dict[str, list[str]] = {}
     for request in store.requests():
@@ -286,7 +279,7 @@ def past_seconds(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> 
     return found
 
 
-def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
+def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[PlannedTask]:
     """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
 
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.

@@ -15,7 +15,8 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
-from validate.execution.campaign import CampaignSettings, run_campaign
+from validate.execution.campaign import run_campaign
+from validate.plan.runs import CampaignSettings
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
 

@@ -14,8 +14,9 @@ from standing_cluster import come
 from wording import unsaid
 
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import CampaignSettings, run_campaign
+from validate.execution.campaign import run_campaign
 from validate.execution.process import interrupts_wait
+from validate.plan.runs import CampaignSettings
 from validate.store.store import Store
 
 pytestmark = [pytest.mark.process, pytest.mark.slow]

@@ -16,10 +16,10 @@ from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from reports.records.record import RunRecord
 from validate.execution import worker
-from validate.execution.campaign import CampaignSettings, select
 from validate.execution.engine import MODULES
 from validate.execution.process import Preloaded
 from validate.execution.worker import Worker
+from validate.plan.runs import CampaignSettings, select
 from validate.store.provenance import gather
 from validate.store.store import Store
 

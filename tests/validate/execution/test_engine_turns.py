@@ -16,12 +16,12 @@ from wording import unsaid
 
 from models.errors import MachineError
 from validate.execution import campaign as module
-from validate.execution.campaign import CampaignSettings, run_tasks, select
+from validate.execution.campaign import run_tasks
 from validate.execution.dask import DaskEngine, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine, open_local
 from validate.execution.process import usable_cores
 from validate.execution.worker import record_for_crash
-from validate.plan.runs import PlannedRun
+from validate.plan.runs import CampaignSettings, select
 from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.task import ChildExit
@@ -39,7 +39,7 @@ class Campaign:
         settings = CampaignSettings(
             out=folder, plugin="campaign_fakes:PLUGIN", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )
-        self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]
+        self.entries = select(settings)[0]
         self.tasks = [entry.task for entry in self.entries]
         self.crashing: set[str] = set()
         self.begun: list[str] = []

@@ -197,13 +197,13 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
 def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
-    from validate.plan.runs import PlannedRun
+    from validate.plan.runs import PlannedTask
     from validate.tasks.path import LoadedRun
     from validate.tasks.task import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
     task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, plugin="", time_limit=9.0)
-    return PlannedRun(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
+    return PlannedTask(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
 
 
 def resume(path: Path) -> None:

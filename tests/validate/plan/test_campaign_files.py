@@ -8,7 +8,7 @@ from wording import unsaid
 
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
-from validate.plan.read import Campaign, ConfigError, read_campaign
+from validate.plan.read import GIVEN, RESOLVED, ConfigError, read_campaign
 from validate.plan.runs import CampaignSettings, select
 from validate.plan.schema import CampaignFile
 from validate.tasks.task import Variant, state_names, varied
@@ -59,12 +59,12 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def read(folder: Path, text: str) -> Campaign:
+def read(folder: Path, text: str) -> CampaignSettings:
     return read_campaign(written(folder, text))
 
 
-def keys(campaign: Campaign) -> dict[str, str]:
-    entries, _ = select(CampaignSettings(out=Path("nowhere"), **campaign.settings()))
+def keys(campaign: CampaignSettings) -> dict[str, str]:
+    entries, _ = select(campaign)
     return {entry.task.title: entry.task.key for entry in entries}
 
 
@@ -132,11 +132,11 @@ def test_a_sweep_gives_a_scene_for_each_value():
 
 def test_product_and_together(tmp_path):
     entry = 'scene = "three_cart"\nparameters = { k = [10, 20], c = [1, 3] }\nsteps = 5\n'
-    names = [reference.scene.name for reference in read(tmp_path, f"[[scenes]]\n{entry}").scenes]
+    names = [reference.scene.name for reference in read(tmp_path, f"[[scenes]]\n{entry}").chosen]
     assert names == [f"three_cart_k_{k}_c_{c}_steps_5" for k in (10, 20) for c in (1, 3)]
     together = read(tmp_path, f'[[scenes]]\n{entry}name = "mine"\nsweep = "together"')
-    assert [reference.scene.name for reference in together.scenes] == ["mine_k_10_c_1", "mine_k_20_c_3"]
-    assert {reference.scene.task.steps for reference in together.scenes} == {5}
+    assert [reference.scene.name for reference in together.chosen] == ["mine_k_10_c_1", "mine_k_20_c_3"]
+    assert {reference.scene.task.steps for reference in together.chosen} == {5}
 
 
 CHANGED = [
@@ -181,9 +181,10 @@ def test_a_pipeline_that_draws_runs_once_a_seed(tmp_path):
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_resolved_file_gives_the_same_cells(path: Path, tmp_path):
     campaign = read_campaign(path)
-    again = read(tmp_path, campaign.resolved)
+    resolved = campaign.files[RESOLVED]
+    again = read(tmp_path, resolved)
     assert keys(again) == keys(campaign)
-    assert again.resolved.splitlines()[1:] == campaign.resolved.splitlines()[1:], "nothing is left to be filled in"
+    assert again.files[RESOLVED].splitlines()[1:] == resolved.splitlines()[1:], "nothing is left to be filled in"
 
 
 def test_scene_files_are_looked_up_from_the_campaign_file(tmp_path, monkeypatch):
@@ -191,7 +192,7 @@ def test_scene_files_are_looked_up_from_the_campaign_file(tmp_path, monkeypatch)
     (tmp_path / "below").mkdir()
     (tmp_path / "oscillator.py").write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
     monkeypatch.chdir(tmp_path / "below")
-    (reference,) = read(tmp_path, 'scenes = ["oscillator.py"]').scenes
+    (reference,) = read(tmp_path, 'scenes = ["oscillator.py"]').chosen
     assert reference.where == str(tmp_path / "oscillator.py")
 
 
@@ -246,4 +247,5 @@ def test_a_file_from_an_editor_that_begins_with_a_mark_is_read(tmp_path):
     (tmp_path / "plain.toml").write_text(text, encoding="utf-8")
     (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
     plain, marked = (read_campaign(tmp_path / name) for name in ("plain.toml", "marked.toml"))
-    assert marked.file == plain.file
+    for campaign in (plain, marked):
+        assert (campaign.title, campaign.chosen, campaign.files[GIVEN]) == ("Mine", plain.chosen, text)

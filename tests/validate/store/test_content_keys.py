@@ -21,9 +21,9 @@ from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import CampaignSettings, run_campaign, select
+from validate.execution.campaign import run_campaign
 from validate.execution.process import ROOT
-from validate.plan.runs import with_stored
+from validate.plan.runs import CampaignSettings, select, with_stored
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
 from validate.store.store import Store

@@ -10,8 +10,8 @@ from killed_campaigns import FAKES_FOLDER
 from wording import unsaid
 
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import CampaignSettings, run_campaign, select, with_stored
-from validate.plan.runs import reasons
+from validate.execution.campaign import run_campaign
+from validate.plan.runs import CampaignSettings, reasons, select, with_stored
 from validate.plan.selection import matches
 from validate.store.provenance import command_line
 from validate.store.store import Store

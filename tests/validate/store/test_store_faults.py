@@ -18,7 +18,8 @@ import pytest
 from models.errors import MachineError
 from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import CampaignSettings, run_campaign, select
+from validate.execution.campaign import run_campaign
+from validate.plan.runs import CampaignSettings, select
 from validate.store import disk as disk_module
 from validate.store import store as store_module
 from validate.store.disk import (
@@ -97,7 +98,7 @@ def record() -> Callable[[str], RunRecord]:
         from formulations.solution import Outcome
 
         stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome.INFEASIBLE, message) for planned in entry.loaded.plan]
-        return run_record(entry.task, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
+        return run_record(entry.task, scene_record(entry.loaded.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
 
     return made
 

@@ -17,9 +17,8 @@ from models.errors import MachineError
 from reports.records.check_record import CheckRecord
 from reports.records.record import SCHEMA_VERSION, LegRecord, RunRecord
 from tests.reports import record_factory as factory
-from validate.execution.campaign import CampaignSettings, select, with_stored
 from validate.execution.worker import record_for_crash
-from validate.plan.runs import only_last_failed, reasons
+from validate.plan.runs import CampaignSettings, only_last_failed, reasons, select, with_stored
 from validate.store import store as module
 from validate.store.provenance import gather, machine
 from validate.store.store import FILES, PROGRESS, RECORD, REQUEST, Store, StoreError, _owner_lives, progress
@@ -290,7 +289,7 @@ def _record(entry, outcome: str, message: str = "") -> RunRecord:
     from formulations.solution import Outcome
 
     stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.loaded.plan]
-    return run_record(entry.task, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
+    return run_record(entry.task, scene_record(entry.loaded.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
 
 
 def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -> None:

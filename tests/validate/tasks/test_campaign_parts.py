@@ -16,12 +16,11 @@ from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from reports.records.record import RunRecord
-from validate.execution.campaign import CampaignSettings, select, with_stored
-from validate.plan.runs import PlannedCheck, PlannedRun
+from validate.plan.runs import CampaignSettings, PlannedTask, scenes_of, select, with_stored
 from validate.store.provenance import content_key, gather
 from validate.store.store import Store
 from validate.tasks.path import run_path
-from validate.tasks.task import RunTask
+from validate.tasks.task import CheckTask, RunTask
 
 SCENE = load_scene("three_cart").with_task(steps=20)
 
@@ -75,7 +74,7 @@ def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) 
     entries, left_out = select(
         CampaignSettings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
     )
-    chosen = [(entry.scene.name, entry.task.pipeline.name) for entry in entries]
+    chosen = [(entry.task.scene_name, entry.task.pipeline.name) for entry in entries]
     quick = "softplus_dc+strict"
     assert chosen == [("three_cart", quick), ("bouncing_mass", quick), ("bouncing_mass", "free_motion")]
     assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
@@ -89,20 +88,20 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     scenes = {name: load_scene(name) for name in scene_names()}
     long = {name for name, scene in scenes.items() if not scene.quick}
     assert long
-    assert {entry.scene.name for entry in entries if isinstance(entry, PlannedRun)} == set(scenes) - long
+    assert set(scenes_of(entries)) == set(scenes) - long
     assert {f"{name} x every pipeline" for name in long} <= set(left_out)
-    assert not {entry.task.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
+    assert not {entry.task.scene for entry in entries if isinstance(entry.task, CheckTask)} & long
     named, _ = select(CampaignSettings(out=tmp_path, quick=True, scenes=(min(long),)))
-    assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
+    assert set(scenes_of(named)) == {min(long)}
     every, _ = select(CampaignSettings(out=tmp_path))
-    assert {entry.scene.name for entry in every if isinstance(entry, PlannedRun)} == set(scenes)
+    assert set(scenes_of(every)) == set(scenes)
 
 
-def planned(out: Path, *, robust: bool = True) -> PlannedRun:
+def planned(out: Path, *, robust: bool = True) -> PlannedTask:
     (entry,), _ = select(
         CampaignSettings(out=out, scenes=("wall_pendulum",), expression="=mpcc and not global and not multistart and not best_exact", robust=robust),
     )  # fmt: skip
-    assert isinstance(entry, PlannedRun)
+    assert entry.loaded is not None
     return entry
 
 
@@ -138,7 +137,7 @@ def test_a_run_without_is_another_run_of_the_same_legs(tmp_path: Path):
     assert tried.key != untried.key
     assert tried.legs == untried.legs
     assert (tried.robust, untried.robust) == (True, False)
-    scene = planned(tmp_path).scene
+    scene = planned(tmp_path).loaded.scene
     assert content_key(scene, [], ()) != content_key(scene, [], (), robust=True), "what tries plans decides nothing of how they are found"
 
 

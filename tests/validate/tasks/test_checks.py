@@ -16,9 +16,9 @@ import validate.tasks.fmu_checks
 from models.catalog import load_scene, scene_names
 from models.scene.text import scene_text
 from reports.records.check_record import CheckRecord, StoredRecord
-from validate.execution.campaign import CampaignError, CampaignSettings, select
-from validate.plan.runs import scene_cost
+from validate.plan.runs import CampaignSettings, scene_cost, select
 from validate.store.provenance import check_key
+from validate.store.stored import CampaignError
 from validate.tasks.check import Course
 from validate.tasks.fmu_checks import VERSIONS, check
 from validate.tasks.plugins import DEFAULT
