@@ -14,7 +14,7 @@ from reports.judged import Cause, by_cause, cause_of
 from reports.records.record import RunRecord
 from reports.rule import RESULTS, RULE, fails, failures
 from validate.cli.narrator import narrator
-from validate.cli.options import result_options, running_options
+from validate.cli.options import CHOOSING, ENDING, OUT, PRINTING, SELECTING
 from validate.cli.table import print_table, say, short
 from validate.execution.campaign import CampaignResult, run_campaign
 from validate.plan.runs import CampaignSettings
@@ -46,8 +46,11 @@ configuration or nothing selected; 3 a system requirement is missing;
 
 
 @click.command(epilog=_EPILOG)
-@running_options
-@result_options
+@CHOOSING
+@SELECTING
+@ENDING
+@OUT
+@PRINTING
 @click.pass_obj
 def command(arguments: tuple[str, ...], as_json: bool, as_table: bool, **options: Any) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.

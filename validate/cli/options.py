@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -87,6 +87,17 @@ def folder_of(option: str, words: str) -> Callable[[Command], Command]:
     return click.option(option, "folder", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help=words)
 
 
+def options(*wanted: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Gives a command these options, in this order."""
+
+    def given(command: Command) -> Command:
+        for option in reversed(wanted):
+            command = option(command)
+        return command
+
+    return given
+
+
 def _our_plugin() -> str:
     """The plugin where none is named, read when it is needed: its file imports the methods, without which an FMU is checked and replayed."""
     from validate.tasks.plugins import DEFAULT_PLUGIN
@@ -95,7 +106,7 @@ def _our_plugin() -> str:
 
 
 # What a campaign file decides.
-_CHOOSING = (
+CHOOSING = options(
     click.option(
         "--quick",
         is_flag=True,
@@ -118,7 +129,8 @@ _CHOOSING = (
         help="For each run: all its stages and replays.",
     ),
 )
-_SELECTING = (
+# What it does not.
+SELECTING = options(
     click.option(
         "-k",
         "expression",
@@ -148,7 +160,8 @@ _SELECTING = (
         help="A module on PYTHONPATH with a METHOD of your own; or MODULE:PLUGIN, which may replace the judge too (docs/extending.md).",
     ),
 )
-_ENDING = (
+# Where runs are executed, and when that stops.
+ENDING = options(
     click.option(
         "--engine",
         default="local",
@@ -159,34 +172,11 @@ _ENDING = (
     click.option("-x", "stop_early", is_flag=True, help="Stop at the first run that makes the campaign fail."),
     click.option("--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run again what crashes, up to N times."),
 )
-_OUT = click.option("--out", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
-_OUT_OF_FILE = click.option("--out", type=A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
-
-
-def result_options(command: Command) -> Command:
-    """How results are printed."""
-    words = "A table with a row for each stage of each run (`plan`: for each run)."
-    table = click.option("--table", "as_table", is_flag=True, help=words)
-    return decorated(command, (table, wide_option, click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout.")))
-
-
-def campaign_options(command: Command) -> Command:
-    """What `plan` takes: everything by which runs are chosen."""
-    return decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
-
-
-def running_options(command: Command) -> Command:
-    """What `all` takes: the same, and when to stop."""
-    return decorated(command, (*_CHOOSING, *_SELECTING, *_ENDING, _OUT))
-
-
-def file_options(command: Command) -> Command:
-    """What `run` takes: what a campaign file does not decide."""
-    return decorated(command, (*_SELECTING, *_ENDING, _OUT_OF_FILE))
-
-
-def decorated(command: Command, options: Iterable[Callable[[Any], Any]]) -> Command:
-    """A command with these options, in this order."""
-    for option in reversed(tuple(options)):
-        command = option(command)
-    return command
+OUT = click.option("--out", type=A_FILE, default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign.")
+OUT_OF_FILE = click.option("--out", type=A_FILE, metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]")
+# How results are printed.
+PRINTING = options(
+    click.option("--table", "as_table", is_flag=True, help="A table with a row for each stage of each run (`plan`: for each run)."),
+    wide_option,
+    click.option("--json", "as_json", is_flag=True, help="All of it, as JSON on stdout."),
+)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from validate.cli.options import campaign_options, result_options
+from validate.cli.options import CHOOSING, OUT, PRINTING, SELECTING
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
 from validate.plan.runs import CampaignSettings, only_last_failed, past_seconds, reasons, scenes_of, select, with_stored
@@ -29,8 +29,10 @@ Exit codes: 0 printed; 2 usage, or nothing selected.
 
 
 @click.command(epilog=_EPILOG)
-@campaign_options
-@result_options
+@CHOOSING
+@SELECTING
+@OUT
+@PRINTING
 def command(as_json: bool, as_table: bool, **options: Any) -> int:
     """What `all` with the same options would run, how long that takes here, what of it is stored already, and why the rest is not.
 

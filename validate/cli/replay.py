@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from models.catalog import load_scene
-from validate.cli.options import A_FILE, Command, FiniteRange, decorated, scenes, write, written_to
+from validate.cli.options import A_FILE, FiniteRange, options, scenes, write, written_to
 from validate.cli.table import Row, print_metrics, print_table, say, warn, wide_option
 from validate.execution.isolated import Limits
 from validate.execution.process import usable_cores
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 _LONG = 10.0
 
 
-_FMU = (
+# What names somebody's FMU, and how it is run.
+FMU_OPTIONS = options(
     click.option("--fmu", type=A_FILE, metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own."),
     click.option("--map", "map_path", type=A_FILE, metavar="MAP.toml",
         help="Which column of the plan is which variable of the FMU. Without it: those of equal names."),
@@ -45,11 +46,6 @@ _FMU = (
     click.option("--own-step", is_flag=True,
         help="With --fmu: judge Co-Simulation with one doStep a step of the plan, as who recorded the plan stepped it; its error is what four change."),
 )  # fmt: skip
-
-
-def fmu_options(command: Command) -> Command:
-    """What names somebody's FMU, and how it is run."""
-    return decorated(command, _FMU)
 
 
 def read_fmu_options(
@@ -83,7 +79,7 @@ or FMU; 3 a system requirement is missing.
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv|PLAN.nc")
 @click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
-@fmu_options
+@FMU_OPTIONS
 @click.option(
     "--track",
     is_flag=True,

@@ -14,7 +14,7 @@ from reports.records.record import RunRecord
 from reports.records.robustness_record import RobustnessRecord
 from validate.cli.group import INTERRUPTED
 from validate.cli.options import folder_of, scenes, write, written_to
-from validate.cli.replay import fmu_options, read_fmu_options
+from validate.cli.replay import FMU_OPTIONS, read_fmu_options
 from validate.cli.show import find_run
 from validate.cli.table import print_table, say, short, wide_option
 from validate.judge.judgement import as_trajectory, wire_fmu
@@ -42,7 +42,7 @@ with; 3 a system requirement is missing; 130 interrupted: what was tried is told
 @folder_of("--in", "The campaign of a run.")
 @click.option("--samples", type=int, default=1000, show_default=True, help="How many worlds; a quarter of them with feedback too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the worlds.")
-@fmu_options
+@FMU_OPTIONS
 @click.option(
     "--perturb",
     "kinds",

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from validate.cli.all import run_and_tell
-from validate.cli.options import file_options, result_options
+from validate.cli.options import ENDING, OUT_OF_FILE, PRINTING, SELECTING
 from validate.cli.plan import tell_plan
 from validate.plan.read import read_campaign
 from validate.plan.schema import CampaignFile
@@ -34,10 +34,12 @@ missing; 130 interrupted.
 
 @click.command(epilog=_EPILOG)
 @click.argument("file", type=click.Path(path_type=Path), required=False, metavar="CAMPAIGN.toml")
-@file_options
+@SELECTING
+@ENDING
+@OUT_OF_FILE
 @click.option("--plan", "only_plan", is_flag=True, help="Run nothing: say what would run, what is stored, and why the rest is not.")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end.")
-@result_options
+@PRINTING
 @click.pass_obj
 def command(
     arguments: tuple[str, ...],

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import time
 from pathlib import Path
 
 from models.errors import MachineError
@@ -25,7 +24,6 @@ _LARGEST_FILE = 2 * 1024**3
 def main(folder: Path) -> int:
     """Run the task of a folder; the process's exit code."""
     profile = Profile.since_process_start()
-    began = time.monotonic()
     limit_resources(file_bytes=_LARGEST_FILE)
     import random
 
@@ -45,10 +43,10 @@ def main(folder: Path) -> int:
         provenance = ProvenanceRecord.model_validate(request["provenance"])
         task = task_from_json(request["task"])
         if isinstance(task, CheckTask):
-            record = run_check(task, provenance, folder, began)
+            record = run_check(task, provenance, folder, profile.began)
         else:
             profile.lap("imports")
-            record = run_path(task, provenance, folder, began, profile)
+            record = run_path(task, provenance, folder, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)

@@ -20,7 +20,6 @@ fork removes its folder and ends.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import os
 import select
@@ -29,10 +28,8 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
-import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +37,7 @@ from types import FrameType
 from typing import Any
 
 from models.errors import MachineError
-from validate.execution.supervisor import ENDED, LENGTH, READY
+from validate.execution.supervisor import ENDED, LENGTH, READY, be_child
 
 # What ends a campaign in words: Ctrl-C, a polite kill, a closed terminal.
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -276,15 +273,14 @@ class Fork:
     _ended: Ended | None = None
 
     def __init__(self, function: str, folder: Path, *, output: Path) -> None:
-        module, _, name = function.partition(":")
-        work = getattr(importlib.import_module(module), name)
+        order = {"function": function, "folder": str(folder), "output": str(output), "environment": child_environment(folder / TEMPORARY)}
         sys.stdout.flush()
         sys.stderr.flush()
         self._line, line = socket.socketpair()  # each side hears the end of the other
         self._pid = os.fork()
         if self._pid == 0:
             self._line.close()
-            _be_child(work, folder, output, line)
+            be_child(order, threading.Thread(target=_end_with, args=(line, folder), daemon=True).start)
         line.close()
 
     def wait(self, seconds: float) -> bool:
@@ -304,26 +300,6 @@ class Fork:
         """End it. Its folder stays."""
         self.end()
         self._line.close()
-
-
-def _be_child(work: Callable[[Path], int | None], folder: Path, output: Path, line: socket.socket) -> None:
-    """Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil what is finished."""
-    code = 1
-    try:
-        os.setsid()
-        with open(os.devnull, "rb") as nothing, open(output, "wb") as file:
-            for standard, stream in enumerate((nothing, file, file)):
-                os.dup2(stream.fileno(), standard)
-        tempfile.tempdir = str(folder / TEMPORARY)
-        os.chdir(folder / TEMPORARY)
-        threading.Thread(target=_end_with, args=(line, folder), daemon=True).start()
-        code = work(folder) or 0
-    except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
 
 
 def _end_with(line: socket.socket, folder: Path) -> None:

@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -76,7 +76,7 @@ def _run(order: dict[str, Any], channel: socket.socket) -> bytes:
         signal.set_wakeup_fd(-1)
         for descriptor in (channel.detach(), woken, wake):
             os.close(descriptor)
-        _be_child(order, supervisor)
+        be_child(order, lambda: _die_with(supervisor))
     space, ended = 0, 0
     while ended != child:
         ready, _, _ = select.select([channel, woken], [], [], _LOOK)
@@ -133,16 +133,21 @@ def _address_space(process: int) -> int:
     return 0
 
 
-def _be_child(order: dict[str, Any], supervisor: int) -> NoReturn:
-    """Be the child: a session, folder, output and environment of its own, then the function that is asked for.
+def _die_with(supervisor: int) -> None:
+    """Have this process end with the one that it was forked from, which may have ended already."""
+    _process_control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != supervisor:  # it died before we could ask
+        os._exit(1)
+
+
+def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
+    """Be the child: a session, folder, output and environment of its own, then the function that is asked for. bind: to the life of whoever asked.
 
     Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil what is finished.
     """
     try:
         os.setsid()
-        _process_control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-        if os.getppid() != supervisor:  # it died before we could ask
-            os._exit(1)
+        bind()
         for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -27,6 +27,7 @@ from validate.store.disk import disk_error, refusals_in_words, remove, write_dur
 from validate.store.store import LOG, MACHINE, RECORD, REQUEST, Store, log_in, progress_in
 from validate.tasks.check import unfinished_check
 from validate.tasks.path import LoadedRun, load_run, unfinished_run
+from validate.tasks.profile import Profile
 from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
 
 # How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at once.
@@ -139,7 +140,7 @@ def record_for_crash(
     """The record of a task whose child left none. loaded: of a run, if it is loaded already; a scene file may have changed since."""
     if isinstance(task, CheckTask):
         return unfinished_check(task, provenance, child)
-    return unfinished_run(task, loaded or load_run(task), provenance, child, folder)
+    return unfinished_run(task, loaded or load_run(task, Profile(time.monotonic())), provenance, child, folder)
 
 
 def _last_line(log: str, code: int) -> str:

@@ -1,7 +1,7 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
-    record = run_path(task, provenance, folder, began)              # in a child process of its own: validate.execution.child
-    record = unfinished_run(task, load_run(task), provenance, child, folder)    # by its worker, where the child left no record
+    record = run_path(task, provenance, folder, profile)            # in a child process of its own: validate.execution.child
+    record = unfinished_run(task, loaded, provenance, child, folder)            # by its worker, where the child left no record
 
 A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps the legs it has, whatever ended it. Beside the
 record the folder holds `trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where
@@ -58,9 +58,8 @@ class LoadedRun:
     plan: tuple[Planned, ...]
 
 
-def load_run(task: RunTask, profile: Profile | None = None) -> LoadedRun:
+def load_run(task: RunTask, profile: Profile) -> LoadedRun:
     """What a task names. profile: where the time goes. Raises UnknownNameError, SceneError, OptionError."""
-    profile = profile or Profile(time.monotonic())
     plugin = load_plugin(task.plugin)
     profile.lap("imports")
     scene = load_scene(task.scene)
@@ -72,18 +71,17 @@ def load_run(task: RunTask, profile: Profile | None = None) -> LoadedRun:
     return LoadedRun(scene=scene, plan=plan)
 
 
-def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
+def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, profile: Profile) -> RunRecord:
     """The record of a run.
 
-    began [s]: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until now. Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    profile: of the process until now; from where it began the time limit counts. Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
-    profile = profile or Profile(began)
     loaded = load_run(task, profile)
     scene, plan = loaded.scene, loaded.plan
     rest = refused(scene, plan)
     profile.lap("opening")
     if not rest:
-        deadline = began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
+        deadline = profile.began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
         rest = _Path(task, loaded, folder, profile, deadline).go()
     stages = _stages_in(folder, task, legs.legs_in(folder, task.legs), len(plan))
     stages += [unfinished_stage(task.published, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]

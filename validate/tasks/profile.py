@@ -20,7 +20,7 @@ class Profile:
     """See the module docstring. began: time.monotonic() at which the first lap starts."""
 
     def __init__(self, began: float, before: float = 0.0) -> None:
-        self._last = began
+        self.began = self._last = began
         self.seconds: dict[str, float] = {START: before} if before > 0.0 else {}
 
     @classmethod
@@ -33,12 +33,9 @@ class Profile:
         """Seconds of all laps."""
         return sum(self.seconds.values())
 
-    def lap(self, name: str) -> float:
-        """Everything since the last lap goes to `name`, in addition to what it has; the seconds of this lap."""
-        now = time.monotonic()
-        took, self._last = now - self._last, now
-        self.seconds[name] = self.seconds.get(name, 0.0) + took
-        return took
+    def lap(self, name: str) -> None:
+        """Everything since the last lap goes to `name`, in addition to what it has."""
+        self.split({}, rest=name)
 
     def split(self, parts: Mapping[str, float], rest: str) -> None:
         """The lap that ends here, divided: `parts` [s] by name, what they leave of it goes to `rest`.

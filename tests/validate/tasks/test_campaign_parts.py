@@ -20,6 +20,7 @@ from validate.plan.runs import CampaignSettings, PlannedTask, scenes_of, select,
 from validate.store.provenance import content_key, gather
 from validate.store.store import Store
 from validate.tasks.path import run_path
+from validate.tasks.profile import Profile
 from validate.tasks.task import CheckTask, RunTask
 
 SCENE = load_scene("three_cart").with_task(steps=20)
@@ -108,7 +109,7 @@ def planned(out: Path, *, robust: bool = True) -> PlannedTask:
 def ran(store: Store, task: RunTask, name: str) -> RunRecord:
     folder = store.runs / name
     folder.mkdir(parents=True)
-    return run_path(task, gather("a test"), folder, time.monotonic())
+    return run_path(task, gather("a test"), folder, Profile(time.monotonic()))
 
 
 @pytest.mark.slow

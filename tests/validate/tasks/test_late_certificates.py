@@ -21,6 +21,7 @@ from validate.store.results import rows
 from validate.store.store import Store, progress_in
 from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.path import run_path
+from validate.tasks.profile import Profile
 from validate.tasks.task import RunTask
 
 pytestmark = pytest.mark.process
@@ -90,7 +91,7 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
 
 
 def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
-    record = run_path(_task("front"), gather("a test"), tmp_path, time.monotonic())
+    record = run_path(_task("front"), gather("a test"), tmp_path, Profile(time.monotonic()))
     stage = record.stages[-1]
     assert not stage.has_plan
     assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
