@@ -12,7 +12,7 @@ import click
 from validate.cli.options import CHOOSING, OUT, PRINTING, SELECTING
 from validate.cli.table import in_words, print_table, say, short, warn
 from validate.execution.process import usable_cores
-from validate.plan.runs import CampaignSettings, only_last_failed, past_seconds, reasons, scenes_of, select, with_stored
+from validate.plan.runs import CampaignSettings, past_seconds, reasons, scenes_of, select, with_stored
 from validate.plan.warnings import warnings_of
 from validate.store.store import Store
 from validate.store.stored import earlier_schema
@@ -50,8 +50,6 @@ def tell_plan(settings: CampaignSettings, *, as_json: bool, as_table: bool) -> i
         warn([sentence])
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
-    if settings.last_failed:
-        entries = only_last_failed(entries, store)
     groups = [entry.task.scene_name if isinstance(entry.task, RunTask) else entry.task.kind for entry in entries]
     explained = zip(entries, groups, reasons(entries, store), strict=True)
     told = [_Line(entry.task.title, group, entry.task.key, why) for entry, group, why in explained]

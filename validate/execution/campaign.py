@@ -34,7 +34,7 @@ from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, check_engine, open_local
 from validate.execution.process import interrupts_wait
-from validate.plan.runs import CampaignSettings, PlannedTask, only_last_failed, scenes_of, select, with_stored
+from validate.plan.runs import CampaignSettings, PlannedTask, scenes_of, select, with_stored
 from validate.plan.warnings import warnings_of
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
@@ -101,8 +101,6 @@ def run_campaign(settings: CampaignSettings, narrator: PlainNarrator) -> Campaig
         campaign_of(settings.out)
     store.prepare()
     entries = with_stored(entries, store, settings)
-    if settings.last_failed:
-        entries = only_last_failed(entries, store)
     for name, text in settings.files.items():
         write_durably(settings.out / name, text)
     provenance = gather(settings.command)

@@ -13,7 +13,6 @@ import importlib
 import json
 import os
 import pickle
-import resource
 import select
 import signal
 import sys
@@ -352,6 +351,8 @@ def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_sec
     """
     if file_bytes < _ANY_BYTECODE:
         sys.dont_write_bytecode = True
+    import resource  # not there on Windows, where no child can be started
+
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     wanted = {
         resource.RLIMIT_FSIZE: file_bytes,

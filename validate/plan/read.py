@@ -21,12 +21,12 @@ from pydantic import BaseModel, ValidationError
 
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import PIPELINES
-from models.catalog import load_scene, scene_names, scene_path
+from models.catalog import scene_names
 from models.errors import TouchstoneError, did_you_mean
 from models.scene import Scene
 from models.scene.checks import check_expressions
-from validate.judge.score import check_limits, metric_names
-from validate.plan.runs import CampaignSettings
+from validate.judge.score import metric_names
+from validate.plan.runs import CampaignSettings, referred
 from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
@@ -279,18 +279,15 @@ def _references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[Scene
     mistakes: list[str] = []
     for place, entry in enumerate(entries):
         where = f"scenes[{place}]"
-        path = str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene
         try:
-            scene = load_scene(path)
-            check_limits(scene, scene_path(path))
+            base = referred(str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene)
         except (TouchstoneError, OSError, ValueError) as error:
             mistakes.append(f"{where}.scene: {error}")
             continue
-        reference = str(Path(path).resolve()) if entry.scene.endswith(".py") else entry.scene
-        bases.setdefault(reference, SceneReference(reference, scene))
-        wrong = list(_scene_mistakes(entry, scene))
+        bases.setdefault(base.where, base)
+        wrong = list(_scene_mistakes(entry, base.scene))
         if not wrong:
-            made, wrong = _variants(entry, scene, reference)
+            made, wrong = _variants(entry, base)
             found += made
         mistakes += [f"{where}.{sentence}" for sentence in wrong]
     names = [reference.scene.name for reference in found]
@@ -339,18 +336,18 @@ def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
     return changes | ({} if entry.step is None else {("step", ""): list(entry.step)})
 
 
-def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[SceneReference], list[str]]:
+def _variants(entry: SceneEntry, base: SceneReference) -> tuple[list[SceneReference], list[str]]:
     changes = _changes(entry)
     if not changes and not entry.limits and entry.name is None:
-        return [SceneReference(reference, scene)], []
+        return [base], []
     found, mistakes = [], []
     for values in _combinations(list(changes.values()), entry.sweep):
         chosen = dict(zip(changes, values, strict=True))
-        variant = _variant(_name(entry, scene, changes, chosen), chosen, entry)
+        variant = _variant(_name(entry, base.scene, changes, chosen), chosen, entry)
         try:
-            changed = varied(scene, variant)
+            changed = varied(base.scene, variant)
             check_expressions(changed)
-            found.append(SceneReference(reference, changed, variant))
+            found.append(SceneReference(base.where, changed, variant))
         except (TouchstoneError, ValueError, OverflowError) as error:
             mistakes.append(f"scene: {variant.name}: {error}")
     return found, mistakes

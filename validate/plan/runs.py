@@ -154,17 +154,22 @@ def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
 
 def _scenes(settings: CampaignSettings) -> list[SceneReference]:
     scenes: list[SceneReference] = []
-    for reference in dict.fromkeys(settings.scenes or scene_names()):
-        scene = load_scene(reference)
-        check_limits(scene, scene_path(reference))
-        if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):
-            raise CampaignError(f"--scene {reference}: another scene of this campaign is named {scene.name!r} too; rename one of them.")
-        where = str(Path(reference).resolve()) if reference.endswith(".py") else reference
-        scenes.append(SceneReference(where, scene))
+    for name in dict.fromkeys(settings.scenes or scene_names()):
+        found = referred(name)
+        if any(other.scene.name == found.scene.name and other.scene is not found.scene for other in scenes):
+            raise CampaignError(f"--scene {name}: another scene of this campaign is named {found.scene.name!r} too; rename one of them.")
+        scenes.append(found)
     if settings.scenes:
         return scenes
     # What is read first is there first: Table I after a minute, and the cheap scenes before the dear ones.
     return sorted(scenes, key=lambda reference: (reference.scene.name != PAPER_SCENE, scene_cost(reference.scene)))
+
+
+def referred(name: str) -> SceneReference:
+    """A scene of the catalog, or of a file by its path. Raises UnknownNameError, SceneError."""
+    scene = load_scene(name)
+    check_limits(scene, scene_path(name))
+    return SceneReference(str(Path(name).resolve()) if name.endswith(".py") else name, scene)
 
 
 def scene_cost(scene: Scene) -> int:
@@ -226,9 +231,13 @@ def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedTask:
 
 
 def with_stored(entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings) -> list[PlannedTask]:
-    """The same tasks, each with its stored record where that can be used again, else with the reason why not."""
+    """The same tasks, each with its stored record where that can be used again, else with the reason why not.
+
+    Of a campaign that runs what failed the last time, those alone (`only_last_failed`), which may raise CampaignError.
+    """
     usable = (_usable(store, entry.task, settings.fresh) for entry in entries)
-    return [replace(entry, stored=record, why=why) for entry, (record, why) in zip(entries, usable, strict=True)]
+    found = [replace(entry, stored=record, why=why) for entry, (record, why) in zip(entries, usable, strict=True)]
+    return only_last_failed(found, store) if settings.last_failed else found
 
 
 def _usable(store: Store, task: Task, fresh: bool) -> tuple[TaskRecord | None, str]:

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from models.errors import TouchstoneError
 
 _TOKEN = re.compile(r'\s*(?:([()])|(="(?:[^"]|"")*"|[^\s()]+))')
 
 
+# Parentheses, or signs of `not` and parentheses one behind the other: Python reads 200 at most.
+_DEEPEST = 90
 # Of the names that are near a word, so many are shown.
 _NEAR = 4
 
@@ -28,10 +30,36 @@ class SelectionError(TouchstoneError):
 
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
-    try:
-        return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
-    except RecursionError:
-        raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.") from None
+    names = tuple(name.lower() for name in names)
+    truth, wants_name, opened, deep = [], True, 0, 0
+    for mark, word in _TOKEN.findall(expression):
+        token = mark or word
+        ends = token in ("and", "or", ")")
+        if wants_name and ends:
+            raise _error(expression, f"a name is missing before {token!r}")
+        if not wants_name and (not ends or (token == ")" and not opened)):
+            raise _error(expression, f"{token!r} was not expected there")
+        wants_name = token in ("and", "or", "not", "(")
+        opened += {"(": 1, ")": -1}.get(token, 0)
+        deep = deep + 1 if token in ("not", "(") else 0
+        if max(deep, opened) > _DEEPEST:
+            raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.")
+        truth.append(token if wants_name or ends else str(_is_meant(token, names, title.lower())))
+    if wants_name:
+        raise _error(expression, "a name is missing at its end")
+    if opened:
+        raise _error(expression, "a ')' is missing")
+    return eval(" ".join(truth))  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
+
+
+def _is_meant(word: str, names: Sequence[str], title: str) -> bool:
+    if word.startswith("="):
+        return _unquoted(word[1:]).lower() in (*names, title)
+    return any(word.lower() in name for name in names)
+
+
+def _error(expression: str, problem: str) -> SelectionError:
+    return SelectionError(f"-k {expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'.")
 
 
 def words_of(expression: str) -> list[str]:
@@ -50,62 +78,6 @@ def near(word: str, names: Iterable[str]) -> list[str]:
     names = list(names)
     ranked = sorted([name for name in names if " " not in name] or names, key=lambda name: (-likeness(name), len(name)))
     return [name for name in ranked[:_NEAR] if likeness(name) >= 0.6] or ranked[:1]
-
-
-class _Parser:
-    """Recursive descent over: either = both ("or" both)*; both = item ("and" item)*; item = "not" item | "(" either ")" | word."""
-
-    def __init__(self, expression: str, names: tuple[str, ...], title: str) -> None:
-        self._expression, self._names, self._whole = expression, names, (*names, title)
-        self._tokens = [mark or word for mark, word in _TOKEN.findall(expression)]
-        self._place = 0
-
-    def result(self) -> bool:
-        value = self._either()
-        if self._place < len(self._tokens):
-            raise self._error(f"{self._tokens[self._place]!r} was not expected there")
-        return value
-
-    def _either(self) -> bool:
-        value = self._both()
-        while self._take("or"):
-            value = self._both() or value
-        return value
-
-    def _both(self) -> bool:
-        value = self._item()
-        while self._take("and"):
-            value = self._item() and value
-        return value
-
-    def _item(self) -> bool:
-        if self._take("not"):
-            return not self._item()
-        if self._take("("):
-            value = self._either()
-            if not self._take(")"):
-                raise self._error("a ')' is missing")
-            return value
-        if self._place >= len(self._tokens):
-            raise self._error("a name is missing at its end")
-        word = self._tokens[self._place]
-        if word in {"and", "or", ")"}:
-            raise self._error(f"a name is missing before {word!r}")
-        self._place += 1
-        if word.startswith("="):
-            return _unquoted(word[1:]).lower() in self._whole
-        return any(word.lower() in name for name in self._names)
-
-    def _take(self, token: str) -> bool:
-        if self._place < len(self._tokens) and self._tokens[self._place] == token:
-            self._place += 1
-            return True
-        return False
-
-    def _error(self, problem: str) -> SelectionError:
-        return SelectionError(
-            f"-k {self._expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'."
-        )
 
 
 def _unquoted(word: str) -> str:

@@ -15,6 +15,7 @@ import hashlib
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -216,7 +217,7 @@ class _Path:
             if time.monotonic() >= self._deadline:
                 return self._out_of_time(first)
             try:
-                with OpenLeg(self._scene, first) as opened:
+                with closing(OpenLeg(self._scene, first)) as opened:
                     if leg.first and (self._start is None or opened.leaves(self._start)):
                         key = leg.alone
                         taken = self._take(number, leg, key)

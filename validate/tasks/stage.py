@@ -1,7 +1,7 @@
 """One stage of a run: solved in the session of its leg, replayed and scored, certified.
 
 prepare(plugin, scene, plan, folder, profile)            # once, so that no stage pays for it
-with OpenLeg(scene, planned) as leg:
+with closing(OpenLeg(scene, planned)) as leg:
     solved = leg.run(planned, start, time_limit)
 record = judge.record(solved, folder, index, before)
 record = judge.certified(record, solved)
@@ -15,7 +15,6 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from formulations.method import Kind
@@ -115,10 +114,8 @@ class OpenLeg:
                 solution = as_asked(self._scene, solution)
         return SolvedStage(planned, solution, wall, cpu)
 
-    def __enter__(self) -> OpenLeg:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def close(self) -> None:
+        """Close the session."""
         try:
             self._session.close()
         except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback

@@ -1,6 +1,7 @@
 """What a method hands back is looked at before anybody believes it: its type, its outcome, its shapes, and how long its plan lasts."""
 
 import itertools
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,7 +28,7 @@ def planned_one(answer):
 
 def run(answer):
     planned = planned_one(answer)
-    with OpenLeg(load_scene("wall_pendulum"), planned) as leg:
+    with closing(OpenLeg(load_scene("wall_pendulum"), planned)) as leg:
         return leg.run(planned, None, 10.0).solution
 
 
@@ -48,7 +49,7 @@ def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pyt
     monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
     monkeypatch.setattr(module.time, "process_time", lambda: next(cpus))
     planned = planned_one(Solution(method="m", outcome=Outcome.SOLVED))
-    with OpenLeg(load_scene("wall_pendulum"), planned) as leg:
+    with closing(OpenLeg(load_scene("wall_pendulum"), planned)) as leg:
         leg.leaves(None)
         first, second, third = (leg.run(planned, None, 10.0) for _ in range(3))
     assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [(3.0, 24.0), (1.0, 8.0), (1.0, 8.0)]
@@ -84,13 +85,13 @@ def test_a_session_is_asked_as_planned_and_the_plan_of_a_direct_method_is_looked
     answer = Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step, task.steps))
     planned = planned_by(lambda **given: asked.append(given) or answer, kind)
     start = plan(task.step, task.steps)
-    with OpenLeg(SCENE, planned) as leg:
+    with closing(OpenLeg(SCENE, planned)) as leg:
         assert (leg.leaves(start), leg.leaves(None)) == (False, True)
         found = leg.run(planned, start, 7.0)
     assert asked == [{"eps": 0.125, "warm_start": start, "time_limit": 7.0}]
     assert (found.planned, found.solution.message) == (planned, "asked of wall_pendulum" if kind is Kind.DIRECT else "")
     without = planned_by(lambda **given: SOLVED, kind)
-    with OpenLeg(SCENE, without) as leg:
+    with closing(OpenLeg(SCENE, without)) as leg:
         assert leg.run(without, None, 7.0).solution is SOLVED
 
 
@@ -103,7 +104,7 @@ def test_what_is_no_solution_is_refused_and_a_session_that_does_not_close_keeps_
     with pytest.raises(TypeError, match="must be an Outcome, not str"):
         run(Solution(method="m", outcome="solved"))  # type: ignore[arg-type] - what a method of somebody else may hand back
     planned = planned_by(lambda **given: SOLVED, close=stuck)
-    with OpenLeg(SCENE, planned) as leg:
+    with closing(OpenLeg(SCENE, planned)) as leg:
         assert leg.run(planned, None, 1.0).solution is SOLVED
     assert "does not close" in capsys.readouterr().err
 
