@@ -8,8 +8,6 @@ Why an engine is wrong is measured (validate.judge.disagreement). Nothing but ti
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +40,7 @@ from validate.judge.simulator import (
     run_engine,
 )
 from validate.store.provenance import command_line
+from validate.store.results import table_text
 from validate.stress.case import chart
 from validate.truth.problems import TruthProblem, problems
 
@@ -142,14 +141,12 @@ def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:
 
 def as_csv(record: TruthRecord) -> str:
     """A row a level: all that was measured; times come last, as nothing else differs between two runs."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow((*_OF_ROWS, *_OF_LEVELS))
-    for row in record.rows:
-        for level in row.levels or (None,):
-            found = [getattr(row, name) for name in _OF_ROWS] + [getattr(level, name, None) for name in _OF_LEVELS]
-            rows.writerow(["" if value is None else repr(value) if isinstance(value, float) else value for value in found])
-    return text.getvalue()
+    content = [
+        {name: getattr(row, name) for name in _OF_ROWS} | {name: getattr(level, name, None) for name in _OF_LEVELS}
+        for row in record.rows
+        for level in row.levels or (None,)
+    ]
+    return table_text((*_OF_ROWS, *_OF_LEVELS), content)
 
 
 def measure(engines: Sequence[str], *, jobs: int = 1, tell: Callable[[str], None] = lambda text: None) -> list[TruthRow]:

@@ -266,24 +266,17 @@ class DaskEngine:
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         """See Engine."""
-        record = self._result(task, future)
-        if record is not None:
-            del self._tries[task.key]
-        return record
-
-    def _result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
 
-        tries = self._tries[task.key]
+        tries, record = self._tries[task.key], None
         try:
-            if (record := future.result()) is not None:
-                return record
+            record = future.result()
         except CancelledError as error:
             raise MachineError(_GONE) from error
         except KilledWorker as error:
             begun = len(list(self._mark.glob(f"{tries.name}*")))
             if begun > error.allowed_failures:
-                return self._crashed(task, tries, f"{begun} workers of the Dask cluster were lost while they ran it.")
+                record = self._crashed(task, tries, f"{begun} workers of the Dask cluster were lost while they ran it.")
         except MachineError:
             raise
         except Exception as error:  # of any type: what a worker with other packages raises while it reads the task
@@ -292,6 +285,9 @@ class DaskEngine:
                 f"a Dask worker could not run {task.title} ({type(error).__name__}: {why}); "
                 "install the same touchstone-contact where the workers run."
             ) from error
+        if record is not None:
+            del self._tries[task.key]
+            return record
         tries.given_up += 1  # before it was begun, or with a worker that took itself for dismissed
         if tries.given_up > _GIVEN_ANEW:
             raise MachineError(f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why.")

@@ -98,7 +98,6 @@ class Isolated:
     value: Any = None
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
     output: str = ""
-    code: int = 0
     strays: int = 0
     cpu: float = 0.0
     wall: float = 0.0
@@ -276,7 +275,6 @@ def _told(folder: Path, ended: Ended, over_time: bool, wall: float, limits: Limi
         value=answer.get("value") if ending is Ending.OK else None,
         arrays=arrays,
         output=tail(folder / OUTPUT, limits.output),
-        code=ended.code,
         strays=ended.strays,
         cpu=ended.cpu,
         wall=wall,

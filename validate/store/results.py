@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,9 +101,9 @@ def check_rows(records: Iterable[CheckRecord]) -> list[dict[str, Any]]:
 def tables(runs: Sequence[RunRecord], checks: Sequence[CheckRecord], violation: Sequence[ViolationPoint]) -> dict[str, str]:
     """The text of each table by its file's name; of one that says nothing an empty one."""
     return {
-        RESULTS: _text(COLUMNS, rows(runs)),
+        RESULTS: table_text(COLUMNS, rows(runs)),
         CHECKS: _table(check_rows(checks)),
-        VIOLATION: _text(_VIOLATION_COLUMNS, map(_violation_row, violation)),
+        VIOLATION: table_text(_VIOLATION_COLUMNS, map(_violation_row, violation)),
         STARTS: _table(_starts(runs)),
         FRONT: _table(_front(runs)),
     }
@@ -118,7 +118,8 @@ def write_tables(folder: Path, runs: Sequence[RunRecord], checks: Sequence[Check
             remove(folder / name)
 
 
-def _text(columns: Sequence[str], content: Iterable[dict[str, Any]]) -> str:
+def table_text(columns: Sequence[str], content: Iterable[Mapping[str, Any]]) -> str:
+    """A table as CSV, numbers in full; what a row does not know is empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
@@ -127,7 +128,7 @@ def _text(columns: Sequence[str], content: Iterable[dict[str, Any]]) -> str:
 
 
 def _table(found: Sequence[dict[str, Any]]) -> str:
-    return _text(list(found[0]), found) if found else ""
+    return table_text(list(found[0]), found) if found else ""
 
 
 def _violation_row(point: ViolationPoint) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import log_in, progress
 from validate.tasks.records import LOG_LINES
+from validate.tasks.stage import in_words
 from validate.tasks.task import CheckTask, ChildExit
 
 # Of a check's time limit, what is reserved for writing down what was found: a twentieth, but no more than 5 s.
@@ -69,14 +70,10 @@ def run_check(task: CheckTask, provenance: ProvenanceRecord, folder: Path, began
         found = function(task.arguments, course)
     except MachineError:
         raise
-    except TouchstoneError as error:
-        raise_if_disk_ended(folder, error)
-        traceback.print_exc()
-        outcome, message = "failed", str(error)
     except Exception as error:  # noqa: BLE001 - a check may fail in any way; the log has the traceback, the row has the sentence
         raise_if_disk_ended(folder, error)
         traceback.print_exc()
-        outcome, message = "crashed", f"{type(error).__name__}: {next(iter(str(error).splitlines()), '') or 'no further words.'}"
+        outcome, message = "failed" if isinstance(error, TouchstoneError) else "crashed", in_words(error)
     used = os.times()
     cpu = used.user + used.system + used.children_user + used.children_system
     how = ChildExit(outcome=outcome, message=message, wall=time.monotonic() - began, cpu=cpu, log=log_in(folder))

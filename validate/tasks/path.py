@@ -34,7 +34,7 @@ from validate.tasks.plugins import load_plugin, plugin_source
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
-from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, prepare
+from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, in_words, prepare
 from validate.tasks.task import varied
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _surveyed(stage: StageRecord, scene: Scene, task: RunTask, folder: Path, sta
         raise_if_disk_ended(folder, error)
         if not isinstance(error, TouchstoneError):
             traceback.print_exc()
-        found = SurveyRecord(message=str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__}: {first_line(error)}")
+        found = SurveyRecord(message=in_words(error))
     return stage.model_copy(update={"survey": found})
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from formulations.method import Kind
 from formulations.solution import Outcome, Solution, as_asked
-from models.errors import MachineError, TrajectoryError
+from models.errors import MachineError, TouchstoneError, TrajectoryError
 from models.trajectory_netcdf import write_netcdf
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import progress
@@ -176,6 +176,11 @@ class Judge:
             solution = item.solution
         self._profile.lap("certificate")
         return with_certificate(record, self._scene, solution)
+
+
+def in_words(error: Exception) -> str:
+    """The sentence of an error of ours; of any other its type and the first line of what it says."""
+    return str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__}: {first_line(error)}"
 
 
 def first_line(error: BaseException) -> str:
