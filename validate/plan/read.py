@@ -8,7 +8,6 @@ combination of swept values.
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 import reprlib
@@ -103,19 +102,18 @@ def _place_text(place: Sequence[str | int]) -> str:
     return text
 
 
-def _checked(data: Mapping[str, Any]) -> tuple[CampaignFile | None, list[str]]:
+def _checked(data: dict[str, Any]) -> tuple[CampaignFile | None, list[str]]:
     """The file without what is wrong in it (None if nothing is left), so that the rest can be looked into too; and what is wrong."""
     try:
         return CampaignFile.model_validate(data), []
     except ValidationError as error:
         problems = error.errors(include_url=False)
     mistakes = [_sentence(problem) for problem in problems]
-    rest = _plain_copy(data)
     for _ in range(10):  # what hides behind a mistake may be wrong as well
         for problem in problems:
-            _remove(rest, problem["loc"])
+            _remove(data, problem["loc"])
         try:
-            return CampaignFile.model_validate(rest), mistakes
+            return CampaignFile.model_validate(data), mistakes
         except ValidationError as error:
             problems = error.errors(include_url=False)
     return None, mistakes
@@ -139,13 +137,6 @@ def _model_at(place: _Place) -> type[BaseModel]:
     if place[0] == "scenes":
         return SceneEntry if len(place) == 3 else CampaignLimit
     return PipelineEntry if len(place) == 3 else LegEntry
-
-
-def _plain_copy(data: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        return copy.deepcopy(dict(data))
-    except RecursionError:
-        return {}
 
 
 def _remove(data: Any, place: _Place) -> None:

@@ -78,6 +78,10 @@ class CampaignSettings:
     title: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
 
+    def wants(self, names: Iterable[str], title: str) -> bool:
+        """Whether a task of these names and this title is meant by `-k`. Raises SelectionError."""
+        return self.expression is None or matches(self.expression, names, title)
+
     @property
     def is_part(self) -> bool:
         """Whether this is a choice from a campaign: what else the folder holds then stays in its tables and report."""
@@ -116,26 +120,13 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedTask], tuple[str, ..
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
-            if settings.expression is None or matches(
-                settings.expression, (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
-            ):
+            if settings.wants((scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"):
                 if _is_too_long(settings, scene):
                     long.append(scene.name)
                 elif settings.quick and pipeline.name not in plugin.quick:
                     left_out.append((scene.name, pipeline.name))
                 else:
-                    for part in parts_of(pipeline):
-                        task = RunTask(
-                            key="",
-                            scene=reference.where,
-                            scene_name=scene.name,
-                            pipeline=part,
-                            plugin=settings.plugin,
-                            time_limit=settings.time_limit,
-                            variant=reference.variant,
-                            robust=settings.robust,
-                        )
-                        entries.append(_entry(task, scene, plugin))
+                    entries += [_entry(settings, plugin, reference, part) for part in parts_of(pipeline)]
     long = list(dict.fromkeys(long))
     skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     checks, unchecked = _checks(settings, plugin, settings.checked if settings.chosen else scenes, seen)
@@ -195,7 +186,7 @@ def _checks(
         if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
-        if settings.expression is not None and not matches(settings.expression, item.names, item.title):
+        if not settings.wants(item.names, item.title):
             continue
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
@@ -218,16 +209,26 @@ def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
 
 
-def _entry(task: RunTask, scene: Scene, plugin: Plugin) -> PlannedTask:
-    plan = planned_stages(task.pipeline, plugin.methods_of(task.pipeline))
-    source = plugin_source(task.plugin)
+def _entry(settings: CampaignSettings, plugin: Plugin, reference: SceneReference, pipeline: Pipeline) -> PlannedTask:
+    scene, plan = reference.scene, planned_stages(pipeline, plugin.methods_of(pipeline))
+    source = plugin_source(settings.plugin)
 
     def key_of(stages: Sequence[Planned], *named: str, robust: bool = False) -> str:
         asked = [*named, [planned.asked() for planned in stages]]
         return content_key(scene, asked, {planned.name for planned in stages}, source, robust=robust)
 
-    key = key_of(plan, task.pipeline.name, task.pipeline.title, robust=task.robust)
-    return PlannedTask(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
+    task = RunTask(
+        key=key_of(plan, pipeline.name, pipeline.title, robust=settings.robust),
+        scene=reference.where,
+        scene_name=scene.name,
+        pipeline=pipeline,
+        plugin=settings.plugin,
+        time_limit=settings.time_limit,
+        variant=reference.variant,
+        legs=planned_legs(plan, key_of),
+        robust=settings.robust,
+    )
+    return PlannedTask(task, LoadedRun(scene=scene, plan=plan))
 
 
 def with_stored(entries: Sequence[PlannedTask], store: Store, settings: CampaignSettings) -> list[PlannedTask]:

@@ -212,7 +212,9 @@ class _Path:
         rest: list[Unfinished] = []
         key = leg.key
         if taken is None:
-            self._prepare(leg)
+            if not self._is_prepared:
+                prepare(self._plugin, self._scene, self._plan[leg.first :], self._folder, self._profile)
+                self._is_prepared = True
             first = self._plan[leg.first]
             if time.monotonic() >= self._deadline:
                 return self._out_of_time(first)
@@ -244,11 +246,6 @@ class _Path:
         taken, plan = found
         self._took, self._start = True, plan or self._start
         return taken
-
-    def _prepare(self, leg: PlannedLeg) -> None:
-        if not self._is_prepared:
-            prepare(self._plugin, self._scene, self._plan[leg.first :], self._folder, self._profile)
-            self._is_prepared = True
 
     def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[SolvedStage], list[Unfinished]]:
         """The stages of a leg that ran, and those of the path that do not run any more."""

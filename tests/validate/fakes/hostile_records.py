@@ -253,7 +253,7 @@ def take_leg(path: Path) -> None:
 
     run = path / "run"
     run.mkdir(exist_ok=True)
-    taken = take(path / "legs", KEY, 1.0, 1, run / "leg_1", _entry().scene)
+    taken = take(path / "legs", KEY, 1.0, 1, run / "leg_1", _entry().loaded.scene)
     shutil.rmtree(run)
     if taken is None:
         raise TouchstoneError("it is put aside")
