@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.process import TEMPORARY, Child, Ended, Fork, can_fork, exit_in_words
-from validate.store.disk import no_temporary_folder, raise_if_disk_ended, tail, temporary_folder
+from validate.store.disk import no_temporary_folder, raise_if_disk_ended, read_json, tail, temporary_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -297,10 +297,7 @@ def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _answer(folder: Path) -> dict[str, Any]:
-    try:
-        answer = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
+    answer = read_json(folder / ANSWER)
     if not isinstance(answer, dict) or not isinstance(answer.get("ending"), str) or answer["ending"] not in Ending.__members__:
         return {}
     return {"value": None, "sentence": "", **answer}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import socket
 import tempfile
@@ -11,6 +12,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from models.errors import MachineError
 
@@ -114,6 +116,13 @@ def tail(path: Path, size: int) -> str:
         file.seek(max(0, os.path.getsize(path) - size))
         return file.read().decode("utf-8", errors="replace")
     return ""
+
+
+def read_json(path: Path) -> Any:
+    """What a file of JSON holds; None where it is not there or damaged."""
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        return json.loads(path.read_text(encoding="utf-8"))
+    return None
 
 
 def aside_name(what: str, token: str) -> str:

@@ -23,7 +23,7 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, refusals_in_words, remove, tail
+from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, read_json, refusals_in_words, remove, tail
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -180,10 +180,7 @@ def _size(path: Path) -> int | None:
 
 
 def _request(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):  # not there, a key that is no file name, or damaged
-        return {}
+    content = read_json(path)
     task = content.get("task") if isinstance(content, dict) else None
     return task if isinstance(task, dict) else {}
 

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from validate.store.disk import read_json
 from validate.store.store import RECORD, Store
 
 CAMPAIGN = "campaign.json"
@@ -122,10 +123,8 @@ def with_others(store: Store, earlier: CampaignRecord, selected: Mapping[str, st
 
 def earlier_schema(folder: Path) -> str:
     """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
-    try:
-        version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        return ""
+    content = read_json(folder / CAMPAIGN)
+    version = content.get("schema_version", SCHEMA_VERSION) if isinstance(content, dict) else SCHEMA_VERSION
     if version == SCHEMA_VERSION:
         return ""
     return (

@@ -12,7 +12,7 @@ import pytest
 
 from formulations.pipelines import method_names
 from models.catalog import scene_names
-from models.errors import TouchstoneError, UnknownNameError
+from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord
 from reports.rule import failures
 from validate.store.provenance import gather
@@ -89,11 +89,6 @@ def test_all_rows_are_there_once_and_offered_to_a_campaign():
     assert [item.name for item in offered] == [heading(name) for name in NAMES]
     assert 0 < sum(item.quick for item in offered) < len(offered)
     assert all(json.dumps(task_to_json(item)) for item in offered)
-
-
-def test_an_unknown_case_is_named():
-    with pytest.raises(UnknownNameError, match="did you mean h02_restitution"):
-        load_case("h02_restitutions")
 
 
 @pytest.mark.parametrize(
