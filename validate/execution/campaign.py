@@ -31,8 +31,8 @@ from reports.records.check_record import CheckRecord, divided
 from reports.records.load import collected
 from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord
 from reports.rule import fails, failures, findings
-from validate.execution.dask import open_dask
-from validate.execution.engine import LOCAL, Engine, ExecutionContext, check_engine, open_local
+from validate.execution.dask import DaskEngine, open_dask
+from validate.execution.engine import LOCAL, ExecutionContext, LocalEngine, check_engine, open_local
 from validate.execution.process import interrupts_wait
 from validate.plan.runs import CampaignSettings, PlannedTask, scenes_of, select, with_stored
 from validate.plan.warnings import warnings_of
@@ -259,7 +259,7 @@ def _run(
 
 def run_tasks(
     tasks: Sequence[Task],
-    engine: Engine,
+    engine: LocalEngine | DaskEngine,
     context: ExecutionContext,
     waits: Callable[[Task, Sequence[Task]], bool],
     again: Callable[[TaskRecord], bool],

@@ -260,12 +260,12 @@ class DaskEngine:
         self._tries: dict[str, _Tries] = {}
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
-        """See Engine."""
+        """See LocalEngine."""
         with _gone_in_words():
             return self._executor.submit(self._run, task, self._tries.setdefault(task.key, _Tries()).name)
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
-        """See Engine."""
+        """See LocalEngine."""
         from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
 
         tries, record = self._tries[task.key], None
@@ -306,7 +306,7 @@ class DaskEngine:
         return record
 
     def why_idle(self, submitted: int) -> str:
-        """See Engine. Raises MachineError where no worker can come any more: those of this machine, when none could be started anew."""
+        """See LocalEngine. Raises MachineError where no worker can come any more: those of this machine, when none could be started anew."""
         from distributed import Status  # pyright: ignore[reportMissingImports]
 
         if self._threads():

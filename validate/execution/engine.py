@@ -4,7 +4,7 @@
         future = engine.submit(task)
         record = engine.result(task, future)
 
-Another engine is another class with these three: it has a Worker run where a task is to run, and a Worker stores what it finished by itself.
+Another engine is another class with `jobs`, `submit`, `result` and `why_idle`: it has a Worker run where a task is to run, and a Worker stores what it finished by itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from models.errors import MachineError, TouchstoneError
 from reports.records.record import ProvenanceRecord
@@ -56,27 +56,6 @@ class ExecutionContext:
     def unfinished(self) -> list[Path]:
         """Folders of the campaign's tasks that are being written."""
         return [path for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*") if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")]
-
-
-class Engine(Protocol):
-    """jobs: how many tasks it is to be given at a time; None: as many as may run."""
-
-    @property
-    def jobs(self) -> int | None:
-        """See the class."""
-        ...
-
-    def submit(self, task: Task) -> Future[TaskRecord | None]:
-        """Have a task run. Raises MachineError."""
-        ...
-
-    def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
-        """What came of it, stored; None if it is to be submitted anew. Raises MachineError if this machine, or its own, cannot."""
-        ...
-
-    def why_idle(self, submitted: int) -> str:
-        """A sentence why nobody runs what was submitted; empty if nothing is the matter."""
-        ...
 
 
 def check_engine(name: str) -> None:
@@ -150,7 +129,7 @@ def preloaded_for(tasks: int) -> Preloaded | None:
 
 
 @contextmanager
-def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[Engine]:
+def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[LocalEngine]:
     """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time (None: one a core); tasks: how many there are. Raises MachineError."""
     engine = LocalEngine(jobs or usable_cores(), context, preloaded_for(tasks))
     try:
@@ -161,14 +140,14 @@ def open_local(jobs: int | None, context: ExecutionContext, tasks: int) -> Itera
 
 
 class LocalEngine:
-    """Children on this machine, each watched by a thread."""
+    """Children on this machine, each watched by a thread. jobs: how many tasks it is to be given at a time."""
 
     def __init__(self, jobs: int, context: ExecutionContext, preloaded: Preloaded | None) -> None:
         self.jobs, self._context, self._preloaded = jobs, context, preloaded
         self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 
     def submit(self, task: Task) -> Future[TaskRecord | None]:
-        """See Engine."""
+        """Have a task run. Raises MachineError."""
         return self._threads.submit(self._run, task)
 
     def _run(self, task: Task) -> TaskRecord | None:
@@ -178,11 +157,11 @@ class LocalEngine:
         return worker.run(lambda: not self._closed.is_set())
 
     def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
-        """See Engine."""
+        """What came of it, stored; None if it is to be submitted anew. Raises MachineError if this machine, or its own, cannot."""
         return future.result()
 
     def why_idle(self, submitted: int) -> str:
-        """See Engine."""
+        """A sentence why nobody runs what was submitted; empty if nothing is the matter."""
         return ""
 
     def close(self) -> None:
