@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -51,9 +52,5 @@ def toml_value(value: Any) -> str:
 
 
 def toml_text(text: str) -> str:
-    """A basic string: control characters, quotes and backslashes escaped."""
-    escaped = "".join(
-        f"\\u{ord(letter):04x}" if ord(letter) < 0x20 or ord(letter) == 0x7F else f"\\{letter}" if letter in '"\\' else letter
-        for letter in text
-    )
-    return f'"{escaped}"'
+    """A basic string: what JSON escapes - control characters, quotes and backslashes - and the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

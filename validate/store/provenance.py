@@ -152,17 +152,11 @@ def commit() -> str:
     """The commit of our sources, with `+` if they were changed since; empty if they are not in a git work tree or git is missing."""
     if not (ROOT / ".git").exists():
         return ""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty=+"]
     try:
-        head = _git("rev-parse", "HEAD")
-        changed = _git("status", "--porcelain", "--untracked-files=no")
+        return subprocess.run(command, capture_output=True, text=True, timeout=20, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
-    return head + ("+" if changed else "")
-
-
-def _git(*arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, timeout=20, check=True)
-    return done.stdout.strip()
 
 
 def _cpu() -> str:
