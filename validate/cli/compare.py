@@ -13,7 +13,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from enum import IntEnum, auto
+from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,21 +46,16 @@ TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
 _Item = TypeVar("_Item")
 
 
-class ChangeKind(IntEnum):
-    """Worst first."""
+class ChangeKind(Enum):
+    """Worst first; the value is what it is called in the table, and in JSON."""
 
-    REGRESSION = auto()
-    GONE = auto()
-    SLOWER = auto()
-    OTHER = auto()
-    NEW = auto()
-    FASTER = auto()
-    IMPROVEMENT = auto()
-
-    @property
-    def word(self) -> str:
-        """What it is called in the table, and in JSON."""
-        return {"REGRESSION": "worse", "IMPROVEMENT": "better"}.get(self.name, self.name.lower())
+    REGRESSION = "worse"
+    GONE = "gone"
+    SLOWER = "slower"
+    OTHER = "other"
+    NEW = "new"
+    FASTER = "faster"
+    IMPROVEMENT = "better"
 
 
 _COLOURS = {"worse": "red", "gone": "red", "slower": "yellow", "faster": "green", "better": "green"}
@@ -75,7 +70,7 @@ def command(before: Path, after: Path, as_json: bool) -> int:
     """What differs between the campaigns in the folders A (before) and B (after), regressions first."""
     comparison = compare(_loaded(before), _loaded(after))
     code = 1 if comparison.regressions else 0
-    changes = [asdict(change) | {"kind": change.kind.word} for change in comparison.changes]
+    changes = [asdict(change) | {"kind": change.kind.value} for change in comparison.changes]
     if as_json:
         click.echo(json.dumps({"pairs": comparison.pairs, "changes": changes, "exit_code": code}, indent=1))
         return code
@@ -133,7 +128,8 @@ def compare(before: Stored, after: Stored) -> Comparison:
     """Everything that differs between two campaigns."""
     stages = _pair(_stages(before.runs), _stages(after.runs), _stage_changes)
     checks = _pair(_checks(before.checks), _checks(after.checks), _check_changes)
-    changes = sorted([*stages[0], *checks[0]], key=lambda change: (change.kind, change.where))
+    worst_first = list(ChangeKind)
+    changes = sorted([*stages[0], *checks[0]], key=lambda change: (worst_first.index(change.kind), change.where))
     return Comparison(changes=tuple(changes), pairs=stages[1] + checks[1])
 
 

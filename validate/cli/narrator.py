@@ -36,7 +36,7 @@ class PlainNarrator:
         """stored: runs and checks whose records are used; anew: others, of which a record is stored too."""
         self.total, self.stored, self.anew = total, stored, anew
         again = f", {anew} of them again" if anew else ""
-        self._line(f"{stored} stored, {total - stored} to run{again}")
+        self.notes(f"{stored} stored, {total - stored} to run{again}")
 
     def so_far(self, out: Path) -> str:
         """How many runs there is a result of, in words."""
@@ -46,8 +46,8 @@ class PlainNarrator:
         return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
 
     def notes(self, sentence: str) -> None:
-        """What is worth knowing."""
-        self._line(sentence)
+        """What is worth knowing, on a line."""
+        say(sentence, err=True, indent="  ")
 
     def found(self, runs: Sequence[RunRecord]) -> None:
         """All runs of a scene have ended: what does not apply to it and why, how many hold, and the cheapest plan."""
@@ -57,12 +57,12 @@ class PlainNarrator:
                 method, _, why = run.message.partition(": ")
                 refused.setdefault(why if method.isidentifier() else run.message, []).append(run.pipeline)
         for why, pipelines in refused.items():
-            self._line(f"not applicable: {', '.join(pipelines)}: {why}")
-        self._line(f"so far: {_on_scene(runs)}")
+            self.notes(f"not applicable: {', '.join(pipelines)}: {why}")
+        self.notes(f"so far: {_on_scene(runs)}")
 
     def warns(self, sentence: str) -> None:
         """What the user should know before anything runs."""
-        self._line(f"warning: {sentence}")
+        self.notes(f"warning: {sentence}")
 
     def runs(self, folders: Mapping[str, Path]) -> None:
         """Called many times a second with what runs: what each task is called -> its unfinished folder."""
@@ -71,13 +71,10 @@ class PlainNarrator:
         """A run or check ended with this record; runs that do not apply to their scene are told together (`found`)."""
         self.done += 1
         if record.outcome != "refused":
-            self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
+            self.notes(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
 
     def ends(self) -> None:
         """The last run finished, or the campaign was interrupted."""
-
-    def _line(self, text: str) -> None:
-        say(text, err=True, indent="  ")
 
 
 class BarNarrator(PlainNarrator):
@@ -131,8 +128,9 @@ class BarNarrator(PlainNarrator):
         """Take the bar away."""
         self._progress.stop()
 
-    def _line(self, text: str) -> None:
-        self._console.print(one_line(text), markup=False, highlight=False)
+    def notes(self, sentence: str) -> None:
+        """The line, above the bar."""
+        self._console.print(one_line(sentence), markup=False, highlight=False)
 
 
 def _on_scene(runs: Sequence[RunRecord]) -> str:
