@@ -23,13 +23,15 @@ from models.errors import MachineError
 from reports.records.check_record import record_of
 from reports.records.record import ProvenanceRecord, RunRecord
 from validate.execution.process import TEMPORARY, Child, Ended, Preloaded, exit_in_words
-from validate.store.disk import disk_error, refusals_in_words, remove, write_durably
+from validate.store.disk import disk_error, refusals_in_words, remove, tail, write_durably
 from validate.store.store import LOG, MACHINE, RECORD, REQUEST, Store, log_in, progress_in
 from validate.tasks.check import unfinished_check
 from validate.tasks.path import LoadedRun, load_run, unfinished_run
 from validate.tasks.profile import Profile
 from validate.tasks.task import CheckTask, ChildExit, Task, TaskRecord, task_to_json
 
+# What a child says of its machine is no longer [bytes].
+_LONGEST_WORDS = 10_000
 # How often it is asked whether a task is still wanted, and has time left [s]; its end is seen at once.
 _LOOK = 0.05
 # What a child does.
@@ -107,10 +109,7 @@ class Worker:
 
     def _machine(self) -> MachineError:
         """Why the child says that this machine cannot."""
-        try:
-            text = (self._folder / MACHINE).read_text(encoding="utf-8")
-        except (OSError, ValueError):
-            text = ""
+        text = tail(self._folder / MACHINE, _LONGEST_WORDS)
         whole = text.endswith("\n") and text.strip()
         return MachineError(text.strip()) if whole else disk_error(self._folder, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 

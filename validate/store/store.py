@@ -108,12 +108,12 @@ class Store:
 
     def damaged_file(self, key: str) -> str:
         """The first NetCDF file of a stored run that is gone or has another size than it was stored with, or the list of them; empty if all are there."""
-        folder = self.runs / key
-        try:
-            sizes = json.loads((folder / FILES).read_bytes())
-            return next((name for name, size in sizes.items() if _size(folder / Path(name).name) != size), "")
-        except (OSError, ValueError, AttributeError, RecursionError):
-            return FILES
+        stored = read_json(self.runs / key / FILES)
+        with contextlib.suppress(OSError):  # another campaign replaces it at this moment
+            there = _sizes(self.runs / key)
+            if isinstance(stored, dict):
+                return next((name for name, size in stored.items() if there.get(name) != size), "")
+        return FILES
 
     def request(self, key: str) -> dict[str, Any]:
         """What was asked for in a stored task; nothing if that cannot be read."""
@@ -152,8 +152,7 @@ class Store:
         """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
         target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
         try:
-            sizes = {path.name: path.stat().st_size for path in sorted(partial.glob("*.nc"))}
-            (partial / FILES).write_text(json.dumps(sizes), encoding="utf-8")
+            (partial / FILES).write_text(json.dumps(_sizes(partial)), encoding="utf-8")
             for path in sorted(partial.iterdir()):
                 fsync(path)
             fsync(partial)
@@ -172,11 +171,9 @@ class Store:
         return target
 
 
-def _size(path: Path) -> int | None:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return None
+def _sizes(folder: Path) -> dict[str, int]:
+    """Name of each NetCDF file in a folder -> bytes."""
+    return {path.name: path.stat().st_size for path in sorted(folder.glob("*.nc"))}
 
 
 def _request(path: Path) -> dict[str, Any]:
