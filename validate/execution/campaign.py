@@ -13,7 +13,7 @@ import math
 import shutil
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -236,44 +236,27 @@ def _run(
     if settings.fresh:
         forget(map(_path, tasks), store.legs)
         shutil.rmtree(store.surveys, ignore_errors=True)
-    titles = {task.key: task.title for task in tasks}
-    crashes: Counter[str] = Counter()
-
-    def again(record: TaskRecord) -> bool:
-        if record.outcome != "crashed" or crashes[record.key] >= settings.retries:
-            return False
-        crashes[record.key] += 1
-        narrator.warns(f"{titles[record.key]} crashed and will be tried again: {record.message}")
-        return True
-
-    def waits(task: Task, running: Sequence[Task]) -> bool:
-        return must_wait(_path(task), map(_path, running), store.legs, task.time_limit)
-
     loaded = {entry.task.key: entry.loaded for entry in entries if entry.loaded is not None}
     context = ExecutionContext(store=store, provenance=provenance, loaded=loaded)
     where = settings.engine.partition(":")[2]
     opened = open_local if settings.engine == LOCAL else partial(open_dask, where)
     with opened(settings.jobs, context, len(tasks)) as engine:
-        yield from run_tasks(tasks, engine, context, waits, again, narrator)
+        yield from run_tasks(tasks, engine, context, settings.retries, narrator)
 
 
 def run_tasks(
     tasks: Sequence[Task],
     engine: LocalEngine | DaskEngine,
     context: ExecutionContext,
-    waits: Callable[[Task, Sequence[Task]], bool],
-    again: Callable[[TaskRecord], bool],
+    retries: int,
     narrator: PlainNarrator,
 ) -> Generator[TaskRecord, None, None]:
-    """Run all tasks and yield the record of each when it has finished.
-
-    waits: whether a task is to be left for later while others run; again: whether one with this record is to be run once more. Raises MachineError.
-    """
-    waiting = deque(tasks)
+    """Run all tasks and yield the record of each when it has finished. retries: of one that crashes, before all that wait. Raises MachineError."""
+    waiting, crashes = deque(tasks), Counter[str]()
     running: dict[Future[TaskRecord | None], Task] = {}
     asked, said = time.monotonic(), ""
     while waiting or running:
-        for task in _startable(waiting, list(running.values()), engine.jobs, waits):
+        for task in _startable(waiting, list(running.values()), engine.jobs, context):
             running[engine.submit(task)] = task
         narrator.runs(_begun(running.values(), context))
         if time.monotonic() - asked > _SILENCE:
@@ -287,23 +270,28 @@ def run_tasks(
             del running[future]
             if record is None:
                 running[engine.submit(task)] = task
-            elif again(record):
+            elif record.outcome == "crashed" and crashes[task.key] < retries:
+                crashes[task.key] += 1
+                narrator.warns(f"{task.title} crashed and will be tried again: {record.message}")
                 waiting.appendleft(task)
             else:
                 yield record
 
 
-def _startable(
-    waiting: deque[Task], running: list[Task], jobs: int | None, waits: Callable[[Task, Sequence[Task]], bool]
-) -> Iterator[Task]:
+def _startable(waiting: deque[Task], running: list[Task], jobs: int | None, context: ExecutionContext) -> Iterator[Task]:
     """The tasks that may run beside those that do, taken out of what waits. jobs: at most so many at a time."""
     for task in tuple(waiting):
         if jobs is not None and len(running) >= jobs:
             return
-        if not running or not waits(task, running):
+        if not running or not _waits(task, running, context):
             waiting.remove(task)
             running.append(task)
             yield task
+
+
+def _waits(task: Task, running: Iterable[Task], context: ExecutionContext) -> bool:
+    """Whether a task is to be left for later, since it would run a leg that one of the running is about to store."""
+    return must_wait(_path(task), map(_path, running), context.store.legs, task.time_limit)
 
 
 def _begun(tasks: Iterable[Task], context: ExecutionContext) -> dict[str, Path]:

@@ -3,7 +3,6 @@
 import contextlib
 import importlib.util
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -43,7 +42,7 @@ class Campaign:
         self.tasks = [entry.task for entry in self.entries]
         self.crashing: set[str] = set()
         self.begun: list[str] = []
-        self.silent, self.tries, self.crashes = 0, 2, Counter[str]()
+        self.silent, self.tries = 0, 2
         self.watch: Any = lambda running: None
         self.dumb, self.told = False, list[str]()
         self.cluster: Any = None  # that of a Dask client: one of this machine, if it is one
@@ -58,14 +57,10 @@ class Campaign:
         child = ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log="")
         return record_for_crash(entry.task, self._provenance, child, self.context.store.runs, entry.loaded)
 
-    def again(self, record: Any) -> bool:
-        self.crashes[record.key] += record.outcome == "crashed"
-        return record.outcome == "crashed" and self.crashes[record.key] < self.tries
-
     def run(self, engine: Any) -> list[str]:
         """Keys of the records, in order."""
         narrator: Any = SimpleNamespace(runs=lambda running: self.watch(running), warns=self.told.append)
-        return [record.key for record in run_tasks(self.tasks, engine, self.context, lambda task, running: False, self.again, narrator)]
+        return [record.key for record in run_tasks(self.tasks, engine, self.context, self.tries - 1, narrator)]
 
     def local(self) -> LocalEngine:
         engine = LocalEngine(1, self.context, None)
@@ -137,18 +132,19 @@ class _Two:
             told[1] -= 1
             if not told[1]:
                 del self._looks[future]
-                future.set_result(SimpleNamespace(key=told[0].key))
+                future.set_result(SimpleNamespace(key=told[0].key, outcome="solved"))
 
 
-def test_what_must_wait_is_left_for_later(campaign: Campaign):
+def test_what_must_wait_is_left_for_later(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
     engine: Any = _Two()
 
-    def waits(cell: Any, running: Sequence[Any]) -> bool:
+    def waits(cell: Any, running: Sequence[Any], context: ExecutionContext) -> bool:
         return any(cell.key[0] == other.key[0] for other in running)
 
+    monkeypatch.setattr(module, "_waits", waits)
     cells: list[Any] = [_Named(name) for name in ("a1", "a2", "a3", "b1", "b2")]
     narrator: Any = SimpleNamespace(runs=engine.look)
-    done = [record.key for record in run_tasks(cells, engine, campaign.context, waits, lambda record: False, narrator)]
+    done = [record.key for record in run_tasks(cells, engine, campaign.context, 0, narrator)]
     assert engine.started == ["a1", "b1", "a2", "b2", "a3"]
     assert sorted(done) == sorted(engine.started)
     assert max(map(len, engine.beside)) == 2
