@@ -110,6 +110,23 @@ def fsync(path: Path) -> None:
         os.close(descriptor)
 
 
+def fsync_whole(folder: Path) -> None:
+    """Have a folder of files on the disk before this returns."""
+    for path in (*sorted(folder.iterdir()), folder):
+        fsync(path)
+
+
+def renamed(folder: Path, target: Path) -> bool:
+    """Whether a folder has its name now; not if there is one of that name. Raises OSError where the disk refuses."""
+    try:
+        os.rename(folder, target)
+    except OSError as error:
+        if error.errno in {errno.ENOTEMPTY, errno.EEXIST}:
+            return False
+        raise
+    return True
+
+
 def tail(path: Path, size: int) -> str:
     """The last `size` bytes of a file, as text; empty where it cannot be read."""
     with contextlib.suppress(OSError), open(path, "rb") as file:

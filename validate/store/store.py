@@ -10,7 +10,6 @@ Whatever kills a campaign, a folder under its key is whole. Two campaigns may wr
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import shutil
@@ -23,7 +22,7 @@ from typing import Any
 from models.errors import TouchstoneError
 from reports.records.check_record import CheckRecord, record_of
 from reports.records.record import RunRecord
-from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, read_json, refusals_in_words, remove, tail
+from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, fsync_whole, read_json, refusals_in_words, remove, renamed, tail
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -153,10 +152,8 @@ class Store:
         target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
         try:
             (partial / FILES).write_text(json.dumps(_sizes(partial)), encoding="utf-8")
-            for path in sorted(partial.iterdir()):
-                fsync(path)
-            fsync(partial)
-            while not _renamed(partial, target):
+            fsync_whole(partial)
+            while not renamed(partial, target):
                 shutil.rmtree(old, ignore_errors=True)
                 with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
                     os.rename(target, old)
@@ -180,17 +177,6 @@ def _request(path: Path) -> dict[str, Any]:
     content = read_json(path)
     task = content.get("task") if isinstance(content, dict) else None
     return task if isinstance(task, dict) else {}
-
-
-def _renamed(partial: Path, target: Path) -> bool:
-    """Whether the folder has its name now; not if there is a run of that name."""
-    try:
-        os.rename(partial, target)
-    except OSError as error:
-        if error.errno in {errno.ENOTEMPTY, errno.EEXIST}:
-            return False
-        raise
-    return True
 
 
 def _owner_lives(name: str) -> bool:

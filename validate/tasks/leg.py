@@ -15,7 +15,6 @@ there too. A folder is written aside, made durable, and renamed: it is whole or 
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import os
 import shutil
@@ -31,7 +30,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import LegRecord, StageRecord
-from validate.store.disk import fsync, write_durably
+from validate.store.disk import fsync, fsync_whole, renamed, write_durably
 from validate.tasks.task import PlannedLeg
 
 CONTENT = "leg.json"
@@ -177,14 +176,9 @@ def store(folder: Path, leg: LegRecord, stored: Path) -> None:
         return
     aside = folder.with_name(f"storing-{folder.name}")
     link(folder, aside)
-    for path in (*sorted(aside.iterdir()), aside):
-        fsync(path)
+    fsync_whole(aside)
     stored.mkdir(exist_ok=True)
-    try:
-        os.rename(aside, target)
-    except OSError as error:
-        if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another campaign was first
-            raise
+    renamed(aside, target)  # or another campaign was first
     fsync(stored)
 
 
