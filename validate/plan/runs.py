@@ -23,7 +23,7 @@ from validate.judge.score import check_limits
 from validate.plan.selection import matches, near, words_of
 from validate.store.provenance import check_key, content_key
 from validate.store.store import Store
-from validate.store.stored import CampaignError, identity, stored_campaign
+from validate.store.stored import CampaignError, campaign_of, identity
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_PLUGIN, Plugin, load_plugin, plugin_source
@@ -294,7 +294,7 @@ def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[Plann
 
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
     """
-    _, records = stored_campaign(store.folder)
+    records = tuple(filter(None, map(store.read, campaign_of(store.folder).keys)))
     failed = {identity(store.request(key)) for key in failed_keys(records)}
     again = {entry.task.key for entry in entries if identity(task_to_json(entry.task)) in failed}
     if not again:

@@ -1,6 +1,6 @@
-"""The campaign that a folder holds: what it was, and which of its tasks failed.
+"""The campaign that a folder holds: what it was, and what its tasks are called.
 
-campaign, records = stored_campaign(Path("runs/all"))
+campaign_of(Path("runs/all")).keys
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from models.errors import TouchstoneError
-from reports.records.check_record import CheckRecord
-from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from reports.records.record import SCHEMA_VERSION, CampaignRecord
 from validate.store.disk import read_json
 from validate.store.store import RECORD, Store
 
@@ -26,14 +25,6 @@ _OF_THE_CALL = ("command", "started", "provenance")
 
 class CampaignError(TouchstoneError):
     """Nothing selected, or a folder that holds no campaign."""
-
-
-def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | CheckRecord, ...]]:
-    """The campaign of a folder and those of its tasks that are stored, in order. Raises CampaignError."""
-    campaign = campaign_of(folder)
-    store = Store(folder)
-    found = (store.read(key) for key in campaign.keys)
-    return campaign, tuple(record for record in found if record is not None)
 
 
 def check_folder(folder: Path, names: Iterable[str]) -> None:

@@ -58,12 +58,12 @@ def read_record(path: Path) -> None:
     from validate.cli.show import command
     from validate.store.results import tables
     from validate.store.store import Store
-    from validate.store.stored import stored_campaign
+    from validate.store.stored import campaign_of
 
     load(path)
     list(Store(path).requests())
-    campaign, records = stored_campaign(path)
-    del campaign
+    store = Store(path)
+    records = [record for key in campaign_of(path).keys if (record := store.read(key)) is not None]
     tables([record for record in records if hasattr(record, "stages")], (), ())
     with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         for record in records:

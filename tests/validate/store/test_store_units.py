@@ -30,7 +30,6 @@ from validate.store.stored import (
     found_campaign,
     identity,
     same_campaign,
-    stored_campaign,
     stored_names,
     title_of,
     with_others,
@@ -256,9 +255,9 @@ def test_a_campaign_has_its_tasks_in_its_order(tmp_path: Path):
         provenance=factory.provenance(),
     )  # fmt: skip
     campaign = factory.campaign(runs, keys=(runs[2].key, "check", "lost", runs[0].key))
-    found, records = stored_campaign(factory.store(tmp_path / "all", [*runs, check], campaign))  # type: ignore[list-item]
-    assert found == campaign
-    assert [record.key for record in records] == [runs[2].key, "check", runs[0].key]
+    store = Store(factory.store(tmp_path / "all", [*runs, check], campaign))  # type: ignore[list-item]
+    assert campaign_of(store.folder) == campaign
+    assert [record.key for key in campaign.keys if (record := store.read(key)) is not None] == [runs[2].key, "check", runs[0].key]
     assert check.title == "stress: h01"
 
 
