@@ -154,6 +154,9 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
         os.environ.clear()
         os.environ.update(order["environment"])
         tempfile.tempdir = None
+        nothing = os.open(os.devnull, os.O_RDONLY)  # foreign code that reads shall not wait for whoever types
+        os.dup2(nothing, 0)
+        os.close(nothing)
         output = os.open(order["output"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         os.dup2(output, 1)
         os.dup2(output, 2)
