@@ -54,6 +54,11 @@ class Seconds:
     def __add__(self, other: Seconds) -> Seconds:
         return Seconds(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
+    @property
+    def solve(self) -> float:
+        """Seconds in the solver: functions, derivatives and linear algebra; the record of a stage has it."""
+        return self.evaluate + self.linear_algebra
+
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
