@@ -8,7 +8,7 @@ from formulations.method import Options, option, without_inputs
 from formulations.transcription.method import TranscriptionOptions, check_smooth
 from models.errors import SceneError
 from models.scene import Scene
-from models.scene.functions import named_expressions
+from models.scene.scene import named_expressions
 
 
 @dataclass(frozen=True, kw_only=True)

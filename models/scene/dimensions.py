@@ -21,7 +21,8 @@ from typing import NamedTuple
 import sympy as sp
 
 from models.scene import Scene
-from models.scene.functions import NamedExpression, depths, is_longer, named_expressions, shortened
+from models.scene.functions import is_longer, shortened
+from models.scene.scene import NamedExpression, depth_expressions, named_expressions
 from models.scene.values import base_exponents
 
 # Exponents of kg, m and s; a radian is a pure number here.
@@ -72,7 +73,7 @@ class _MismatchError(Exception):
 
 def dimension_problem(scene: Scene) -> str | None:
     """The first expression whose unit cannot be right, and which unit would be; None: all fit."""
-    asked = named_expressions(scene) + depths(scene)
+    asked = named_expressions(scene) + depth_expressions(scene)
     declared = [*(("parameter", item) for item in scene.parameters), *(("input", item) for item in scene.inputs)]
     units = {item.symbol: _Found(_DECLARED, _powers(item.unit)) for _, item in declared}
     for coordinate in scene.coordinates:

@@ -1,4 +1,4 @@
-"""The expressions of a scene that enter its equations, and the functions they may use: smooth ones, that have a form in C, as their derivatives have.
+"""The functions that the expressions of a scene may use: smooth ones, that have a form in C, as their derivatives have.
 
 Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies; gradients by rollouts, the error growth and the
 tracking gains are those of the C kernel. A corner has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
 
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-if TYPE_CHECKING:
-    from models.scene import Scene
+from models.scene.scene import Scene, named_expressions
 
 # Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a parameter.
 _ROUNDED = {
@@ -34,50 +32,6 @@ _ROUNDED = {
 _WITH_CORNERS = tuple(_ROUNDED)
 # Symbols, numbers and operations of an expression that is written out.
 _MOST_PARTS = 300
-
-
-class NamedExpression(NamedTuple):
-    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs.
-
-    of: what it may depend on, p parameters, q positions, v velocities, u inputs.
-    """
-
-    field: str
-    expression: sp.Expr
-    what: str
-    unit: str | None
-    of: str
-
-
-def named_expressions(scene: Scene) -> list[NamedExpression]:
-    """All that enters the equations of motion, the contact laws and the cost."""
-    found = [
-        NamedExpression("kinetic_energy", scene.kinetic_energy, "an energy", "J", "pqv"),
-        NamedExpression("potential_energy", scene.potential_energy, "an energy", "J", "pq"),
-    ]
-    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
-        above, _, below = coordinate.unit.partition("/")
-        unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
-        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit, "pqvu"))
-    for contact in scene.contacts:
-        where, unit = f"contact {contact.name}", contact.damping_law.unit
-        found.append(NamedExpression(f"{where}: penetration", contact.penetration, "a penetration", "m", "pq"))
-        found.append(NamedExpression(f"{where}: stiffness", contact.stiffness, "a stiffness", "N/m", "p"))
-        found.append(NamedExpression(f"{where}: damping", contact.damping, "a damping", unit, "p"))
-    for friction in scene.frictions:
-        where = f"friction {friction.name}"
-        found.append(NamedExpression(f"{where}: slip", friction.slip, "a slip", "m/s", "pqv"))
-        found.append(NamedExpression(f"{where}: coefficient", friction.coefficient, "a coefficient of friction", "1", "p"))
-        if friction.normal_force is not None:
-            found.append(NamedExpression(f"{where}: normal_force", friction.normal_force, "a normal force", "N", "pq"))
-    found.append(NamedExpression("task.running_cost", scene.task.running_cost, "a cost", None, "pqvu"))
-    found.append(NamedExpression("task.final_cost", scene.task.final_cost, "a cost", None, "pqv"))
-    return found
-
-
-def depths(scene: Scene) -> list[NamedExpression]:
-    """How deep each contact's model reaches, which enters no equation."""
-    return [NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p") for contact in scene.contacts]
 
 
 def function_problem(scene: Scene) -> str | None:

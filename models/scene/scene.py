@@ -25,13 +25,12 @@ from __future__ import annotations
 import keyword
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import sympy as sp
 
 from models.errors import SceneError
 from models.scene.contacts import Contact, Friction
-from models.scene.functions import depths, named_expressions
 from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task
 from models.scene.quasi_static import LAG, check_quasi_static, relaxation_parameter
 from models.scene.values import as_expression, as_number, check_symbol, check_text, settle
@@ -294,6 +293,50 @@ def _check_steps(scene: Scene) -> None:
         )
 
 
+class NamedExpression(NamedTuple):
+    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs.
+
+    of: what it may depend on, p parameters, q positions, v velocities, u inputs.
+    """
+
+    field: str
+    expression: sp.Expr
+    what: str
+    unit: str | None
+    of: str
+
+
+def named_expressions(scene: Scene) -> list[NamedExpression]:
+    """All that enters the equations of motion, the contact laws and the cost."""
+    found = [
+        NamedExpression("kinetic_energy", scene.kinetic_energy, "an energy", "J", "pqv"),
+        NamedExpression("potential_energy", scene.potential_energy, "an energy", "J", "pq"),
+    ]
+    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
+        above, _, below = coordinate.unit.partition("/")
+        unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
+        found.append(NamedExpression(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit, "pqvu"))
+    for contact in scene.contacts:
+        where, unit = f"contact {contact.name}", contact.damping_law.unit
+        found.append(NamedExpression(f"{where}: penetration", contact.penetration, "a penetration", "m", "pq"))
+        found.append(NamedExpression(f"{where}: stiffness", contact.stiffness, "a stiffness", "N/m", "p"))
+        found.append(NamedExpression(f"{where}: damping", contact.damping, "a damping", unit, "p"))
+    for friction in scene.frictions:
+        where = f"friction {friction.name}"
+        found.append(NamedExpression(f"{where}: slip", friction.slip, "a slip", "m/s", "pqv"))
+        found.append(NamedExpression(f"{where}: coefficient", friction.coefficient, "a coefficient of friction", "1", "p"))
+        if friction.normal_force is not None:
+            found.append(NamedExpression(f"{where}: normal_force", friction.normal_force, "a normal force", "N", "pq"))
+    found.append(NamedExpression("task.running_cost", scene.task.running_cost, "a cost", None, "pqvu"))
+    found.append(NamedExpression("task.final_cost", scene.task.final_cost, "a cost", None, "pqv"))
+    return found
+
+
+def depth_expressions(scene: Scene) -> list[NamedExpression]:
+    """How deep each contact's model reaches, which enters no equation."""
+    return [NamedExpression(f"contact {contact.name}: depth", contact.depth, "a depth", "m", "p") for contact in scene.contacts]
+
+
 def _check_symbols(scene: Scene) -> None:
     symbols = {
         "p": {parameter.symbol for parameter in scene.parameters},
@@ -301,7 +344,7 @@ def _check_symbols(scene: Scene) -> None:
         "v": {coordinate.velocity for coordinate in scene.coordinates},
         "u": {item.symbol for item in scene.inputs},
     }
-    asked = [(item.field, item.expression, item.of) for item in named_expressions(scene) + depths(scene)]
+    asked = [(item.field, item.expression, item.of) for item in named_expressions(scene) + depth_expressions(scene)]
     for shape in scene.shapes:
         asked += [(f"shape {shape.name}: {field}", getattr(shape, field), "pq") for field in ("x", "y", "angle")]
         asked += [(f"shape {shape.name}: size", size, "p") for size in shape.size]

@@ -288,13 +288,13 @@ class SizeRecord(Model):
     paper_equations: int
 
 
-class Found(BaseModel):
+class FoundRecord(BaseModel):
     """Made of what validate.judge.robustness found, of which it takes what it has a field for."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, from_attributes=True)
 
 
-class ShareRecord(Found):
+class ShareRecord(FoundRecord):
     """In how many of the perturbed worlds a plan arrives; interval: Wilson's, of 95 %."""
 
     arrived: int

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from reports.records.record import Finite, Found, ShareRecord
+from reports.records.record import Finite, FoundRecord, ShareRecord
 
 # How far first order and sampling may differ to be called the same.
 SAME = 0.1
@@ -32,7 +32,7 @@ _Word = Annotated[str, BeforeValidator(_text)]
 _OrEnded = Annotated[Finite | None, BeforeValidator(_known)]
 
 
-class CurveRecord(Found):
+class CurveRecord(FoundRecord):
     """shares: at `scales` times all sizes; half: the scale at which half of the worlds arrive, None where it lies `beyond` those tried."""
 
     scales: tuple[Finite, ...]
@@ -41,7 +41,7 @@ class CurveRecord(Found):
     beyond: str
 
 
-class CheckedRecord(Found):
+class CheckedRecord(FoundRecord):
     """How many worlds the reference was asked about too.
 
     differ: (number of the world, its largest share of a limit by the everyday replay, by the reference), None where the motion did not come to its end;
@@ -54,7 +54,7 @@ class CheckedRecord(Found):
     by: str = "by the reference"
 
 
-class WayRecord(Found):
+class WayRecord(FoundRecord):
     """Inputs alone, or with feedback; fails_by: metric or end of the motion -> worlds."""
 
     name: str
@@ -70,7 +70,7 @@ class WayRecord(Found):
         return "; ".join(f"{name.replace('_', ' ')} in {count:,}" for name, count in counts)
 
 
-class PerturbationRecord(Found):
+class PerturbationRecord(FoundRecord):
     """What may be otherwise, and by how much [unit]."""
 
     kind: _Word
@@ -81,7 +81,7 @@ class PerturbationRecord(Found):
     reason: str
 
 
-class FailureRecord(Found):
+class FailureRecord(FoundRecord):
     """The first failure along one perturbation, one way; sizes, predicted: in its sizes, None: none up to `tried`; amount [unit]."""
 
     cause: PerturbationRecord
@@ -114,7 +114,7 @@ class FailureRecord(Found):
         return f"{self.predicted:.3g}; the response bends{'' if self.curved is None else f', by its curvature to {self.curved:.3g}'}"
 
 
-class RobustnessRecord(Found):
+class RobustnessRecord(FoundRecord):
     """How much a plan can take; complete: False where the work was interrupted; followed: whether failures are those with feedback, because the plan holds only with it; shown: worlds whose motion is drawn, by number and largest share of a limit."""
 
     schema_version: int = 1

@@ -15,7 +15,7 @@ from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.checks import check_expressions
 from models.scene.contacts import Contact, DampingLaw, Friction
 from models.scene.dimensions import dimension_problem
-from models.scene.functions import named_expressions
+from models.scene.scene import named_expressions
 
 q, v, theta, omega, u = sp.symbols("q v theta omega u", real=True)
 m, c, k, g, l, mu, inertia = sp.symbols("m c k g l mu inertia", positive=True)  # noqa: E741 - l is the field's name for a length

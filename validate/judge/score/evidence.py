@@ -150,7 +150,7 @@ class Evidence:
 
     @property
     def lam(self) -> np.ndarray:
-        """Contact forces of the plan, (steps, nc) [N]; zeros where it does not say them."""
+        """Contact forces of the plan, (steps, nc) [N]; zeros where it does not say them. Raises nothing."""
         return self.trajectory.lam[:, : self.scene.nc]
 
     @property
@@ -266,7 +266,7 @@ class Evidence:
 
     @property
     def friction(self) -> np.ndarray:
-        """Friction forces of the plan, (steps, nf) [N]; zeros where it does not say them."""
+        """Friction forces of the plan, (steps, nf) [N]; zeros where it does not say them. Raises nothing."""
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
