@@ -21,7 +21,7 @@ from reports.records.load import Unreadable
 from reports.records.record import HOLD, CampaignRecord, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failed_keys, failures
-from reports.wording import VERDICTS, capital, cost, count, error, measured, number, seconds, unit
+from reports.wording import VERDICTS, capital, cost, count, error, listing, measured, number, seconds, unit
 
 
 class Place(NamedTuple):
@@ -121,10 +121,10 @@ def _speed(report: Report) -> Plot | None:
     draw_front(plot, [point[:2] for point in lasting])
     plot.name_points(lasting)
     wrong = sum(row.stage.verdict == "violates" for _, _, row in points)
-    plot.words = (
-        f"Left is fast, below is near to its replay; relaxations at their tightest ε. {wrong} of {count(len(points), 'plan')} violate (hollow). "
-        "The line joins the pipelines whose medians, over the scenes where they hold, no other beats in both."
-    )
+    plot.words = f"Left is fast, below is near to its replay; relaxations at their tightest ε. {wrong} of {count(len(points), 'plan')} violate (hollow)."
+    if lasting:
+        names = listing([name for *_, name in lasting])
+        plot.words += f" The line joins {names}: no other pipeline is better in both, by medians over the scenes where it holds."
     return plot
 
 
