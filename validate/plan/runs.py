@@ -6,7 +6,6 @@ entries = with_stored(entries, store, settings)
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -295,12 +294,13 @@ def only_last_failed(entries: Sequence[PlannedTask], store: Store) -> list[Plann
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
     """
     records = tuple(filter(None, map(store.read, campaign_of(store.folder).keys)))
-    failed = {identity(store.request(key)) for key in failed_keys(records)}
+    failing = failed_keys(records)
+    failed = {identity(store.request(key)) for key in failing}
     again = {entry.task.key for entry in entries if identity(task_to_json(entry.task)) in failed}
     if not again:
         hint = "drop --last-failed."
-        if failed:
-            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
+        if failing:
+            named = sorted(record.title for record in records if record.key in failing)
             more = f" and {len(named) - 3} more" if len(named) > 3 else ""
             hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --plugin or the file of `run`."
         raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
