@@ -435,9 +435,16 @@ class _Wiring:
         return tuple(found)
 
     def _notes(self) -> tuple[str, ...]:
-        scheme = declared_scheme(self._table)
-        said = "The plan declares the scheme {}, which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
-        return () if scheme is None else (said.format(scheme.value),)
+        notes, scheme = [], declared_scheme(self._table)
+        if scheme is not None:
+            said = "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
+            notes.append(f"The plan declares the scheme {scheme.value}, {said}")
+        driven = {signal.variable for signal in self.map.inputs.values()}
+        idle = [name for name, item in self._by_name.items() if item.causality == "input" and item.type in REAL and name not in driven]
+        if idle:
+            named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
+            notes.append(f"Inputs of the FMU that the map does not name keep their start values: {named}.")
+        return tuple(notes)
 
     def _unit(self, column: str, signal: Signal) -> str:
         own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
