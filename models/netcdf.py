@@ -83,7 +83,8 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
         if part is not None:
             with contextlib.suppress(OSError):
                 part.unlink()
-        raise MachineError(f"file {path}: it cannot be written ({error.strerror}); make room or permit it, or write elsewhere.") from error
+        advice = "choose a folder that exists and may be written" if part is None else "make room or permit it, or write elsewhere"
+        raise MachineError(f"file {path}: it cannot be written ({error.strerror}); {advice}.") from error
 
 
 def _content(columns: Sequence[Column], sizes: Mapping[str, int], attributes: Mapping[str, str | int | float]) -> bytes:

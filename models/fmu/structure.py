@@ -169,4 +169,5 @@ def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
         rows = next(sorted(block) for block in d.mass_matrix.connected_components() if index in block)
         entries = [d.generalised_force[i] for i in rows] + [d.mass_matrix[i, j] for i in rows for j in rows]
         own = _all_dependent(d, entries)
-    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in _symbols(entries))])
+    touched = _symbols(entries)
+    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)])

@@ -225,9 +225,13 @@ class _ArchiveCheck:
     def _of_content(self, archive: zipfile.ZipFile) -> Iterator[ArchiveError]:
         self._names = {item.filename for item in self._items}
         texts = (item for item in self._items if item.filename.lower().endswith(_XML_SUFFIXES))
-        if dangerous := [problem for item in texts for problem in self._of_xml(archive, item)]:
-            yield from dangerous
-        elif DESCRIPTION in self._names:
+        dangerous = False
+        for problem in (problem for item in texts for problem in self._of_xml(archive, item)):
+            dangerous = True
+            yield problem  # told before the next text is read, which may be damaged
+        if dangerous:
+            return
+        if DESCRIPTION in self._names:
             yield from self._of_description()
         else:
             hint = next((name for name in self._names if name.endswith(f"/{DESCRIPTION}")), None)

@@ -52,7 +52,8 @@ _ALWAYS = (FIRST.name, files.compiled.name)
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    cvode.functions()  # 7 ms, once, before anything is forked
+    if set(request["names"]) >= set(NAMES) - set(_BY_OTHERS):  # a few of them may need no integrator, which may be missing
+        cvode.functions()  # 7 ms, once, before anything is forked
     table = _Table(request)
     path, folder = Path(request["path"]), Path(request["folder"])
     for item, place in zip(STATIC, (path, folder), strict=True):

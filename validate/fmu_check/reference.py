@@ -8,6 +8,7 @@ all of them are apart. What neither a step nor a tolerance changes has no bar th
 from __future__ import annotations
 
 import contextlib
+import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,11 +96,16 @@ def signals_of(subject: Subject, where: str, table: Table | None) -> Signals:
     return Signals(table.times, variables, np.hstack([np.empty((len(table.times), 0)), *table.columns.values()]))
 
 
+def no_variable(subject: Subject, where: str, name: str) -> FmuError:
+    """The refusal of a column that is no variable."""
+    hint = did_you_mean(name, subject.by_name, f"it has {', '.join(list(subject.by_name)[:6])}, ..")
+    return FmuError(f"{where}: the FMU has no variable {name!r}; {hint}")
+
+
 def named(subject: Subject, where: str, name: str, column: np.ndarray) -> FmuVariable:
     """The variable of a column (rows, entries) [its unit]. Raises FmuError."""
     if (item := subject.by_name.get(name)) is None:
-        hint = did_you_mean(name, subject.by_name, f"it has {', '.join(list(subject.by_name)[:6])}, ..")
-        raise FmuError(f"{where}: the FMU has no variable {name!r}; {hint}")
+        raise no_variable(subject, where, name)
     if column.shape[1] != item.size:
         raise FmuError(f"{where}: {name!r} has {column.shape[1]} numbers a time; the variable has {item.size}.")
     return item
@@ -323,7 +329,11 @@ def _of_result(subject: Subject, result: StoredResult) -> tuple[Callable[[str], 
     """Outcome and clause of one stored result. Raises FmuError for what cannot be read."""
     where = result.where
     others = {item.name for item in subject.description.modelVariables} - set(subject.by_name)
-    table = read_table(where, read_text(result.result), others)
+    text = read_text(result.result)
+    for name in next(csv.reader(text.splitlines()), [])[1:]:
+        if name.strip() not in others and name.strip() not in subject.by_name:
+            raise no_variable(subject, where, name.strip())
+    table = read_table(where, text, others)
     watched = Block(named(subject, where, name, column) for name, column in table.columns.items())
     settings = read_settings(result.settings.name, read_text(result.settings)) if result.settings else result.experiment
     claims, driven = (read_table(path.name, read_text(path)) if path else None for path in (result.error, result.inputs))

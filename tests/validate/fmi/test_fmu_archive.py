@@ -189,6 +189,17 @@ def test_a_damaged_entry_is_a_sentence(tmp_path: Path):
         unpack(check_archive(path), tmp_path / "out")
 
 
+def test_what_is_dangerous_is_told_before_what_is_damaged_behind_it(tmp_path: Path):
+    path = write(tmp_path / "m.fmu", {DESCRIPTION: GOOD, LIBRARY: b"x", "a.xml": "<!DOCTYPE x><x/>", "b.xml": bytes(range(256)) * 40})
+    data = bytearray(path.read_bytes())
+    at = data.index(b"b.xml") + len("b.xml") + 20
+    data[at : at + 30] = bytes(30)
+    path.write_bytes(data)
+    with pytest.raises(ArchiveError, match=r"a\.xml has a DOCTYPE") as refused:
+        check_archive(path)
+    assert refused.value.check == "xml", "its report has rows"
+
+
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_duplicates_and_counts(tmp_path: Path):
     path = tmp_path / "m.fmu"

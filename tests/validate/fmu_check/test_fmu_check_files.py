@@ -11,10 +11,12 @@ from xml.etree import ElementTree
 import pytest
 from wording import unsaid
 
-from models.errors import UnknownNameError
+from models.errors import MachineError, UnknownNameError
+from validate.fmi import cvode
 from validate.fmi.archive import ArchiveError
 from validate.fmu_check import Status, check_fmu
 from validate.fmu_check.files import NotElf, read_library
+from validate.fmu_check.host import NAMES, run_checks
 
 _STATIC = ["archive", "description is valid", "exported functions"]
 
@@ -253,3 +255,15 @@ def test_nothing_is_compiled_or_loaded_outside_the_folder(version: str, sound_co
     assert not unsaid(found["description is valid"].sentence, f"modelIdentifier is '{outside[:40]}", "expected a C identifier")
     assert {row.status for row in report.rows if row.name not in ("archive", "description is valid")} == {Status.NOT_OFFERED}
     assert [item.name for item in tmp_path.iterdir()] == ["sources.fmu"]
+
+
+def test_a_check_of_files_needs_no_integrator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def missing() -> None:
+        raise MachineError("CVODE is missing.")
+
+    monkeypatch.setattr(cvode, "functions", missing)
+    (tmp_path / "told").touch()
+    request = {"path": str(tmp_path / "m.fmu"), "folder": str(tmp_path), "told": str(tmp_path / "told"), "version": "2.0", "seconds": 1.0, "runnable": False}  # fmt: skip
+    assert run_checks({**request, "names": _STATIC[:1]}, {})["types"] == []
+    with pytest.raises(MachineError, match="CVODE"):
+        run_checks({**request, "names": list(NAMES)}, {})

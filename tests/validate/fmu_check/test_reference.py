@@ -177,6 +177,7 @@ def _packed(path: Path, content: dict[str, bytes]) -> Path:
     ("text", "status", "words"),
     [
         ("time,x,y7\n0,1,1\n1,0.36,1\n", Status.FAILED, ["no variable 'y7'", "old.csv"]),
+        ("time,x,xx\n0,1,\n1,0.36,\n", Status.FAILED, ["no variable 'xx'", "did you mean x?"]),
         ("time,x\n0,1\n1,oops\n", Status.FAILED, ["line 3", "'oops', no number"]),
         ("time,x\n0,1\n1,0.3487\n", Status.ADVICE, ["x is 0.3487 at t = 1 s", "0.36787944", "how exact"]),
         ("time,x\n0,1\n1,7\n", Status.FAILED, ["x is 7 at t = 1 s", "plain Co-Simulation"]),

@@ -439,11 +439,12 @@ class _Wiring:
         if scheme is not None:
             said = "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
             notes.append(f"The plan declares the scheme {scheme.value}, {said}")
-        driven = {signal.variable for signal in self.map.inputs.values()}
-        idle = [name for name, item in self._by_name.items() if item.causality == "input" and item.type in REAL and name not in driven]
+        driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
+        inputs = [name for name, item in self._by_name.items() if item.causality == "input" and item.type in REAL]
+        idle = [name for name in inputs if self._place(name) not in driven]
         if idle:
             named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
-            notes.append(f"Inputs of the FMU that the map does not name keep their start values: {named}.")
+            notes.append(f"Inputs of the FMU that the plan does not drive keep their start values: {named}.")
         return tuple(notes)
 
     def _unit(self, column: str, signal: Signal) -> str:

@@ -124,7 +124,7 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
         ("terminal_position_error", 0.1, "near"),
     ]  # fmt: skip
     assert dict(model.lacks) == {}
-    assert model.notes == ("Inputs of the FMU that the map does not name keep their start values: idle.",)
+    assert model.notes == ("Inputs of the FMU that the plan does not drive keep their start values: idle.",)
     assert [sentence.partition(":")[0] + sentence.partition(":")[2][:30] for sentence in model.not_asked[:-1]] == [
         "start_error the map's [start] gives no nu", "bound_violation input M has no lower bound, n", "max_penetration contact wall has no depth in ",
     ]  # fmt: skip
