@@ -122,7 +122,7 @@ def _speed(report: Report) -> Plot | None:
     plot.name_points(lasting)
     wrong = sum(row.stage.verdict == "violates" for _, _, row in points)
     plot.words = f"Left is fast, below is near to its replay; relaxations at their tightest ε. {wrong} of {count(len(points), 'plan')} violate (hollow)."
-    if lasting:
+    if len(lasting) > 1:
         names = listing([name for *_, name in lasting])
         plot.words += f" The line joins {names}: no other pipeline is better in both, by medians over the scenes where it holds."
     return plot

@@ -147,7 +147,6 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
     """
     try:
         os.setsid()
-        bind()
         for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -161,6 +160,7 @@ def be_child(order: Mapping[str, Any], bind: Callable[[], object]) -> NoReturn:
         os.dup2(output, 1)
         os.dup2(output, 2)
         os.close(output)
+        bind()
         os.chdir(order["environment"]["TMPDIR"])
         module, _, name = order["function"].partition(":")
         code = getattr(importlib.import_module(module), name)(Path(order["folder"])) or 0

@@ -18,8 +18,6 @@ from models.errors import TouchstoneError
 _TOKEN = re.compile(r'\s*(?:([()])|(="(?:[^"]|"")*"|[^\s()]+))')
 
 
-# Parentheses, or signs of `not` and parentheses one behind the other: Python reads 200 at most.
-_DEEPEST = 90
 # Of the names that are near a word, so many are shown.
 _NEAR = 4
 
@@ -31,25 +29,25 @@ class SelectionError(TouchstoneError):
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
     """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
     names = tuple(name.lower() for name in names)
-    truth, wants_name, opened, deep = [], True, 0, 0
+    truth, wants_name, opened = [], True, 0
     for mark, word in _TOKEN.findall(expression):
         token = mark or word
         ends = token in ("and", "or", ")")
         if wants_name and ends:
             raise _error(expression, f"a name is missing before {token!r}")
         if not wants_name and (not ends or (token == ")" and not opened)):
-            raise _error(expression, f"{token!r} was not expected there")
+            raise _error(expression, "a ')' is missing" if opened else f"{token!r} was not expected there")
         wants_name = token in ("and", "or", "not", "(")
         opened += {"(": 1, ")": -1}.get(token, 0)
-        deep = deep + 1 if token in ("not", "(") else 0
-        if max(deep, opened) > _DEEPEST:
-            raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.")
         truth.append(token if wants_name or ends else str(_is_meant(token, names, title.lower())))
     if wants_name:
         raise _error(expression, "a name is missing at its end")
     if opened:
         raise _error(expression, "a ')' is missing")
-    return eval(" ".join(truth))  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
+    try:
+        return eval(" ".join(truth))  # of nothing but True, False, and, or, not and parentheses, in an order that was checked
+    except (SyntaxError, RecursionError, MemoryError):  # the ways in which Python says so
+        raise SelectionError(f"-k {expression[:20]!r}..: it is nested deeper than can be read; write it with fewer parentheses.") from None
 
 
 def _is_meant(word: str, names: Sequence[str], title: str) -> bool:

@@ -76,8 +76,11 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
         folder = tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True)
     except OSError as error:
         raise no_temporary_folder(error) from error
-    with folder as name:
-        yield Path(name)
+    try:
+        yield Path(folder.name)
+    finally:
+        with contextlib.suppress(OSError):  # of another user's files, which foreign code may have left, it is not silent all the same
+            folder.cleanup()
 
 
 def make_folder(path: Path) -> None:

@@ -28,7 +28,7 @@ RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "task.json",
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
 FILES = "files.json"
 # How much of a log is read, from its end [bytes].
-_LOG_BYTES = 20_000
+_LOG_BYTES = 1_000_000
 # In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
 _DUE = "due"
 _OLD = "-old"
@@ -170,7 +170,7 @@ class Store:
 
 def _sizes(folder: Path) -> dict[str, int]:
     """Name of each NetCDF file in a folder -> bytes."""
-    return {path.name: path.stat().st_size for path in sorted(folder.glob("*.nc"))}
+    return {path.name: path.stat().st_size for path in sorted(folder.glob("*.nc")) if path.is_file()}
 
 
 def _request(path: Path) -> dict[str, Any]:

@@ -393,7 +393,9 @@ def test_an_empty_name_of_a_file_is_refused_before_the_work(cli):
     [
         (("plan", "--out", "n" * 300), ("'nnn", "no names as long", "shorter")), (("report", "n" * 300), ("no names as long", "shorter")),
         (("all", "--plugin", ""), ("--plugin", "''", "cannot be imported")), (("all", "--plugin", "../own"), ("--plugin ../own", "cannot be imported")),
-        (("plan", "-k", "(" * 5000), ("-k '((((", "nested deeper", "fewer parentheses")), (("plan", "--scene", "own.py"), ("own.py", "Own while it was read, line 2")),
+        (("plan", "-k", "(" * 5000 + "strict" + ")" * 5000), ("-k '((((", "nested deeper", "fewer parentheses")),
+        (("plan", "-k", ("strict and " + "not " * 88 + "(") * 34 + "strict" + ")" * 34), ("-k 'strict and", "nested deeper", "fewer parentheses")),
+        (("plan", "--scene", "own.py"), ("own.py", "Own while it was read, line 2")),
     ],
 )  # fmt: skip
 def test_odd_words_are_told_in_a_sentence(cli, tmp_path, monkeypatch, words: tuple[str, ...], parts: tuple[str, ...]):

@@ -79,7 +79,7 @@ def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
 @pytest.mark.parametrize(
     ("expression", "parts"),
     [
-        ("strict and", ["a name is missing at its end"]), ("or strict", ["a name is missing before 'or'"]), ("(strict", ["a ')' is missing"]),
+        ("strict and", ["a name is missing at its end"]), ("or strict", ["a name is missing before 'or'"]), ("(strict", ["a ')' is missing"]), ("(strict relu", ["a ')' is missing"]),
         ("strict relaxed", ["'relaxed' was not expected"]),
     ],
 )  # fmt: skip
