@@ -303,6 +303,19 @@ def test_no_temporary_folder_names_what_it_knows(file: str | None, named: str, m
     assert str(caught.value) == said
 
 
+def test_what_cannot_be_tidied_spoils_no_answer(monkeypatch: pytest.MonkeyPatch):
+    tidy = tempfile.TemporaryDirectory.cleanup
+
+    def refuse(folder: tempfile.TemporaryDirectory) -> None:
+        tidy(folder)
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(tempfile.TemporaryDirectory, "cleanup", refuse)
+    with disk_module.temporary_folder("x") as folder:
+        answer = folder.exists()
+    assert answer
+
+
 def test_a_temporary_folder_is_gone_afterwards():
     with disk_module.temporary_folder("named-") as folder:
         assert folder.is_dir()
