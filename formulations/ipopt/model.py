@@ -199,7 +199,7 @@ def read_data(sources: tuple[Any, ...]) -> np.ndarray:
     """
     numbers = np.array([read_number(source) for source in sources], dtype=float)
     for k in np.flatnonzero(np.isnan(numbers)):
-        raise MissingValueError(f"'{sources[k].name}' has no value (or not a number), and the model needs one")
+        raise MissingValueError(f"'{sources[k].name}' has no value (or not a number), and the model needs one{_why_none(sources[k])}")
     return numbers
 
 
@@ -209,6 +209,14 @@ def read_number(source: Any) -> float:
         return float(source.value)
     except (TypeError, ValueError, ArithmeticError):
         return math.nan
+
+
+def _why_none(source: Any) -> str:
+    try:
+        float(source.value)
+    except (TypeError, ValueError, ArithmeticError) as error:
+        return f" ({' '.join(str(error).split())})"
+    return ""
 
 
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:

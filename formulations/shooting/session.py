@@ -74,7 +74,9 @@ class ShootingSession(Session):
         growth = None if plan.diverged else measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
         if descent.u is None:
             return empty if growth is None else replace(empty, message=with_growth(descent.message, growth), residuals=growth.residuals())
-        trajectory = plan_of(self._scene, plan, u)  # finite: the descent has just evaluated these inputs
+        if plan.diverged:  # of a loss of one's own, which may be a number where the motion has none
+            return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
+        trajectory = plan_of(self._scene, plan, u)
         residuals = {
             "gradient_norm": descent.gradient_norm,
             **plan_residuals(self._scene, trajectory),

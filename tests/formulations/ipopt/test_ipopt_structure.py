@@ -172,6 +172,13 @@ def test_a_missing_number_is_named(value):
         compile_model(m)
 
 
+def test_why_a_number_is_missing_is_told():
+    m = small()
+    m.z.set_value("many", skip_validation=True)
+    with pytest.raises(MissingValueError, match=r"'z' has no value .*could not convert string to float: 'many'"):
+        compile_model(m)
+
+
 @pytest.mark.parametrize(("place", "named"), [
     (lambda m: m.add_component("more", pyo.Constraint(expr=m.r * m.x[1] <= 1)), "'r' has no value"),
     (lambda m: m.add_component("more", pyo.Constraint(expr=m.x[1] <= m.r)), "a bound of constraint 'more' has no value"),

@@ -9,6 +9,7 @@ from wording import unsaid
 
 from formulations.method import Kind, OptionError
 from formulations.pipelines import load_method
+from formulations.shooting.method import QuasiNewtonMethod
 from formulations.shooting.objective import Objective, Weights, noise
 from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
@@ -17,6 +18,8 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")
 METHODS = (("relu_gd", None), ("softplus_gd", 1e-3))
@@ -307,3 +310,20 @@ def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():
     assert found.u is not None
     assert found.history["loss"][-1] < found.history["loss"][0] / 2.0
     assert "displaced" not in found.message
+
+
+def test_a_loss_of_ones_own_may_be_a_number_where_the_motion_has_none():
+    """Steps of 5 s: the motion of these inputs is finite for 107 of them."""
+
+    class Own(QuasiNewtonMethod):
+        name, title, kind, needs_eps, law = "own", "Own", Kind.DIRECT, False, ContactLaw.RELU
+
+        def loss(self, scene: Scene):
+            return lambda plan, u: u.square().sum((-1, -2)) + 1e-9 * plan.q[..., 0, 0]
+
+    scene, none = SCENE.with_task(step=5.0, steps=300), np.zeros((301, 3))
+    start = Trajectory(t=5.0 * np.arange(301), q=none, v=none, u=np.full((300, 2), 0.5), lam=np.zeros((300, 2)))
+    with Own().open(scene, {"max_iterations": 2}) as session:
+        found = session.solve(eps=None, warm_start=start, time_limit=60.0)
+    assert (found.outcome, found.trajectory) == (Outcome.EVALUATION_ERROR, None)
+    assert not unsaid(found.message, "could not be simulated")
