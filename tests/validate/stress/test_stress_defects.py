@@ -63,7 +63,7 @@ def test_a_limit_that_is_twice_too_far(monkeypatch):
     said = h01_stiffness.step_stability
     monkeypatch.setattr(h01_stiffness, "STIFFNESSES", (1e2, 2e4))
     monkeypatch.setattr(h01_stiffness, "SWEPT", 2)
-    monkeypatch.setattr(h01_stiffness, "step_stability", lambda scene: said(scene, scene.task.step / math.sqrt(2.0)))
+    monkeypatch.setattr(h01_stiffness, "step_stability", lambda scene: said(scene.with_task(step=scene.task.step / math.sqrt(2.0))))
     assert "warned of wrongly" in broken(h01_stiffness.measure())
 
 
@@ -187,7 +187,7 @@ def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monke
     monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1.0,))
     monkeypatch.setattr(h03_mass_ratio, "PLANNED", (1e-1,) if defect == "warning" else (1e1,))
     if defect == "warning":
-        monkeypatch.setattr(h03_mass_ratio, "step_stability", lambda scene: said(scene, 4.0 * scene.task.step))
+        monkeypatch.setattr(h03_mass_ratio, "step_stability", lambda scene: said(scene.with_task(step=4.0 * scene.task.step)))
     elif defect == "replay":
         monkeypatch.setattr(h03_mass_ratio, "replayed", lambda scene, plan, like: replayed(scene.with_parameters(m=1.1), plan, like=like))
     else:
