@@ -152,8 +152,13 @@ def unit(text: str) -> str:
 
 def measured(value: float | None, of: str) -> str:
     """A value with its unit; of a norm over several units they stand in brackets: 0.11 m, 0.037 (m, rad)."""
+    return with_unit(error(value), of)
+
+
+def with_unit(text: str, of: str) -> str:
+    """A number in words with its unit, as `measured`."""
     told = unit(of)
-    return f"{error(value)} ({told})" if "," in told else f"{error(value)} {told}".strip()
+    return f"{text} ({told})" if "," in told else f"{text} {told}".strip()
 
 
 def capital(text: str) -> str:

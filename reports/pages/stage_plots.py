@@ -9,7 +9,7 @@ import numpy as np
 from reports.plots import Axis, Key, Plot, over_time
 from reports.records.record import QuantityRecord, SceneRecord, StageRecord
 from reports.traces import Motion, Trace, contact_phases
-from reports.wording import ROUNDING, clean, error, number
+from reports.wording import ROUNDING, clean, error, number, with_unit
 
 _KEYS = [
     Key("plan", "plan"),
@@ -94,7 +94,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | No
     for item, name, line in data:
         last = float(line[3][-1])
         ends[name].append(f"{item.name} {number(0.0 if abs(last) < ROUNDING else last, 5)}")  # what is rounding is nought
-    plot.words = " ".join(f"The {name} ends at {', '.join(words)} {unit}." for name, words in ends.items() if words)
+    plot.words = " ".join(f"The {name} ends at {with_unit(', '.join(words), unit)}." for name, words in ends.items() if words)
     return plot
 
 
@@ -184,7 +184,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | No
         peak = int(np.abs(values).argmax())
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
     ranges = [(item, number(values.min(), 3), number(values.max(), 3)) for item, values in data]
-    plot.words = " ".join(f"{item.name} lies between {low} and {high} {item.unit}." for item, low, high in ranges)
+    plot.words = " ".join(f"{item.name} lies between {low} and {with_unit(high, item.unit)}." for item, low, high in ranges)
     return plot
 
 

@@ -21,7 +21,7 @@ from reports.plots import Axis, Key, Line, Plot, is_wide, over_time
 from reports.records.record import HOLD, QuantityRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.traces import Trace
-from reports.wording import capital, count, error, listing, number, small, spaced
+from reports.wording import capital, count, error, listing, number, small, spaced, with_unit
 
 SEED = "seed"
 # Metrics that are drawn at once; the others are folded.
@@ -148,7 +148,7 @@ def _sweep(report: Report, runs: Sequence[RunRecord], anchor: str) -> Sweep | No
     several = len({_pipeline(run) for run in runs}) > 1 and not option
     swept = []
     for run, numbers in zip(runs, values, strict=True):
-        told = [f"{quantity.name} = {number(numbers[quantity])} {quantity.unit}".strip() for quantity in beside]
+        told = [f"{quantity.name} = {with_unit(number(numbers[quantity]), quantity.unit)}" for quantity in beside]
         curve = ", ".join([_pipeline(run), *told] if several else told) or (run.stages[-1].method if option else _pipeline(run))
         seed = next((value for quantity, value in numbers.items() if quantity.name == SEED != axis.name), None)
         swept.append(SweptRun(run, report.link(run), curve, numbers[axis], seed))
@@ -218,8 +218,8 @@ def _plot(
         found = value(item.run)
         if found is not None:
             seed = "" if item.seed is None else f", seed {item.seed:g}"
-            where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {number(item.x)} {axis.unit}{seed}"
-            tip = f"{where}, {name} {number(found, 4)} {unit}, {item.run.verdict}"
+            where = f"{item.run.pipeline} on {item.run.scene.name}: {axis.name} {with_unit(number(item.x), axis.unit)}{seed}"
+            tip = f"{where}, {name} {with_unit(number(found, 4), unit)}, {item.run.verdict}"
             marks.append(Mark(item.curve, item.x, found, tip, item.link, item.run.verdict in HOLD))
     return draw_against(axis, name, unit, marks, styles)
 
@@ -259,7 +259,7 @@ def draw_against(axis: Quantity, name: str, unit: str, marks: Sequence[Mark], st
             plot.line(curve, style, sorted(mine), [median(mine[x]) for x in sorted(mine)])
         if mine:
             ends = [median(mine[x]) for x in (min(mine), max(mine))]
-            said.append(f"{curve}: {number(ends[0], 3)} to {number(ends[1], 3)} {unit}".strip())
+            said.append(f"{curve}: {number(ends[0], 3)} to {with_unit(number(ends[1], 3), unit)}")
     for mark in marks:
         style, marker = styles[mark.curve]
         plot.point(mark.x, mark.y, f"{style} full" if mark.holds else style, marker, mark.tip, mark.link)
@@ -285,7 +285,7 @@ def _conclusion(axis: Quantity, swept: Sequence[SweptRun]) -> str:
 
 def _at(x: float, unit: str, held: Sequence[bool]) -> str:
     """`0.1 rad (2 of 3 seeds)`."""
-    return f"{number(x)} {unit}".strip() + ("" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)")
+    return with_unit(number(x), unit) + ("" if len(held) == 1 else f" ({sum(held)} of {len(held)} seeds)")
 
 
 # Metrics that are drawn against eps.
@@ -341,7 +341,7 @@ def _against(name: str, sweeps: Sequence[TighteningCurve], styles: Mapping[str, 
             metric, eps = row.stage.judged(name), row.stage.eps
             if metric is not None and metric.value is not None and eps:
                 unit = metric.unit
-                tip = f"{row.label}: {spaced(name)} {number(metric.value, 3)} {unit}, {row.stage.verdict}"
+                tip = f"{row.label}: {spaced(name)} {with_unit(number(metric.value, 3), unit)}, {row.stage.verdict}"
                 marks.append(Mark(_curve(sweep), eps, metric.value, tip, row.link, row.holds))
     return draw_against(Quantity("ε"), spaced(name), unit, marks, styles)
 
@@ -395,7 +395,7 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
             plot.label(mine[-1][2][0], mine[-1][3][0], item.name, "strong")
     last = [(item, words, values) for item, words, (*_, values) in data if words == data[-1][1]]
     plot.words = " ".join(
-        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}." for item, words, values in last
+        f"{item.name} {words}: from {error(values[0])} to {with_unit(number(values[-1], 3), unit)}." for item, words, values in last
     )
     return plot
 
@@ -408,7 +408,7 @@ def _single(title: str, quantity: str, unit: str, lines: Sequence[Line]) -> Plot
     for words, style, times, values in lines:
         peak = int(np.abs(values).argmax())
         when = times[min(peak, len(times) - 1)]
-        told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(when, 3)} s.")
+        told.append(f"{words}: largest size {with_unit(number(abs(values[peak]), 3), unit)} at {number(when, 3)} s.")
         if quantity == "force":
             plot.label(when, values[peak], words, style, anchor="middle")
     plot.words = " ".join(told)

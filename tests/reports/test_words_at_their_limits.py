@@ -39,7 +39,7 @@ THIN = "\u202f"
         (wording.exact(1 / 3), "0.3333333333"), (wording.plain(None), "none"), (wording.plain(True), "yes"), (wording.plain(False), "no"), (wording.plain(12345), f"12{THIN}345"),
         (wording.plain(0.1234567), "0.123457"), (wording.plain((1, 2.5, "a")), "1, 2.5, a"), (wording.plain([]), "none"), (wording.plain("a\x07b"), "ab"), (wording.plain(-12345), f"−12{THIN}345"),
         (wording.unit("1"), ""), (wording.unit(""), ""), (wording.unit("kg m^-2 s^3"), "kg m⁻² s³"), (wording.measured(0.04, "m, rad"), "0.040 (m, rad)"), (wording.measured(0.04, "m"), "0.040 m"),
-        (wording.measured(0.04, "1"), "0.040"), (wording.capital("abc def"), "Abc def"), (wording.capital(""), ""), (wording.spaced("time_limit_now"), "time limit now"),
+        (wording.measured(0.04, "1"), "0.040"), (wording.with_unit("14", "1"), "14"), (wording.with_unit("14", "m, rad"), "14 (m, rad)"), (wording.capital("abc def"), "Abc def"), (wording.capital(""), ""), (wording.spaced("time_limit_now"), "time limit now"),
         (wording.count(1, "run"), "1 run"), (wording.count(0, "run"), "0 runs"), (wording.count(2, "optimum", "optima"), "2 optima"), (wording.count(1, "optimum", "optima"), "1 optimum"),
         (wording.listing([]), ""), (wording.listing(["a"]), "a"), (wording.listing(["a", "b"]), "a and b"), (wording.listing(["a", "b", "c"]), "a, b and c"), (wording.power(-12), "10⁻¹²"),
         (wording.tail("abc\ndef\nghi", 6), "…\nghi"), (wording.tail("abcdef ", 6), "abcdef"), (wording.tail("abc\ndef", 7), "abc\ndef"), (wording.tail("a\rb\r\nc"), "a\nb\nc"),
