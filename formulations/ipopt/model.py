@@ -96,6 +96,14 @@ _WHAT_TO_DO = {
 }
 
 
+def refuse_no_model(model: Any) -> None:
+    """Raise ModelRefusedError for what is no Pyomo model, or an abstract one."""
+    if not isinstance(model, BlockData):
+        raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
+    if not model.is_constructed():
+        raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
+
+
 def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
     """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data.
 
@@ -104,10 +112,7 @@ def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()
     model : a Pyomo ConcreteModel or Block
     also : component types that the caller treats itself
     """
-    if not isinstance(model, BlockData):
-        raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
-    if not model.is_constructed():
-        raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
+    refuse_no_model(model)
     for block in model.block_data_objects(active=True, descend_into=Block):
         for ctype in block.collect_ctypes(active=None, descend_into=False):
             if ctype in _TREATED or ctype in also or not issubclass(ctype, _MATTERS):

@@ -22,8 +22,8 @@ DEEP = 3.0
 
 
 def scene_doubts(scene: Scene) -> tuple[str, ...]:
-    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing, limits on nothing."""
-    return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene))
+    """Sentences: contacts that are deep at the start or goal, parameters that change nothing, inputs that move nothing, limits on nothing."""
+    return (*_deep_starts(scene), *_deep_goals(scene), *_idle(scene), *_idle_limits(scene))
 
 
 def warnings_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
@@ -51,6 +51,20 @@ def _deep_starts(scene: Scene) -> list[str]:
             found.append(
                 f"scene {scene.name}: contact {contact.name} is {depth:.3g} deep at the start, {depth / contact.nominal:.3g} times its nominal "
                 f"{contact.nominal:.3g}; is the sign of its penetration right? It is positive in contact."
+            )
+    return found
+
+
+def _deep_goals(scene: Scene) -> list[str]:
+    """Contacts into which the goal leads deeper than their model reaches; of a goal that leaves a body free nothing is known."""
+    goal = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
+    found = []
+    for contact, most in zip(scene.contacts, scene.depths, strict=True):
+        penetration = contact.penetration.subs(scene.parameter_values).subs(goal)
+        if penetration.is_number and (depth := float(penetration.evalf())) > most:
+            found.append(
+                f"scene {scene.name}: contact {contact.name} is {depth:.3g} m deep at the goal, and its model ends at {most:.3g} m (depth): no plan that "
+                "gets there can hold; is the goal right?"
             )
     return found
 

@@ -28,6 +28,7 @@ from scipy.linalg import null_space
 from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
+from formulations.ipopt.model import refuse_no_model
 from formulations.mpec.certificate.derivatives import LocalModel, Pair, Rows, read_local
 from formulations.mpec.certificate.stationarity import (
     ActiveSet,
@@ -244,9 +245,12 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
 
     Raises
     ------
+    ModelRefusedError
+        for what is no Pyomo model
     MissingValueError
         where a component needs an Expression that is empty
     """
+    refuse_no_model(model)
     if has_kinks(model):
         found = certify(smooth_copy(model).model, tolerances=tolerances)
         return replace(found, notes=(*found.notes, "absolute values, minima and maxima are written as pairs"))

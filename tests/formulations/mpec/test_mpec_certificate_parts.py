@@ -13,6 +13,7 @@ import scipy.sparse as sparse
 from pyomo.mpec import Complementarity, complements
 from wording import unsaid
 
+from formulations.ipopt import ModelRefusedError
 from formulations.mpec import certify
 from formulations.mpec.certificate.certificate import (
     Certificate,
@@ -364,6 +365,11 @@ def test_a_tree_is_searched_to_its_end_where_that_costs_little(variables: int, c
     """1024 leaves at most, fewer where 200 000 are not enough for each to have one of every variable, but always 8; else 12 nodes."""
     active: Any = SimpleNamespace(gradient=np.zeros(variables), both=np.arange(biactive))
     assert affordable(active, choices) == nodes
+
+
+def test_what_is_no_model_is_refused():
+    with pytest.raises(ModelRefusedError, match="expected a Pyomo ConcreteModel or Block, got str"):
+        certify("small.nl")
 
 
 def at(x: float | None, y: float | None) -> str:

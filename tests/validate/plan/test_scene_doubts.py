@@ -44,6 +44,23 @@ def test_a_limit_that_judges_nothing_is_named():
     assert not unsaid(said, "wall_pendulum", "limit on discrete_terminal_position_error", "judges nothing", "(norm of")
 
 
+def test_a_goal_deeper_than_the_contact_reaches_is_asked_about():
+    bank = load_scene("three_cart")
+    (depth, *_), (q1, q2, q3, *_) = bank.depths, bank.task.goal
+    gap = float(
+        bank.contacts[0]
+        .penetration.subs(bank.parameter_values)
+        .subs({bank.coordinates[0].symbol: q1, bank.coordinates[1].symbol: q2})
+        .evalf()
+    )
+    for inside, told in ((0.9, 0), (1.1, 1)):
+        deep = bank.with_task(goal=(q1 + inside * depth - gap, q2, q3 + 10.0, 0.0, 0.0, 0.0))
+        found = [said for said in scene_doubts(deep) if "at the goal" in said]
+        assert len(found) == told
+        assert all(not unsaid(said, "contact left", f"{1.1 * depth:.3g} m deep at the goal … ends at {depth:.3g} m") for said in found)
+    assert not [said for said in scene_doubts(bank.with_task(goal=(q1, None, q3, 0.0, 0.0, 0.0))) if "at the goal" in said]
+
+
 @pytest.fixture
 def wrong_sign(tmp_path):
     path = tmp_path / "wrong_sign.py"

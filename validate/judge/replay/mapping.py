@@ -454,11 +454,8 @@ class _Wiring:
     def _input(self, name: str, signal: InputSignal) -> ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
         variable = self._by_name[signal.variable]
-        ends = [
-            (-math.inf if variable.min is None else (float(variable.min) - signal.offset) / signal.scale),
-            (math.inf if variable.max is None else (float(variable.max) - signal.offset) / signal.scale),
-        ]
-        lower, upper = sorted(ends)
+        least, most = -math.inf if variable.min is None else float(variable.min), math.inf if variable.max is None else float(variable.max)
+        lower, upper = sorted((end - signal.offset) / signal.scale for end in (least, most))
         for word, value, sign, end in (("lower", signal.lower, -1.0, lower), ("upper", signal.upper, 1.0, upper)):
             if value is not None and sign * (value - end) > _ROUNDING * abs(end):
                 raise self._fail(

@@ -176,7 +176,8 @@ def _worst(
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
     error, scale, allows = (float(part[place]) for part in parts)
-    return float(values[place]), error, scale, allows, units[place] if len(units) == len(values) else None
+    is_norm = len(values) == 1 < len(units)
+    return float(values[place]), error, scale, allows, units[place] if place < len(units) and not is_norm else None
 
 
 def _metric(entry: MetricEntry, case: Evidence) -> Metric:

@@ -228,6 +228,12 @@ def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: 
     assert not unsaid(refusal(lambda: whole(text)), words)
 
 
+def test_a_bound_on_one_side_is_on_the_other_where_the_scale_is_negative(whole):
+    """The torque is at most 8, and has no least."""
+    foreign, _ = whole(WHOLE.replace("scale = 2.0, offset = 1.0", "scale = -2.0, offset = 1.0"))
+    assert (foreign.model.inputs[1].lower, foreign.model.inputs[1].upper) == (-3.5, math.inf)
+
+
 def test_a_limit_of_nothing_and_a_limit_by_its_number_are_limits(whole):
     foreign, _ = whole(
         WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = 0").replace("scale = 2.0, offset = 1.0", "scale = 2"),
