@@ -20,12 +20,14 @@ from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
-from validate.judge.replay.wiring import Feedback, measure_effort
+from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
 # Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
 FINENESS = (50, 100, 200)
+# Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at so often in a plan at least, as three_cart's has steps.
+LOOKS = 500
 # Four calls of doStep a step of the plan, and then one, which is judged: of a method of first order the difference is three quarters of its error.
 OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
@@ -131,14 +133,34 @@ def replay_foreign(
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
     job = foreign_job(foreign, package, trajectory, limits, own_step)
+    plan = trajectory if own_step or package.exchange is not None else _with_rows(trajectory, trajectory.duration / LOOKS)
+    looked_at = job if plan is trajectory else foreign_job(foreign, package, plan, limits, own_step)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
         """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
-        simulated = job.run(None if feedback is None else feedback.in_units(*foreign.units))
-        applied = (_applied(simulated, job.plan) - foreign.input_offset) / foreign.input_scale
-        return _assemble(foreign.model, job, in_plan_units(foreign, simulated)), applied
+        asked = looked_at if feedback is None else job  # feedback acts at the plan's own rows
+        simulated = asked.run(None if feedback is None else feedback.in_units(*foreign.units))
+        applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
+        found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
+        if asked.plan.steps != trajectory.steps:
+            found = replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
+        return found, applied
 
     return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
+
+
+def _with_rows(plan: Trajectory, longest: float) -> Trajectory:
+    """The plan with the same inputs and more rows, none longer than `longest` [s]; itself where there is none."""
+    counts = np.ceil(np.diff(plan.t) / longest - 1e-6).astype(int)
+    if (counts <= 1).all():
+        return plan
+    step = np.repeat(np.arange(plan.steps), counts)
+    part = np.concatenate([np.arange(count) / count for count in counts])
+    t = np.append(plan.t[step] + part * np.diff(plan.t)[step], plan.t[-1])
+    held = HeldInputs(plan)
+    u = held.values[step] + held.slopes[step] * (t[:-1] - plan.t[step])[:, None]
+    q, v = (np.column_stack([np.interp(t, plan.t, column) for column in group.T]).reshape(len(t), -1) for group in (plan.q, plan.v))
+    return replace(plan, t=t, q=q, v=v, u=u, lam=plan.lam[step])
 
 
 def foreign_job(foreign: Foreign, package: Package, trajectory: Trajectory, limits: Limits, own_step: bool) -> Job:
