@@ -26,7 +26,7 @@ from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort
 LOOSE, TIGHT = 1e-11, 1e-13
 # Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
 FINENESS = (50, 100, 200)
-# Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at so often in a plan at least, as three_cart's has steps.
+# Co-Simulation tells its motion at the ends of its steps alone. Where it is judged, it is looked at so often in a plan at least: three_cart has as many steps.
 LOOKS = 500
 # Four calls of doStep a step of the plan, and then one, which is judged: of a method of first order the difference is three quarters of its error.
 OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
@@ -142,7 +142,7 @@ def replay_foreign(
         simulated = asked.run(None if feedback is None else feedback.in_units(*foreign.units))
         applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
         found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
-        if asked.plan.steps != trajectory.steps:
+        if asked is not job:
             found = replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
         return found, applied
 
@@ -159,7 +159,7 @@ def _with_rows(plan: Trajectory, longest: float) -> Trajectory:
     t = np.append(plan.t[step] + part * np.diff(plan.t)[step], plan.t[-1])
     held = HeldInputs(plan)
     u = held.values[step] + held.slopes[step] * (t[:-1] - plan.t[step])[:, None]
-    q, v = (np.column_stack([np.interp(t, plan.t, column) for column in group.T]).reshape(len(t), -1) for group in (plan.q, plan.v))
+    q, v = (np.array([np.interp(t, plan.t, column) for column in group.T]).reshape(group.shape[1], len(t)).T for group in (plan.q, plan.v))
     return replace(plan, t=t, q=q, v=v, u=u, lam=plan.lam[step])
 
 

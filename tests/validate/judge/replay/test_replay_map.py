@@ -219,6 +219,13 @@ def test_how_deep_it_goes_does_not_depend_on_the_rows_of_a_plan(folder: Path, wi
     assert len(result.t) >= 501
 
 
+def test_a_map_without_positions_is_looked_at_as_often(folder: Path, wired: Wire):
+    foreign, plan = wired(FULL_MAP.split("[positions]")[0], "t,F\n0,1\n0.1,1\n0.2,\n", "only_cs.fmu")
+    result = replayed(folder, (foreign, plan), "only_cs.fmu")
+    assert (plan.q.shape, result.q.shape[1], len(result.knots)) == ((3, 0), 0, 3)
+    assert len(result.t) >= 501
+
+
 # Hold and declarations
 
 
