@@ -17,6 +17,7 @@ os.environ.pop("COLUMNS", None)
 _MARKS = {"cli": "process", "start_cli": "process", "chromium": "browser"}
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """One process more than cores for `-n auto`: tests wait for processes, and two of them leave an eighth of two cores idle."""
     return usable_cores() + 1

@@ -220,7 +220,7 @@ def tried(defect: Defect, copy: Path) -> Result | None:
     began, place = monotonic(), copy / defect.path
     sound = place.read_text(encoding="utf-8")
     module = defect.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-    found: list[str] = []
+    found, asked = [], []
     place.write_text(defect.source, encoding="utf-8")
     try:
         if _run(copy, ["-c", f"import {module}"])[0] != 0:
@@ -228,12 +228,13 @@ def tried(defect: Defect, copy: Path) -> Result | None:
         near, others = tests_of(defect, copy)
         for files, marks in ((near, "not slow"), (others, "not slow"), ([*near, *others], "slow")):
             if files and not found:
-                code, said = _run(copy, [*_PYTEST, "-m", f"{marks} and not peer", *files])
-                found = [] if code in (0, _NONE_CHOSEN) else who_failed(said, copy)
+                code, said = _run(copy, [*PYTEST, "-m", f"{marks} and not peer", *files])
+                found, asked = [] if code in (0, _NONE_CHOSEN) else who_failed(said, copy), files
     finally:
         place.write_text(sound, encoding="utf-8")
     if found and not found[0].startswith(_HANGS):
-        code, said = _run(copy, [*_PYTEST, found[0], *([] if "::" in found[0] else ["--collect-only"])])
+        named = "::" in found[0]
+        code, said = _run(copy, [*PYTEST, found[0]] if named else [*PYTEST, "--collect-only", *asked])
         if code != 0:
             raise SystemExit(f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}")
     return Result(defect, "".join(found[:1]), monotonic() - began)
@@ -246,9 +247,9 @@ def who_failed(said: str, copy: Path) -> list[str]:
     return failed or ["::".join(place) for place in inside[:1]] or [_last_line(said)]
 
 
-# The exit code of pytest where no test has the marks asked for.
+# The exit code of pytest where no test has the marks asked for; how it is started.
 _NONE_CHOSEN = 5
-_PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
 
 
 def _last_line(text: str) -> str:

@@ -1,12 +1,14 @@
 """The planter of defects: what it writes is one mistake on one line, the same for a seed, and it leaves every file as it was."""
 
 import ast
+import subprocess
+import sys
 from itertools import islice, takewhile
 from pathlib import Path
 
 import pytest
 
-from tests.planted import ROOMS, ROOT, Defect, candidates, drawn, replaced, tried
+from tests.planted import PYTEST, ROOMS, ROOT, Defect, candidates, drawn, replaced, tried
 
 TEXT = '''"""A docstring of 2 - 1."""
 
@@ -105,3 +107,9 @@ def test_a_test_that_fails_anyway_ends_the_draw(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setitem(ROOMS, "own", (("own.py",), ("tests/test_*.py",)))
     with pytest.raises(SystemExit, match="fails without any defect too"):
         tried(Defect("own", "own.py", 1, "constant", "1", "2", "X = 2\n"), tmp_path)
+
+
+def test_the_tests_start_as_a_draw_starts_them():
+    """Without pytest-xdist, whose hooks conftest.py must not ask for."""
+    said = subprocess.run([sys.executable, *PYTEST, "--collect-only", __file__], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stdout + said.stderr
