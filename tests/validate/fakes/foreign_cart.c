@@ -1,6 +1,7 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
  * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes; with -DBEYOND=m only a cart of that mass does [kg]. With -DSAVES=1 it saves its state, with 2 it does
- * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance. */
+ * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance; -DOWN_GRID=h makes steps
+ * of h alone, whenever they are due. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <fenv.h>
@@ -164,12 +165,18 @@ int fmi2GetEventIndicators(void *c, double z[], size_t n) { (void)n; z[0] = gap(
 int fmi2DoStep(void *p, double time, double step, int no)
 {
     Cart *c = p;
-#ifdef WHOLE_STEPS
+#if defined(WHOLE_STEPS)
     int count = 1;
+#elif defined(OWN_GRID)
+    int count = (int)(lround((time + step) / OWN_GRID - 0.3) - lround(time / OWN_GRID - 0.3)); // 0.3: no end of a call is a tie
 #else
     int count = (int)ceil(step / 2e-5 - 1e-9);
 #endif
+#ifdef OWN_GRID
+    double h = OWN_GRID;
+#else
     double h = step / count;
+#endif
     (void)no;
     for (int i = 0; i < count; i++) {
         Cart m = *c;

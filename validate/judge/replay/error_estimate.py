@@ -204,6 +204,19 @@ def step_ratio(before: Difference | None, after: Difference | None) -> float | N
     return before.position / after.position
 
 
+# Halving the step divides an error of first order by 2, of higher order by more; an event within a step makes that vary.
+_CONVERGES = 1.5
+
+
+def tells_its_error(first: Recorded | None, coarse: Recorded | None, fine: Recorded | None, *, heeds: bool) -> bool:
+    """Whether halving the step tells how wrong the finer run is: not if the first halving changed hardly more than the next.
+
+    Then the FMU has a step of its own, which the one it is asked for hardly changes. heeds : whether it is known to obey its step, so that no change is no error.
+    """
+    ratio = step_ratio(difference(first, coarse), difference(coarse, fine))
+    return (heeds or heeds_step(coarse, fine)) and (ratio is None or ratio >= _CONVERGES)
+
+
 def estimate(
     *,
     tolerance: Difference | None,
@@ -219,9 +232,12 @@ def estimate(
     if has_reference:
         # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
         judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
-        judged, stated = by_entry(_judged, tolerance, step, everyday) or judged, None
+        explains = step if step is None or stated is None else by_entry(_larger_where_stated, step, stated)
+        judged, stated = by_entry(_judged, tolerance, explains, everyday) or judged, None
     else:
-        judged = larger(step, rollback)
+        # All further halvings together change 1 + 1/ratio + 1/ratio^2 + ... times as much as the next: as much as the last one where the ratio is 2.
+        rest = max(1.0, 1.0 / (ratio - 1.0)) if ratio is not None and ratio > 1.0 else 1.0
+        judged = larger(by_entry(lambda last: rest * last, step), rollback)
     if stated is not None:
         judged, source = by_entry(_larger_where_stated, judged, stated) or stated, f"{source}, stated" if source else "stated"
     return ReplayError(
@@ -241,14 +257,15 @@ def error_of(subject: Subject, variables: Variables, simulated: Simulated) -> tu
     nodes = [recorded(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
     first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    is_known = tells_its_error(first, coarse, fine, heeds=variables.internal_step is not None)
+    counts = is_known or bool(reference)
     error = estimate(
         tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if is_known else None,
+        step=difference(coarse, fine) if counts else None,
         everyday=difference(fine, tight),
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and counts else None,
         stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
     return error, is_known

@@ -83,10 +83,11 @@ class ReplayError:
     against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
     run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
     step halving explains; then that difference. Where the looser reference did not get to the end, the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model Exchange) the finer everyday run is
-    judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
+    judged and its step difference, the error of the coarser run to first order, is the estimate, 1 / (step_ratio - 1) times that where the ratio is below 2; there is
+    none if half the step changes nothing, or the ratio is below 1.5.
 
-    stated: what the author of an FMU without Model Exchange says its results are good to (the map's [accuracy]), infinite in what is not stated;
-    it is the estimate where no run tells one, and else the larger of the two counts, in what is stated.
+    stated: what the author of an FMU says the results of its Co-Simulation are good to (the map's [accuracy]), infinite in what is not stated;
+    it is the estimate where no run tells one, and else the larger of the two counts, in what is stated. With a reference it explains `everyday`, as `step` does.
 
     rollback: what halving a step changes within that step, summed over all steps (validate.fmi.loops; None: the FMU does not restore its state).
     Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.

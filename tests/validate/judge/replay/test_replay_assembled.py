@@ -132,16 +132,26 @@ def test_runs_that_were_cut_off_are_compared_with_nothing():
     assert not unsaid(refused.message, "No everyday replay: … equal steps. a note")
 
 
-def test_a_stated_accuracy_that_counts_for_nothing_is_said():
+def test_what_the_notes_say_of_cosimulation():
     stated = replace(MODEL, accuracy=Difference(position=1.0, state=1.0, gap=1.0))
-    error = ReplayError(estimate=None, tolerance=at(0.25))
-    runs = simulated([1.25, 1.0], [1.5])
-    note = "The stated accuracy counts for nothing"
-    assert any(note in text for text in run_module._notes(stated, runs, error, True))
-    assert not any(note in text for text in run_module._notes(MODEL, runs, error, True))
-    assert not any(note in text for text in run_module._notes(stated, runs, ReplayError(estimate=None), True))
-    own = run_module._notes(stated, simulated([], [1.5, 1.5]), ReplayError(estimate=None, stated=stated.accuracy), False)
-    assert any(not unsaid(text, "its author states") for text in own)
+    quarter, half = (Difference(position=size, state=size, gap=size) for size in (0.25, 0.5))
+    error, runs = ReplayError(estimate=quarter, tolerance=quarter, everyday=half), simulated([1.25, 1.0], [1.5])
+
+    def notes(model: ForeignModel, runs: Simulated, error: ReplayError, is_known: bool = True) -> str:
+        return " ".join(run_module._notes(model, runs, error, is_known))
+
+    assert "The stated accuracy is of Co-Simulation" in notes(stated, runs, error)
+    assert "Co-Simulation" not in notes(MODEL, runs, error)
+    assert "Co-Simulation" not in notes(stated, runs, ReplayError(estimate=None))
+    apart = replace(error, estimate=half)
+    assert not unsaid(notes(MODEL, runs, apart), "Co-Simulation is 0.5 from Model Exchange … [accuracy] position")
+    alone = simulated([], [1.5, 1.5])
+    assert not unsaid(
+        notes(stated, alone, ReplayError(estimate=None, stated=stated.accuracy), False), "changes nothing: … its author states."
+    )
+    assert not unsaid(
+        notes(MODEL, alone, ReplayError(estimate=None, step_ratio=0.5), False), "again changes 2 times as much: … cannot be told."
+    )
 
 
 def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():

@@ -21,6 +21,7 @@ from validate.judge.replay.error_estimate import (
     local_errors,
     overlooked,
     step_ratio,
+    tells_its_error,
     with_max_step,
     with_steps_of,
 )
@@ -121,6 +122,21 @@ def test_the_ratio_of_two_halvings_is_not_one_of_roundings():
     assert step_ratio(None, of(1.0)) is step_ratio(of(1.0), None) is None
 
 
+@pytest.mark.parametrize(
+    ("halvings", "heeds", "tells"),
+    [
+        ((3e-3, 2e-3), False, True), ((2.9e-3, 2e-3), False, False), ((2.9e-3, 2e-3), True, False), ((1e-9, 0.9e-11), False, True),
+        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True),
+    ],
+)  # fmt: skip
+def test_halving_tells_where_it_changes_something_and_ever_less(halvings: tuple[float | None, float], heeds: bool, tells: bool):
+    """Each halving changes two thirds of what the last one did at most; no change says nothing where nobody knows whether the step is heeded."""
+    (before, after), fine = halvings, still()
+    coarse = replace(fine, q=fine.q + after)
+    first = None if before is None else replace(fine, q=coarse.q + before * (1.0 + 1e-9))
+    assert tells_its_error(first, coarse, fine, heeds=heeds) is tells
+
+
 def test_the_estimate_is_the_tolerance_difference_where_the_everyday_replay_agrees():
     error = estimate(tolerance=of(1e-9), step=of(1e-6), everyday=of(1.2e-6), has_reference=True)
     assert error.estimate == of(1e-9)
@@ -151,6 +167,10 @@ def test_the_estimate_where_a_run_did_not_get_to_the_end():
 def test_without_a_reference_the_larger_of_second_run_and_rollback_counts():
     found = estimate(tolerance=None, step=of(1e-6), everyday=None, rollback=of(2e-6), ratio=2.5, has_reference=False)
     assert (found.estimate, found.step_source, found.step_ratio) == (of(2e-6), "second run and rollback", 2.5)
+    slow = estimate(tolerance=None, step=of(1e-6), everyday=None, ratio=1.5, has_reference=False)
+    assert (slow.step, slow.estimate.position) == (of(1e-6), pytest.approx(2e-6)), (
+        "two thirds, four ninths, ... of the last difference are still to come"
+    )
     found = estimate(tolerance=None, step=None, everyday=None, rollback=of(2e-6), has_reference=False)
     assert (found.estimate, found.step_source) == (of(2e-6), "rollback")
     assert estimate(tolerance=None, step=None, everyday=None, has_reference=False).step_source == "none"
@@ -167,6 +187,10 @@ def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
     assert not unsaid(alone.would_decide, "state [accuracy] gap")
     judged = estimate(tolerance=of(1e-9), step=None, everyday=None, stated=stated, has_reference=True)
     assert judged.estimate == of(1e-9), "with a reference it is measured"
+    apart = {"tolerance": of(1e-9), "step": of(1e-5), "everyday": of(1e-3), "has_reference": True}
+    assert estimate(**apart, stated=Difference(position=4e-4, state=1.0, gap=endless)).estimate == Difference(
+        position=1e-9, state=1e-8, gap=2e-3
+    ), "an accuracy stated of Co-Simulation explains how far it is from Model Exchange"
 
 
 def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():

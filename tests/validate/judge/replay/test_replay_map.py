@@ -54,6 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("map")
     build_foreign(folder / "cart.fmu")
     build_foreign(folder / "only_cs.fmu", kinds=COSIMULATION)
+    build_foreign(folder / "own_grid.fmu", kinds=COSIMULATION, defines=("OWN_GRID=1e-3",))
     build_foreign(folder / "whole_steps.fmu", kinds=COSIMULATION, defines=("WHOLE_STEPS",))
     write_plan(folder / "plan.csv")
     return folder
@@ -280,15 +281,15 @@ def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
 
 @pytest.mark.slow
 def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired: Wire):
-    blind = replayed(folder, wired(FULL_MAP, fmu="only_cs.fmu"), "only_cs.fmu")
+    blind = replayed(folder, wired(FULL_MAP, fmu="own_grid.fmu"), "own_grid.fmu")
     assert (blind.error.estimate, blind.error.stated) == (None, None)
     assert not unsaid(blind.error.would_decide, "state how good … ([accuracy] position = ..)")
     given = FULL_MAP + "[accuracy]\nposition = 1e-4\nvelocity = 2e-3\ngap = 1e-4\n"
-    stated = replayed(folder, wired(given, fmu="only_cs.fmu"), "only_cs.fmu")
+    stated = replayed(folder, wired(given, fmu="own_grid.fmu"), "own_grid.fmu")
     assert stated.error.step_source == "stated"
     assert stated.error.estimate == stated.error.stated
     assert "its author states" in stated.message
-    part = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-4\n", fmu="only_cs.fmu"), "only_cs.fmu")
+    part = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-4\n", fmu="own_grid.fmu"), "own_grid.fmu")
     assert (part.error.estimate.position, part.error.estimate.gap) == (1e-4, math.inf)
     assert not unsaid(part.error.would_decide, "state [accuracy] velocity and gap")
     told = json.dumps(part.error.as_json(), allow_nan=False)
@@ -306,11 +307,22 @@ def test_larger_of_stated_and_measured_error_counts(folder: Path, wired: Wire):
     assert (large.estimate.position, large.estimate.gap) == (0.5, measured.estimate.gap)
 
 
-def test_stated_accuracy_counts_for_nothing_beside_a_reference(folder: Path, wired: Wire):
+def test_stated_accuracy_is_not_the_error_of_a_reference(folder: Path, wired: Wire):
     result = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 0.5\n"))
     assert result.error.estimate.position < 1e-6
-    assert "The stated accuracy counts for nothing" in result.message
+    assert "The stated accuracy is of Co-Simulation" in result.message
     assert result.error.would_decide == ""
+
+
+@pytest.mark.slow
+def test_what_divides_the_two_interfaces_is_the_error_unless_the_map_says_how_coarse_one_is(folder: Path, wired: Wire):
+    build_foreign(folder / "coarse.fmu", defines=("OWN_GRID=1e-3",))
+    apart = replayed(folder, wired(FULL_MAP, fmu="coarse.fmu"), "coarse.fmu")
+    assert apart.method == "reference"
+    assert apart.error.estimate.position == apart.error.everyday.position > 1e3 * apart.error.tolerance.position
+    assert not unsaid(apart.message, "Co-Simulation is … from Model Exchange … ([accuracy] position")
+    stated = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-2\nvelocity = 1.0\ngap = 1e-2\n", fmu="coarse.fmu"), "coarse.fmu")
+    assert stated.error.estimate == stated.error.tolerance
 
 
 # Names

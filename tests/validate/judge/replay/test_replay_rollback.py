@@ -112,8 +112,16 @@ def test_a_foreign_fmu_that_heeds_its_step(tmp_path: Path):
 @pytest.mark.parametrize("fineness", [(50, 100, 200), (200,)])
 def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fineness: tuple[int, ...], monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run_module, "FINENESS", fineness)
-    error = foreign_replay(tmp_path, CS, "SAVES=1").error
+    error = foreign_replay(tmp_path, CS, "SAVES=1", "OWN_GRID=1e-3").error
     assert (error.estimate, error.rollback, error.step_source) == (None, None, "none")
+
+
+@pytest.mark.parametrize("saves", ["SAVES=0", "SAVES=1"])
+def test_a_foreign_fmu_with_a_longest_step_of_its_own_is_called_until_halving_tells(tmp_path: Path, saves: str):
+    """It divides every call into steps of at most 2e-5 s: two runs with calls above that make the same steps, near enough, whatever these are worth."""
+    result = foreign_replay(tmp_path, CS, saves)
+    assert result.error.step_ratio > 1.5
+    assert error_against_closed_form(result) < result.error.estimate.position < 1e-7
 
 
 @pytest.mark.slow
