@@ -430,3 +430,37 @@ def test_a_plan_is_read_from_either_kind_of_file(tmp_path: Path):
         assert (found.q.tolist(), found.v.tolist(), found.u.tolist()) == (plan.q.tolist(), plan.v.tolist(), plan.u.tolist())
     linear = as_trajectory(tmp_path / "plan.csv", scene, hold="zero", scheme="semi_implicit_euler")
     assert (linear.hold, linear.scheme) == (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER)
+
+
+def coarse(steps: int, parts: int = 1) -> Trajectory:
+    """Inputs that throw carts at each other, through our own step: so many of them, or with each in so many parts."""
+    scene = load_scene("three_cart")
+    h, kernel, task = scene.task.horizon / steps, load_kernel(scene), scene.task
+    u = np.column_stack([3.0 * np.sign(np.sin(2.0 * h * np.arange(steps))), np.full(steps, -2.0)])
+    run = kernel.rollout(np.array(task.start), np.repeat(u, parts, axis=0), h / parts)
+    q, v = run.q[::parts], run.v[::parts]
+    return Trajectory(t=uniform_grid(h, steps), q=q, v=v, u=u, lam=kernel.contact_force(q[:-1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forces", [True, False])
+def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_one_that_does(forces: bool):
+    scene, plan = load_scene("three_cart"), coarse(50)
+    asked = replace(
+        scene,
+        limits=(
+            *(limit for limit in scene.limits if limit.metric == "replay_error"),
+            *goal_limits(position=50.0, velocity=50.0, reason="it ends anywhere"),
+        ),
+    )
+    told = judge(asked, plan if forces else replace(plan, missing=("lam",)))
+    metric = told.score.metric("replay_error")
+    assert (told.verdict, told.score.cause) == (Verdict.VIOLATES, "coarse grid")
+    assert not unsaid(
+        told.score.why,
+        "the motion departs … the plan's own motion is that of semi_implicit_euler with its steps of 0.1 s: discretisation error",
+    )
+    assert ("the contact forces are correct" in told.score.why) is forces
+    step = float(told.score.why.partition("Try h = ")[2].split()[0])
+    finer = coarse(50, int(np.ceil(0.1 / step)))
+    assert np.abs(finer.q - told.replay.q[told.replay.knots]).max() < metric.limit < np.abs(plan.q - told.replay.q[told.replay.knots]).max()

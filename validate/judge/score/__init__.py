@@ -10,19 +10,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from models.codegen.kernel import KernelError
 from models.errors import SceneError, TrajectoryError, did_you_mean
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES
+from validate.judge.score.measures import MEASURES, halved
 from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict, decide, wants_feedback
 
@@ -83,23 +86,47 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
-    case = Evidence(scene, trajectory, replay)
     effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
     growth = replay.growth if replay is not None else None
     known = (*TABLE, *(GROWTH if growth is not None else ()), *(FOLLOWED if effort is not None else ()))
     rows = [entry for entry in known if entry.applies(scene)]
-    metrics = tuple(_metric(entry, case) for entry in rows)
-    verdict, found, judged = decide(metrics, effort is not None)
-    verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
+    scored, judged = _scored(scene, trajectory, replay, rows, followed=effort is not None)
+    metrics = tuple(scored.metrics.values())
+    verdict = _of_what_is_asked(scene, trajectory, scored.verdict, metrics)
     waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
-    scored = ScoredPlan(
-        scene=scene, trajectory=trajectory, replay=replay, metrics={metric.name: metric for metric in metrics}, verdict=verdict,
-        questions=found, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold),
-    )  # fmt: skip
+    scored = replace(scored, verdict=verdict, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold))
+    if verdict is Verdict.VIOLATES and scored.questions.get(Question.MOTION) == "no":
+        scored = replace(scored, own=_as_declared(scored, rows))
     return Score(
         metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored), judged=judged, waived=waived,
-        questions=tuple(found.items()), not_asked=_not_asked(scene, rows, metrics),
+        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics),
     )  # fmt: skip
+
+
+def _scored(
+    scene: Subject, plan: Trajectory, replay: Replay | None, rows: list[MetricEntry], *, followed: bool
+) -> tuple[ScoredPlan, Literal["open", "feedback"]]:
+    """A plan with the metrics of these rows, and of which replay its answers are. followed: whether there is one with feedback."""
+    case = Evidence(scene, plan, replay)
+    metrics = {entry.name: _metric(entry, case) for entry in rows}
+    verdict, found, judged = decide(tuple(metrics.values()), followed)
+    return ScoredPlan(
+        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict, questions=found, halved=partial(halved, case)
+    ), judged
+
+
+def _as_declared(scored: ScoredPlan, rows: list[MetricEntry]) -> ScoredPlan | None:
+    """A plan that declares no scheme as one of the scheme that makes its motion, by its own forces or by those of the true law; None where none does."""
+    plan = scored.trajectory
+    if plan.scheme is not None or plan.hold is not Hold.ZERO_ORDER or not isinstance(scored.scene, Scene):
+        return None
+    asked = [entry for entry in rows if entry.name in ("defect", "law_error")]
+    for scheme in Scheme:
+        declared = replace(plan, scheme=scheme)
+        case = Evidence(scored.scene, declared, scored.replay)
+        if any(_metric(entry, case).ok for entry in asked):
+            return _scored(scored.scene, declared, scored.replay, rows, followed=False)[0]
+    return None
 
 
 # What asks for anything to be reached: the goal by its limits, unless they are waived, and limits on the cost.

@@ -7,7 +7,8 @@ in the open loop, penetration beyond the model, replay too inexact. What a metri
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import EFFORT, MARGIN, SHARE, TRACKED, Answer, Metric, Question, Verdict, is_of_feedback
+from validate.judge.score.verdict import EFFORT, MARGIN, SHARE, TRACKED, Answer, Metric, Question, Unmeasured, Verdict, is_of_feedback
 
 _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 # From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
@@ -36,7 +37,11 @@ _CAUSES = {
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredPlan:
-    """One plan with its metrics and answers. other_hold: whether question 4 is answered yes with the inputs held the other way."""
+    """One plan with its metrics and answers.
+
+    other_hold: whether question 4 is answered yes with the inputs held the other way; own: the plan as one of the scheme that makes its motion, where it declares
+    none; halved: the grid errors [m or rad] with the step halved ever again until they are so small (validate.judge.score.measures); they raise Unmeasured.
+    """
 
     scene: Subject
     trajectory: Trajectory
@@ -46,6 +51,8 @@ class ScoredPlan:
     questions: Mapping[Question, Answer]
     waived: tuple[str, ...] = ()
     other_hold: bool = False
+    own: ScoredPlan | None = None
+    halved: Callable[[float], Iterator[float]] = lambda near: iter(())
 
     def value(self, name: str) -> float | None:
         """Of a metric; None if it was not measured."""
@@ -89,6 +96,8 @@ _NAMED = ("unexplained_force", "replay_cost")
 
 def _cause_of_motion(scored: ScoredPlan) -> str:
     """Why the inputs do not give the motion, by what the metrics show."""
+    if scored.own is not None:
+        return _cause_of_motion(scored.own)
     growth = scored.value("amplification")
     unstable = growth is not None and growth >= _UNSTABLE
     if scored.fails("defect"):
@@ -272,6 +281,9 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
     if not plan.has_states or first.value is None:
         return ""
+    if scored.own is not None and scored.own.trajectory.scheme is not None:
+        scheme = scored.own.trajectory.scheme.value
+        return f"; the plan's own motion is that of {scheme} with its steps of {plan.duration / plan.steps:.3g} s{_of_motion(first, scored.own)}"
     unstable = _unstable(scored)
     if plan.scheme is None:
         if scored.fails("unexplained_force") and first.name != "unexplained_force":
@@ -290,7 +302,8 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
             if cause == "relaxed contact"
             else f": off by {lost}; the contact forces are correct{unstable}"
         )
-    text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
+    correct = "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
+    text = f": discretisation error {number(grid.value, grid.unit)}{correct}{unstable}"
     if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
     return text + _finer(first, grid.value, scored)
@@ -302,16 +315,24 @@ def _unstable(scored: ScoredPlan) -> str:
 
 
 def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
-    """The step that the order of the scheme predicts to be enough: a prediction until a plan on that grid is made."""
+    """The step that is enough for these inputs, or that the order of the scheme predicts to be: a prediction until a plan on that grid is made."""
     plan = scored.trajectory
     if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
         return ""
     # A kink of the contact force leaves an error of order two, whatever the scheme.
-    order = 1 if plan.scheme is Scheme.SEMI_IMPLICIT_EULER else min(2, tableau(plan.scheme).order)
-    step = plan.duration / plan.steps * min(1.0, _SAFETY * first.limit / max(grid, first.value or 0.0)) ** (1.0 / order)
+    first_order = plan.scheme is Scheme.SEMI_IMPLICIT_EULER
+    order = 1.0 if first_order else min(2, tableau(plan.scheme).order)
+    step, error, near = plan.duration / plan.steps, grid, _SAFETY * first.limit * min(1.0, grid / max(grid, first.value or 0.0))
+    # A step that is far too long says little of shorter ones: it is halved first, its inputs held.
+    with suppress(Unmeasured):
+        for finer in scored.halved(near):
+            order = max(order, math.log2(error / finer)) if finer <= near and 0.0 < finer < error else order
+            step, error = step / 2.0, finer
+    if error > 0.0:
+        step *= min(2.0 if error <= near else 1.0, (near / error) ** (1.0 / order))
     smooth = isinstance(scored.scene, Scene) and not scored.scene.nf and not scored.scene.damped and scored.scene.relaxation_index is None
-    other = ", or `collocation`" if order == 1 and smooth else ""  # which takes neither friction nor damped contacts
-    return f". Try h = {step:.2g} s (predicted from the order of the scheme){other}"
+    other = ", or `collocation`" if first_order and smooth else ""  # which takes neither friction nor damped contacts
+    return f". Try h = {step:.2g} s (predicted with these inputs held){other}"
 
 
 def _quote(metric: Metric) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -235,13 +235,19 @@ def grid_order(case: Evidence) -> float:
     if error <= near:
         raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
-    for halvings in range(1, _HALVINGS + 1):
-        finer, _ = eq.largest_difference(case.own_motion(2**halvings)[0], case.replay_q)
+    for finer in halved(case, near):
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
         error = finer
-        if error <= near:
-            break
     return min(order, _HALVINGS)
+
+
+def halved(case: Evidence, near: float) -> Iterator[float]:
+    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad], until it is at most `near`, or seven times. Raises Unmeasured."""
+    for halvings in range(1, _HALVINGS + 1):
+        error, _ = eq.largest_difference(case.own_motion(2**halvings)[0], case.replay_q)
+        yield error
+        if error <= near:
+            return
 
 
 def replay_limits(scene: Subject) -> np.ndarray:

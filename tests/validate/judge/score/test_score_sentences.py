@@ -1,5 +1,6 @@
 """What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
 
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCE
 from validate.judge.score import Metric, Question, Verdict, cause
 from validate.judge.score.verdict import (
     EFFORT,
+    Unmeasured,
 )
 
 
@@ -123,6 +125,25 @@ def test_what_a_grid_is_blamed_for_and_which_would_do(changes: dict[str, Any], s
     metrics += [metric("law_error", None, value=given["law"], limit=None)] if "law" in given else []
     metrics += [metric_of_growth(given["growth"])] if "growth" in given else []
     assert not unsaid(told(*metrics, scheme=given["scheme"]), says)
+
+
+@pytest.mark.parametrize(
+    ("errors", "factor"),
+    [
+        ((0.5, 0.5, 0.04), (0.048 / 0.04) ** (1.0 / np.log2(0.5 / 0.04)) / 8),  # far too long at first: only the last halving says how it shrinks
+        ((0.25, 0.125, 0.0625, 0.03125), 0.048 / 0.5), ((0.6, 0.3), 0.048 / 0.3 / 4), ((0.048,), 0.5),
+        ((0.4, 0.0), 0.25),
+    ],
+)  # fmt: skip
+def test_a_step_that_is_far_too_long_is_halved_before_its_order_is_trusted(errors: tuple[float, ...], factor: float):
+    def halved(near: float) -> Iterator[float]:
+        assert near == pytest.approx(0.048)
+        yield from errors
+        raise Unmeasured("it diverges.")
+
+    first = metric("replay_error", False, value=0.4, limit=0.06)
+    why = told(first, metric("grid_error", None, value=0.5, limit=None), scheme=Scheme.SEMI_IMPLICIT_EULER, halved=halved)
+    assert not unsaid(why, f"Try h = {factor * STEP:.2g} s")
 
 
 @pytest.mark.parametrize("name", ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"])
