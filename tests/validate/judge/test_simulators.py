@@ -15,6 +15,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
 from validate.judge import simulator
 from validate.judge.engines._mechanism import mechanism_of
+from validate.judge.replay.wiring import Feedback
 from validate.judge.simulator import Came, CannotExpressError, Drive, describe_engine, engine_names, load_engine, named_engines, run_engine
 from validate.truth.problems import ground
 
@@ -175,3 +176,22 @@ def test_balls_rub_where_they_meet(engine: str, least: float, most: float):
     ours, theirs = (run_engine(name, [asked]).motions[0].q for name in ("fmu", engine))
     assert (ours[:, :4] != ours[0, :4]).any()
     assert least <= np.abs(theirs - ours).max() <= most
+
+
+def test_feedback_acts_at_the_nodes_of_the_plan_however_many_rows_are_given_back():
+    """Two steps of 0.5 s in two rows each: the input of a step is that of the state at its start."""
+    plan = Trajectory(t=uniform_grid(0.5, 2), q=np.zeros((3, 1)), v=np.zeros((3, 1)), u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
+    feedback = Feedback(
+        gains=np.full((2, 1, 2), [1.0, 0.0]), reference=np.zeros((3, 2)), u=plan.u, lower=np.full(1, -9.0), upper=np.full(1, 9.0), scale=np.ones(1),
+    )  # fmt: skip
+    given: list[float] = []
+
+    def advance(u: np.ndarray, slope: np.ndarray, count: int, h: float) -> tuple[np.ndarray, np.ndarray]:
+        given.append(float(u[0]))
+        return np.array([1.0 + len(given)]), np.zeros(1)
+
+    drive = Drive(scene=load_scene("wall_pendulum"), plan=plan, start=np.array([1.0, 0.0]), parts=2, rows=2, feedback=feedback)
+    motion = simulator.stepped(drive, advance)
+    assert given == [-1.0, -1.0, -3.0, -3.0]
+    assert motion.applied.tolist() == [[-1.0], [-3.0]]
+    assert motion.q[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
