@@ -33,7 +33,7 @@ _DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero"
 
 
 class PlanTable:
-    """names: of the columns, without units; units: by name, for those that say one; rows: of numbers below the header; declared: by key."""
+    """names: of the columns, without units; given: those that are not empty; units: by name, for those that say one; rows: of numbers below the header; declared: by key."""
 
     def __init__(self, path: Path) -> None:
         """Raises TrajectoryError naming the file, and the line and the column where there is one."""
@@ -61,6 +61,7 @@ class PlanTable:
                 self.units[name] = unit
         self.names = tuple(names)
         self._check_form()
+        self.given = tuple(name for index, name in enumerate(names) if any("".join(row[index : index + 1]) for _, row in self._rows))
 
     def has_last(self, name: str) -> bool:
         """Whether the last row has a cell in this column."""
@@ -250,6 +251,7 @@ class ArrayTable:
                 raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
         self._columns = {name: real_numbers(f"the column {name!r}", columns[name]) for name in names}
         self.names = tuple(self._columns)
+        self.given = tuple(name for name, values in self._columns.items() if not np.isnan(values).all())
         for name, values in self._columns.items():
             if values.ndim != 1:
                 raise TrajectoryError(f"plan: the column {name!r} has shape {values.shape}, but must be one row of numbers.")
@@ -296,3 +298,8 @@ class ArrayTable:
 
 # A plan by columns, from a file or from arrays.
 Table = PlanTable | ArrayTable
+
+
+def lack_of(table: Table, name: str) -> str:
+    """Why a table has no numbers of a column."""
+    return f"the column {name!r} is {'empty' if name in table.names else 'missing'}"

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.errors import MachineError, TrajectoryError, did_you_mean, nearest
-from models.plan_table import PlanTable, Table, real_numbers
+from models.plan_table import PlanTable, Table, lack_of, real_numbers
 from models.schemes import Scheme
 
 if TYPE_CHECKING:
@@ -339,7 +339,7 @@ def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: S
     """Read a plan written by anybody.
 
     Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments. A column may say its unit, `q1 [m]`, which must
-    then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and friction forces may be absent, each group whole. Then
+    then be the scene's. A column without a number is none. `t` and the inputs are needed; positions, velocities, contact forces and friction forces may be absent, each group whole. Then
     positions stand still at the task's start, forces are 0, velocities backward differences with the task's velocities at the start if the plan starts
     at the task's positions. A plan of inputs alone whose last row has inputs, and which would last as long as the task with one more step, gets that step.
 
@@ -376,8 +376,8 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
             hint = _meant(column, known)
             raise TrajectoryError(f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
     for column in ("t", *names["u"]):
-        if column not in header:
-            raise TrajectoryError(f"{where}: the column {column!r} is missing; it has {', '.join(header)}.")
+        if column not in table.given:
+            raise TrajectoryError(f"{where}: {lack_of(table, column)}; it has {', '.join(table.given)}.")
     missing = missing_groups(table, groups)
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
@@ -396,7 +396,7 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
             v = _velocities(t, q, scene)
         else:
             v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
-    forces = [table.column(name, last_is_open=steps < table.rows) if name in header else np.zeros(steps) for name in names["lam"]]
+    forces = [table.column(name, last_is_open=steps < table.rows) if name in table.given else np.zeros(steps) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
         plan = Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
@@ -407,18 +407,16 @@ def trajectory_from(table: Table, scene: Scene, hold: Hold | str | None = None) 
 
 
 def missing_groups(table: Table, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
-    """Which of the groups q, v, lam, friction of columns a table does not have; a group without columns is no one's to give.
+    """Which of the groups q, v, lam, friction of columns a table does not have, or has empty; a group without columns is no one's to give.
 
     Raises TrajectoryError for a group that is there in part, and for velocities without positions.
     """
-    where, header = table.where, table.names
+    where, header = table.where, table.given
     for columns in groups.values():
         given = [name for name in columns if name in header]
         if given and len(given) < len(columns):
             absent = next(name for name in columns if name not in header)
-            raise TrajectoryError(
-                f"{where}: the column {absent!r} is missing beside {given[0]!r}; give {', '.join(columns)}, or none of them."
-            )
+            raise TrajectoryError(f"{where}: {lack_of(table, absent)} beside {given[0]!r}; give {', '.join(columns)}, or none of them.")
     missing = frozenset(group for group, columns in groups.items() if columns and columns[0] not in header)
     if "q" in missing and groups.get("v") and "v" not in missing:
         raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(groups['q'])} too, or neither.")

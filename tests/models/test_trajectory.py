@@ -180,6 +180,19 @@ def test_half_a_group_of_columns_is_refused(reading, scene, header: str, words: 
         trajectory_from(ArrayTable({name: np.arange(3.0) for name in columns}), scene)
 
 
+def test_empty_columns_are_as_none(reading, scene):
+    """As a spreadsheet, or pandas, writes what is not known."""
+    plan = reading("t,q1,q2,q3,v1,v2,v3,u1,u3,lam_left,lam_right\n0,0,1,2,,,,1,0,,\n1,1,2,3,,,,1,0,,\n2,2,3,4,,,,,\n")
+    assert (plan.steps, plan.missing) == (2, {"v", "lam"})
+    nothing = dict.fromkeys(("q1", "q2", "q3", "lam_left"), np.full(3, np.nan)) | {"lam_right": [None] * 3}
+    plan = trajectory_from(ArrayTable({"t": np.arange(3.0), "u1": np.ones(2), "u3": np.ones(2)} | nothing), scene)
+    assert (plan.missing, plan.q[-1].tolist()) == ({"q", "v", "lam"}, list(scene.task.start[:3]))
+    with pytest.raises(TrajectoryError, match="the column 'u3' is empty; it has t, u1"):
+        reading("t,u1,u3\n0,1,\n1,1,\n")
+    with pytest.raises(TrajectoryError, match="the column 'q3' is empty beside 'q1'; give q1, q2, q3, or none"):
+        reading("t,q1,q2,q3,u1,u3\n0,0,1,,1,0\n1,1,2,,1,0\n")
+
+
 @pytest.mark.parametrize("last", [True, False])
 def test_inputs_alone_last_as_long_as_the_task_with_and_without_a_final_time(reading, scene, last: bool):
     """five hundred inputs at 0, 0.01 .. 4.99 s: the last is held for one step more, whether or not 5 s stands there without one."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import Table
+from models.plan_table import Table, lack_of
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
@@ -208,10 +208,9 @@ class _Wiring:
         self._check_roles()
         needed = [given.plan.time, *given.inputs]
         for name in needed:
-            if name not in table.names:
-                raise TrajectoryError(
-                    f"{table.where}: the column {name!r} is missing{map_schema.hint(name, table.names)}; it has {', '.join(table.names)}."
-                )
+            if name not in table.given:
+                near = "" if name in table.names else map_schema.hint(name, table.names)
+                raise TrajectoryError(f"{table.where}: {lack_of(table, name)}{near}; it has {', '.join(table.given)}.")
         known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
         known |= {value for value in given.start.values() if isinstance(value, str)}
         for name in table.names:
@@ -292,13 +291,13 @@ class _Wiring:
             path = f"start.{name}"
             self._check_once(taken, path, name)
             if isinstance(value, str):
-                if value not in self._table.names:
-                    raise self._fail(path, f"the plan has no column {value!r}{map_schema.hint(value, self._table.names)}.")
+                if value not in self._table.given:
+                    raise self._fail(path, f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.")
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         for _, column, signal in self._positions + self._velocities:
             variable = self._by_name[signal.variable]
-            if column in self._table.names and variable.initial in ("exact", "approx") and variable.start is not None:
+            if column in self._table.given and variable.initial in ("exact", "approx") and variable.start is not None:
                 first = float(self._table.column(column, False)[0])
                 found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
         return list(found.items())

@@ -276,6 +276,12 @@ def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
     assert "it has velocities, but no positions" in refusal(lambda: wired(BARE, "t,F,v_x\n0,1,0\n1,1,0\n"))
 
 
+def test_empty_columns_are_as_none_but_of_inputs(wired: Wire):
+    foreign, plan = wired(BARE, "t,x,v_x,F\n0,,,1\n0.1,,,1\n0.2,,,\n")
+    assert (plan.missing, foreign.variables.start) == ({"q", "v"}, wired(BARE, "t,F\n0,1\n0.1,1\n0.2,\n")[0].variables.start)
+    assert "the column 'F' is empty; it has t, x" in refusal(lambda: wired(BARE, "t,x,F\n0,1,\n0.1,1,\n"))
+
+
 # Without Model Exchange
 
 

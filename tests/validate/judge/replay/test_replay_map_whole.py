@@ -189,7 +189,7 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
         (WHOLE.replace("gain = 2.5", "gain = -2.5"), "parameters.gain: -2.5 … at least -2"),
         (WHOLE.replace("gain = 2.5", "arm = 2.5"), "parameters.arm: … no parameter of the FMU, but output"),
         (WHOLE.replace('"body.vel" = "turning"', '"wall.gap" = 1'), "start.wall.gap: … no start value"),
-        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: … no column 'turnin' (near it: turning)"),
+        (WHOLE.replace('"body.vel" = "turning"', '"body.vel" = "turnin"'), "start.body.vel: … the column 'turnin' is missing … (near it: turning)"),
         (WHOLE.replace("turning = 2.25", "v_a = 2.25"), "goal.v_a: … no position or velocity"),
         (WHOLE.replace("turning = 2.25", "zzzz = 2.25"), "of that name; there are x, a, turning, v_x"),
         (WHOLE.replace("scale = 2.0, offset = 1.0", "scale = 0.0"), "inputs.M: scale is 0"),
