@@ -80,11 +80,11 @@ class PlanTable:
             if any(row[len(self.names) :]):
                 raise TrajectoryError(f"{self.where}: line {number} has {len(row)} cells, but there are {len(self.names)} columns.")
 
-    def check_unit(self, name: str, unit: str) -> None:
-        """Raise TrajectoryError if the column says another unit than this."""
-        given = self.units.get(name, unit)
-        if given != unit:
-            raise TrajectoryError(f"{self.where}: the column {name!r} is in {given!r}, but {unit!r} is expected; convert it.")
+    def check_unit(self, name: str, *units: str) -> None:
+        """Raise TrajectoryError if the column says another unit than these."""
+        given = self.units.get(name, units[0])
+        if given not in units:
+            raise TrajectoryError(f"{self.where}: the column {name!r} is in {given!r}, but {units[0]!r} is expected; convert it.")
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
         """The numbers of a column.
@@ -264,7 +264,7 @@ class ArrayTable:
         values = self._columns[name]
         return len(values) == self.rows and bool(np.isfinite(values[-1]))
 
-    def check_unit(self, name: str, unit: str) -> None:
+    def check_unit(self, name: str, *units: str) -> None:
         """Arrays say no units."""
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:

@@ -495,7 +495,7 @@ def _meant(column: str, known: list[str]) -> str:
     """What somebody who wrote this may have meant, as the beginning of a sentence; nothing if no name is near."""
     folded = {name.lower(): name for name in known}
     folded.setdefault("time", "t")
-    near = nearest(column.lower(), folded)
+    near = nearest(column.partition("(")[0].strip().lower(), folded)  # who writes a unit, `q1 (m)`, means the column before it
     return "" if near is None else f"did you mean {folded[near]!r}? "
 
 

@@ -114,6 +114,7 @@ def test_csv_of_other_programs_is_read(reading, text: str):
     (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
     ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
     ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
+    ("t,q1,q2,q3,u1 (kN),u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'u1 (kN)'", "did you mean 'u1'?"]),
 ])  # fmt: skip
 def test_bad_csv_names_line_and_column(tmp_path: Path, reading, text: str, words: list[str]):
     with pytest.raises(TrajectoryError) as caught:

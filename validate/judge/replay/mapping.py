@@ -180,7 +180,7 @@ class _Wiring:
         """Forces are in N, gaps in m; where the FMU has another unit, a scale must say how - if only `scale = 1.0`."""
         known, own = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
         if signal.unit and signal.unit not in known:
-            raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r}; give a scale.")
+            raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r} behind its scale, as in the plan.")
         if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
             raise self._fail(path, f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.")
         self._check_scale(path, signal)
@@ -218,8 +218,9 @@ class _Wiring:
                 raise TrajectoryError(
                     f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
                 )
-        if given.plan.time in table.units:
-            table.check_unit(given.plan.time, "s")
+        table.check_unit(given.plan.time, "s")
+        for name in given.contacts:
+            table.check_unit(self._force_column(name), *CONTACT_UNITS["force"])
 
     def _check_roles(self) -> None:
         """A column is one thing."""
@@ -293,6 +294,8 @@ class _Wiring:
             if isinstance(value, str):
                 if value not in self._table.given:
                     raise self._fail(path, f"{lack_of(self._table, value)} in the plan{map_schema.hint(value, self._table.names)}.")
+                if unit := self._variable(path, name).unit:
+                    self._table.check_unit(value, unit)
                 value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         for _, column, signal in self._positions + self._velocities:

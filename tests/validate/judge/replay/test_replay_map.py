@@ -166,10 +166,28 @@ def test_limit_is_waived_with_a_reason_alone(wired: Wire):
         (FULL_MAP.replace('unit = "m/s"', 'unit = "m"'), "velocities.x: … 'm', but positions.x in 'm'; … in 'm/s'"),
         (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap"'), "contacts.stop.gap: 'stop.gap' is in 'mm' … in 'm'; give a scale"),
         (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap", scale = 0.001, unit = "kg"'), "contacts.stop.gap: it is in 'kg' … in 'm'"),
+        (FULL_MAP.replace('"stop.push"', '{ variable = "stop.push", scale = 0.001, unit = "kN" }'), "contacts.stop.force: it is in 'kN' … in 'N' behind its scale, as in the plan"),
     ],
 )  # fmt: skip
 def test_mistake_in_the_map_is_one_sentence(wired: Wire, text: str, words: str):
     assert not unsaid(refusal(lambda: wired(text)), words)
+
+
+FROM_A_COLUMN = BARE + "[start]\n'body.mass' = 'begin'\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "plan", "words"),
+    [
+        (FULL_MAP, "t,x,F,lam_stop [N]\n0,1,1,0\n1,1,1,0\n", ""), (FULL_MAP, "t,x,F,lam_stop [kN]\n0,1,1,0\n1,1,1,0\n", "'lam_stop' is in 'kN', but 'N'"),
+        (FROM_A_COLUMN, "t,F,begin [kg]\n0,1,2\n1,1,2\n", ""), (FROM_A_COLUMN, "t,F,begin [g]\n0,1,2\n1,1,2\n", "'begin' is in 'g', but 'kg'"),
+    ],
+)  # fmt: skip
+def test_planned_forces_and_starts_from_a_column_have_no_scale(wired: Wire, given: str, plan: str, words: str):
+    if words:
+        assert not unsaid(refusal(lambda: wired(given, plan)), words, "is expected; convert it")
+    else:
+        wired(given, plan)
 
 
 @pytest.mark.parametrize(
