@@ -28,6 +28,12 @@ _AROUND = "\"',; \t"
 _NUMBER = re.compile(r"\s*[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|infinity)\s*", re.IGNORECASE | re.ASCII)
 # Kinds of numpy's types whose numbers are real, and those whose values must be looked at one by one.
 _REAL, _MIXED = "biuf", "OUS"
+# What other things begin with that are taken for a plan; a folder has no bytes, and gets some.
+_FOLDER = b"\0folder"
+_OTHERS = {
+    _FOLDER: "a folder", b"<": "HTML or XML", b"{": "JSON", b"[": "JSON", b"PK\x03\x04": "a zip archive, as .npz and .xlsx are",
+    b"\x93NUMPY": "an array of NumPy", b"\x89HDF": "HDF5, as NetCDF is", b"MATLAB": "a file of MATLAB", b"PAR1": "Parquet",
+}  # fmt: skip
 # What a comment may declare, and the values that it may have.
 _DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero", "linear")}
 
@@ -132,7 +138,12 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
 def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     """(line number, cells) of the lines that hold any, and what comments declare."""
     try:
-        text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
+        data = _FOLDER if path.is_dir() else path.read_bytes()
+        for start, what in _OTHERS.items():
+            if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(start):
+                known = "a plan is a CSV file, of a scene also a NetCDF file called .nc (docs/replay.md)"
+                raise TrajectoryError(f"plan {path}: it is {what}; {known}.")
+        text = data.decode("utf-8-sig")  # Excel writes a byte order mark
     except OSError as error:
         raise TrajectoryError(f"plan {path}: it cannot be read ({error.strerror or error}).") from error
     except UnicodeDecodeError as error:

@@ -264,8 +264,24 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(TrajectoryError, match="not text in UTF-8"):
         read_csv(path, scene)
-    with pytest.raises(TrajectoryError, match=r"it cannot be read \(Is a directory\)"):
+    with pytest.raises(TrajectoryError, match="it is a folder; a plan is a CSV file"):
         read_csv(tmp_path, scene)
+
+
+def test_a_file_of_another_kind_is_called_what_it_is(tmp_path: Path, scene):
+    path, kinds = (
+        tmp_path / "plan.csv",
+        {b"\xef\xbb\xbf\n <!doctype html>\n<p>\n": "HTML or XML", b'{"t": [0],\n"u1": [1],\n': "JSON", b"[[0, 1],\n [1, 2]]": "JSON"},
+    )
+    np.savez(tmp_path / "plan.npz", t=np.arange(3.0))
+    np.save(tmp_path / "plan.npy", np.arange(3.0))
+    kinds |= {(tmp_path / "plan.npz").read_bytes(): "a zip archive, as .npz", (tmp_path / "plan.npy").read_bytes(): "an array of NumPy"}
+    for data, words in kinds.items():
+        path.write_bytes(data)
+        with pytest.raises(
+            TrajectoryError, match=saying(f"plan {path}: it is {words} … a plan is a CSV file, of a scene also a NetCDF file called .nc")
+        ):
+            read_csv(path, scene)
 
 
 @pytest.mark.parametrize(("changes", "word"), [
