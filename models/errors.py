@@ -37,6 +37,8 @@ def nearest(name: object, known: Iterable[str], alike: float = 0.6) -> str | Non
 
 
 def did_you_mean(name: object, known: Iterable[str], otherwise: str, alike: float = 0.6) -> str:
-    """The end of a sentence about an unknown name: the nearest that is known, or else what there is."""
-    near = nearest(name, known, alike)
+    """The end of a sentence about an unknown name: the nearest that is known, or the only one with it inside, or else what there is."""
+    known = list(known)
+    around = [item for item in known if str(name).lower() in item.lower()]
+    near = nearest(name, known, alike) or (around[0] if len(around) == 1 else None)
     return otherwise if near is None else f"did you mean {near}?"

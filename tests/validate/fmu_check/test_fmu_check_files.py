@@ -118,7 +118,11 @@ def test_no_description(tmp_path: Path):
 
 
 def test_unknown_check(tmp_path: Path):
-    with pytest.raises(UnknownNameError, match="there is no check 'speed'"):
+    with pytest.raises(UnknownNameError, match=r"there is no check 'Stop time'; did you mean stop time is respected\?"):
+        check_fmu(_pack(tmp_path / "any.fmu", {}), names=["Stop time"])
+    with pytest.raises(UnknownNameError, match="there is no check 'time'; there are: archive, "):
+        check_fmu(_pack(tmp_path / "any.fmu", {}), names=["time"])
+    with pytest.raises(UnknownNameError, match="there is no check 'speed'; there are: archive, "):
         check_fmu(tmp_path / "any.fmu", names=["speed"])
 
 
