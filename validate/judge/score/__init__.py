@@ -43,6 +43,9 @@ _NEEDS = {
     "no defect": "the plan declares a scheme, whose own equations are asked instead",
 }
 
+# Of every metric, of a replay with feedback too.
+_NAMES = tuple(entry.name for entry in (*TABLE, *GROWTH, *FOLLOWED))
+
 # What is meant by a limit on a metric that is only shown.
 _INSTEAD = {
     name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
@@ -82,7 +85,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
     """
     check_limits(scene)
     if trajectory is None:
-        return Score(metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.")
+        return Score(metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.", names=_NAMES)
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
@@ -99,7 +102,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
         scored = replace(scored, own=_as_declared(scored, rows))
     return Score(
         metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored), judged=judged, waived=waived,
-        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics),
+        questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics), names=_NAMES,
     )  # fmt: skip
 
 

@@ -23,6 +23,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Literal, TypeAlias
 
+from models.errors import UnknownNameError, did_you_mean
+
 
 class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
     """Raised within the measurement of a metric; the text is the reason."""
@@ -119,6 +121,7 @@ class Score:
     failed or is open, or where the inputs do not give the motion one of `defect`, `relaxed contact`, `unstable`, `coarse grid`, `motion`; metrics: of the plan and of the replay of its inputs alone; those of the replay
     with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took. judged: "open" or "feedback", of which replay the
     verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
+    names: of all metrics there are, whether or not they apply; empty where whoever judged does not say.
     """
 
     metrics: tuple[Metric, ...]
@@ -129,14 +132,18 @@ class Score:
     questions: tuple[tuple[Question, Answer], ...] = ()
     waived: tuple[str, ...] = ()
     not_asked: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def metric(self, name: str) -> Metric | None:
         """The metric of that name; None if it does not apply."""
         return next((metric for metric in self.metrics if metric.name == name), None)
 
     def value(self, name: str) -> float | None:
-        """The value of a metric; None if it was not measured."""
+        """The value of a metric; None if it was not measured. Raises UnknownNameError for a name that no metric has."""
         metric = self.metric(name)
+        if metric is None and self.names and name not in self.names:
+            hint = did_you_mean(name, self.names, f"there are {', '.join(self.names)}.")
+            raise UnknownNameError(f"there is no metric {name!r}; {hint}")
         return None if metric is None else metric.value
 
     def __repr__(self) -> str:

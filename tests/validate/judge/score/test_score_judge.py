@@ -4,11 +4,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from wording import unsaid
+from wording import saying, unsaid
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.errors import SceneError, TrajectoryError
+from models.errors import SceneError, TrajectoryError, UnknownNameError
 from models.fmu import build_fmu
 from models.scene import Limit, Scene
 from models.schemes import Scheme
@@ -162,6 +162,18 @@ def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajecto
         score(scene, short, replayed)
     with pytest.raises(TrajectoryError, match="it is of scene three_cart"):
         score(replace(scene, name="other_carts"), plan, replayed)
+
+
+def test_a_name_that_no_metric_has_is_no_metric_that_was_not_measured(scene: Scene, plan: Trajectory, replayed: Replay):
+    found = score(scene, plan, replayed)
+    assert found.value("replay_error") == found.metric("replay_error").value
+    assert [found.value(name) for name in ("friction_violation", "tracked_replay_error", "feedback_peak")] == [None] * 3
+    for name, says in (
+        ("replay_eror", "no metric 'replay_eror'; did you mean replay_error?"),
+        ("beauty", "no metric 'beauty'; there are start_error,"),
+    ):
+        with pytest.raises(UnknownNameError, match=saying(says)):
+            found.value(name)
 
 
 @pytest.mark.parametrize(
