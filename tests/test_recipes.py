@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -17,7 +18,7 @@ import formulations.methods
 import formulations.pipelines
 from formulations.method import Kind, Leg, Pipeline
 from models.catalog import load_scene, scene_names
-from models.errors import UnknownNameError
+from models.errors import TouchstoneError, UnknownNameError
 from reports.records.load import load
 from tests.formulations import test_method_conformance as asked_of_methods
 from tests.models import test_scene_bank as asked_of_scenes
@@ -112,6 +113,13 @@ def test_a_plugin_that_is_none_is_refused(folder: Path, name: str, text: str, pa
     with pytest.raises(UnknownNameError) as refused:
         load_plugin(name)
     assert not unsaid(refused.value, f"--plugin {name}", *parts)
+
+
+@pytest.mark.parametrize("field", [field.name for field in fields(DEFAULT)])
+def test_a_plugin_whose_parts_are_of_another_kind_is_refused(field: str):
+    for wrong in (None, "strict", ("strict", 1), 3):
+        with pytest.raises(TouchstoneError, match=rf"^Plugin: {field} is .*, but must be a .*; without it ours is used\.$"):
+            replace(DEFAULT, **{field: wrong})
 
 
 @pytest.mark.slow

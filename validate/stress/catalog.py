@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from models.errors import UnknownNameError, did_you_mean
 from models.loading import declared
 
 if TYPE_CHECKING:  # names cost no numpy
@@ -41,7 +42,10 @@ def heading(name: str) -> str:
 
 
 def describe_case(name: str) -> StressCase:
-    """What a case says of itself."""
+    """What a case says of itself. Raises UnknownNameError."""
+    if name not in case_names():
+        hint = did_you_mean(name, case_names(), f"there are {', '.join(case_names())}.")
+        raise UnknownNameError(f"there is no stress case {name!r}; {hint}")
     return declared(FOLDER / f"{name}.py", "CASE", StressCase)
 
 

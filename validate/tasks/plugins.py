@@ -13,14 +13,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import reprlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from formulations.method import Leg, Method, Pipeline
 from formulations.pipelines import QUICK, load_method, pipelines_for
-from models.errors import MachineError, UnknownNameError
+from models.errors import MachineError, TouchstoneError, UnknownNameError
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -79,6 +80,13 @@ class Plugin:
     survey: Callable[[Scene, Trajectory, Mapping[str, float], bool], Survey] = _survey
     write_replay: Callable[[Path, Replay, Scene], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value, names = getattr(self, item.name), item.name == "quick"
+            if not (isinstance(value, (tuple, list)) and all(isinstance(name, str) for name in value) if names else callable(value)):
+                wanted = "a tuple of names of pipelines" if names else "a function"
+                raise TouchstoneError(f"Plugin: {item.name} is {reprlib.repr(value)}, but must be {wanted}; without it ours is used.")
 
     def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
         """The methods of a pipeline's legs, by name. Raises UnknownNameError."""

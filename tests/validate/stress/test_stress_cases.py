@@ -12,7 +12,7 @@ import pytest
 
 from formulations.pipelines import method_names
 from models.catalog import scene_names
-from models.errors import TouchstoneError
+from models.errors import TouchstoneError, UnknownNameError
 from reports.records.check_record import CheckRecord
 from reports.rule import failures
 from validate.store.provenance import gather
@@ -179,3 +179,10 @@ def test_list_names_them(cli):
     listed = json.loads(cli("list", "--json").stdout)["stress cases"]
     assert [item["name"] for item in listed] == list(case_names())
     assert {item["name"] for item in listed if item["quick"]} == {name for name in case_names() if describe_case(name).quick}
+
+
+def test_a_case_that_there_is_not():
+    with pytest.raises(UnknownNameError, match=r"no stress case 'stiffness'; did you mean h01_stiffness\?"):
+        describe_case("stiffness")
+    with pytest.raises(UnknownNameError, match="no stress case 'wrong'; there are h01_stiffness, "):
+        describe_case("wrong")
