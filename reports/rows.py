@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from reports.judged import end_of
-from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
 from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
 from reports.wording import small
@@ -103,9 +102,7 @@ def _head(run: RunRecord) -> tuple[str, str]:
     return run.scene.name, run.stages[0].method if run.stages else run.pipeline
 
 
-def lacking(scene: SceneRecord, rows: list[Row]) -> list[PaperRow]:
-    """Rows of the paper's table of which we have no stage."""
-    if scene.name != PAPER_SCENE:
-        return []
+def lacking(rows: list[Row]) -> list[PaperRow]:
+    """Rows of the paper's table of which we have no stage; none where we have no stage of any."""
     ours = {(row.methods, row.stage.eps) for row in rows if row.stage.paper}
-    return [row for row in TABLE_1 if (row.methods, row.eps) not in ours]
+    return [row for row in TABLE_1 if ours and (row.methods, row.eps) not in ours]

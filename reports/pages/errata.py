@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 from reports.pages.section import Report, Section
-from reports.paper import SCENE
 from reports.plots import Axis, Key, Plot
 from reports.records.record import ViolationPoint
 from reports.rows import Row
@@ -19,8 +18,8 @@ _LAWS = {
 
 
 def build(report: Report) -> Section | None:
-    """The section, or None where the paper's scene was not run."""
-    rows = [row for row in report.rows if row.run.scene.name == SCENE]
+    """The section, or None where no stage is stored that the paper has too."""
+    rows = [row for scene in filter(report.is_papers, report.scenes) for row in report.rows_of_scene(scene)]
     if not rows:
         return None
     values = {"closed_form": _closed_form(report), "physics": _physics(rows), "clock": _clock(rows)}

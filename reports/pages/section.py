@@ -53,6 +53,10 @@ class Report:
         """The rows of one scene."""
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
+    def is_papers(self, scene: SceneRecord) -> bool:
+        """Whether the paper's numbers stand beside ours; a scene of its scene's name may be anybody's."""
+        return any(row.stage.paper for row in self.rows_of_scene(scene))
+
     def anchor(self, run: RunRecord) -> str:
         """Where the run stands on a page that has all of them."""
         return self._anchors[id(run)]

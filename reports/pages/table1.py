@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from reports.judged import distance_of
 from reports.pages.section import Report, Section
-from reports.paper import SCENE, TABLE_1
+from reports.paper import TABLE_1
 from reports.records.record import SceneRecord
 from reports.rows import Row, known_cost, lacking
 from reports.wording import cost, count, error, listing, number, percent, seconds, times, unit
@@ -35,14 +35,14 @@ class TerminalError(NamedTuple):
 
 
 def build(report: Report) -> Section | None:
-    """Table I; None where no stage on the paper's scene is stored."""
-    scene = next((scene for scene in report.scenes if scene.name == SCENE), None)
+    """Table I; None where no stage is stored that the paper has too."""
+    scene = next(filter(report.is_papers, report.scenes), None)
     return scene and _section(report, scene, "table1", "Table I: ours beside the paper")
 
 
 def of_scene(report: Report, scene: SceneRecord) -> Section | None:
     """All stages on one scene; None where none is stored, or where Table I stands on the same page."""
-    if scene.name == SCENE and report.single:
+    if report.single and report.is_papers(scene):
         return None
     return _section(report, scene, f"stages-{report.scenes.index(scene) + 1}", f"All methods on {scene.name}")
 
@@ -54,9 +54,8 @@ def _section(report: Report, scene: SceneRecord, anchor: str, title: str) -> Sec
     values = {
         "scene": scene,
         "rows": [(row, {where: _end(row, prefix) for where, prefix in _WHERE.items()}) for row in rows],
-        "lacks": lacking(scene, rows),
-        "paper_scene": SCENE,
-        "beside": scene.name == SCENE or any(row.stage.paper for row in rows),
+        "lacks": lacking(rows),
+        "beside": report.is_papers(scene),
         "units": _units(rows),
         "conclusions": conclude(rows),
     }

@@ -27,7 +27,7 @@ def converged(factory):
 def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
     assert [(row.methods, row.stage.eps) for row in report.rows] == [(row.methods, row.eps) for row in TABLE_1]
-    assert lacking(report.scenes[0], report.rows) == []
+    assert lacking(report.rows) == []
     warm = report.rows[10]
     assert warm.paper_total == pytest.approx(11.64 + 9.78 + 12.40 + 100.07)
 

@@ -281,14 +281,14 @@ def test_the_most_flattered_row_is_the_one_whose_clock_leaves_most_out():
 
 
 def test_what_the_records_show_of_the_errata():
-    told = report(ran("relu_gd", judged("physics", 0.0)), violation=points())
+    told = report(ran("relu_gd", judged("physics", 0.0), paper={"cost": 1.0}), violation=points())
     values = errata.build(told).values
     assert not unsaid(values["closed_form"], "3 values of ε: … 1.0.")
     assert values["physics"] == "Here it is exactly 0 of relu_gd."
-    odd = report(ran("relu_gd", judged("physics", 0.5)), ran("other", judged("physics", 0.25)))
+    odd = report(ran("relu_gd", judged("physics", 0.5), paper={"cost": 1.0}), ran("other", judged("physics", 0.25)))
     assert errata.build(odd).values["physics"] == "Here: 0.5 of relu_gd."
     assert errata.build(odd).values["closed_form"] == ""
-    assert errata.build(report(ran("other"))).values["physics"] == ""
+    assert errata.build(report(ran("other", paper={"cost": 1.0}))).values["physics"] == ""
 
 
 DIGEST = "0123456789abcdef" * 4

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from wording import unsaid
 
-from reports.pages import sweeps, table1
+from reports.pages import errata, sweeps, table1
 from reports.pages.section import Report
-from reports.paper import TABLE_1, TIGHTENING_FIGURES
+from reports.paper import SCENE, TABLE_1, TIGHTENING_FIGURES
 from reports.records.load import Stored
 from reports.records.record import QuantityRecord, RunRecord, SceneRecord
 from reports.rows import rows_of
@@ -180,16 +180,17 @@ def test_clocks_are_compared_over_the_rows_that_both_have():
     assert len(said(beside("a", 100.0, 100.0))) == 1
 
 
+THEIRS = {"cost": 100.0}  # of the paper, beside a stage of its scene
+
+
 def test_cells_tell_both_parts_of_each_end():
     metrics = (
         judged("terminal_position_error", 0.1), judged("terminal_velocity_error", 0.2, "m/s"), judged("terminal_error", 0.3), judged(GRID, 0.4),
         judged("discrete_terminal_velocity_error", 0.5, "m/s"), judged("discrete_terminal_error", None, reason="it is not known."), judged(POSITION, 0.7),
         judged("replay_terminal_velocity_error", 0.8, "m/s"), judged("replay_terminal_error", 0.9),
     )  # fmt: skip
-    section = table1.build(report(ran("a", *metrics, why="a reason")))
-    assert (
-        section.anchor, section.title, section.values["beside"], section.values["paper_scene"],
-    ) == ("table1", "Table I: ours beside the paper", True, "three_cart")  # fmt: skip
+    section = table1.build(report(ran("a", *metrics, why="a reason", paper=THEIRS)))
+    assert (section.anchor, section.title, section.values["beside"]) == ("table1", "Table I: ours beside the paper", True)
     ((_, ends),) = section.values["rows"]
     assert ends == {
         "plan": table1.TerminalError(0.1, 0.2, 0.3, None, "a reason"), "grid": table1.TerminalError(0.4, 0.5, None, None, "it is not known."),
@@ -197,25 +198,25 @@ def test_cells_tell_both_parts_of_each_end():
     }  # fmt: skip
     assert section.values["units"] == ("m", "m/s")
     assert len(section.values["lacks"]) == 17
-    none = table1.build(report(ran("a", why="")))
+    none = table1.build(report(ran("a", why="", paper=THEIRS)))
     assert none.values["rows"][0][1]["plan"] == table1.TerminalError(None, None, None, None, "no plan")
     assert none.values["units"] == ("", "")
-    both = table1.build(report(ran("a", judged(POSITION, 1.0)), ran("b", judged(POSITION, 1.0, "rad"))))
+    both = table1.build(report(ran("a", judged(POSITION, 1.0), paper=THEIRS), ran("b", judged(POSITION, 1.0, "rad"))))
     assert both.values["units"] == ("", "")
 
 
 def test_where_feedback_is_judged_the_inputs_alone_stand_beside_it():
-    run = ran("a", judged(POSITION, 0.7), judged(f"tracked_{POSITION}", 0.01), verdict="holds with feedback")
+    run = ran("a", judged(POSITION, 0.7), judged(f"tracked_{POSITION}", 0.01), verdict="holds with feedback", paper=THEIRS)
     (stage,) = run.stages
     stage = stage.model_copy(update={"replay": stage.replay.model_copy(update={"judged": "feedback"})})
     ends = table1.build(report(run.model_copy(update={"stages": (stage,)}))).values["rows"][0][1]
     assert (ends["replay"].position, ends["replay"].alone, ends["plan"].alone, ends["grid"].alone) == (0.01, 0.7, None, None)
-    assert table1.build(report(ran("a", judged(POSITION, 0.7)))).values["rows"][0][1]["replay"].alone is None
+    assert table1.build(report(ran("a", judged(POSITION, 0.7), paper=THEIRS))).values["rows"][0][1]["replay"].alone is None
 
 
 def test_other_scenes_have_a_table_of_their_own():
     hill = factory.scene("hill")
-    told = report(ran("a"), ran("b", of=hill))
+    told = report(ran("a", paper=THEIRS), ran("b", of=hill))
     assert table1.of_scene(replace(told, single=True), told.scenes[0]) is None, "Table I stands in the same file"
     first = table1.of_scene(told, told.scenes[0])
     assert (first.anchor, first.title, first.values["beside"]) == ("stages-1", "All methods on three_cart", True)
@@ -227,8 +228,15 @@ def test_other_scenes_have_a_table_of_their_own():
         [],
     )
     assert table1.build(report(ran("b", of=hill))) is None
-    paper = report(ran("b", of=hill, paper={"cost": 1.0}))
-    assert table1.of_scene(paper, paper.scenes[0]).values["beside"] is True
+
+
+def test_a_scene_of_ones_own_that_is_called_as_the_papers_has_no_table_1():
+    """The paper's numbers stand beside the stages on the catalog's scene alone."""
+    own = report(ran("a"))
+    assert own.scenes[0].name == SCENE
+    assert (table1.build(own), errata.build(own)) == (None, None)
+    section = table1.of_scene(replace(own, single=True), own.scenes[0])
+    assert (section.title, section.values["beside"], section.values["lacks"]) == ("All methods on three_cart", False, [])
 
 
 def relaxed(tmp_path, name: str, schedule: dict[float, float], paper: bool = False) -> RunRecord:
