@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from models.scene.checks import check_expressions
 from validate.judge.score import metric_names
 from validate.plan.runs import CampaignSettings, referred
 from validate.plan.schema import FREE, CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry, resolved_text
-from validate.plan.toml_text import TomlError, read_toml
+from validate.plan.toml_text import TomlError, mistake, read_toml
 from validate.tasks.plugins import DEFAULT_PLUGIN, load_plugin
 from validate.tasks.task import SceneReference, Variant, state_names, varied
 
@@ -120,14 +119,10 @@ def _checked(data: dict[str, Any]) -> tuple[CampaignFile | None, list[str]]:
 
 
 def _sentence(problem: Any) -> str:
-    place, kind = problem["loc"], problem["type"]
-    where = _place_text(place)
-    if kind == "missing":
-        return f"{where}: it is missing"
-    if kind == "extra_forbidden":
+    place, where = problem["loc"], _place_text(problem["loc"])
+    if problem["type"] == "extra_forbidden":
         return f"{where}: there is no such key; {_hint(str(place[-1]), _model_at(place).model_fields)}"
-    words = problem["msg"].removeprefix("Value error, ")
-    return f"{where}: {words[:1].lower()}{words[1:]}, not {reprlib.repr(problem['input'])}"
+    return f"{where}: {mistake(problem)}"
 
 
 def _model_at(place: _Place) -> type[BaseModel]:

@@ -8,14 +8,13 @@ defaults.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from validate.plan.toml_text import toml_text, toml_value
+from validate.plan.toml_text import is_number, toml_text, toml_value
 
 if TYPE_CHECKING:
     from formulations.method import Method
@@ -45,13 +44,13 @@ def _short_scene(value: Any) -> Any:
 def _option(value: Any) -> Any:
     items = value if isinstance(value, list) else [value]
     if not all(isinstance(item, (bool, int, float, str)) for item in items):
-        raise ValueError("an option is true, false, a number, a text, or a list of these")
+        raise ValueError("true, false, a number, text, or a list of these")
     return value
 
 
 def _end(value: Any) -> Any:
-    if value != FREE and (isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value)):
-        raise ValueError(f'a component of the goal is a number, or "{FREE}"')
+    if value != FREE and not is_number(value):
+        raise ValueError(f'a number, or "{FREE}"')
     return value
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import reprlib
+import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,6 +38,31 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         raise TomlError("its brackets are nested too deeply to be read") from error
     except ValueError as error:  # a whole number of thousands of digits
         raise TomlError(f"it is not TOML that can be read ({error})") from error
+
+
+# What a value must be, by the types of pydantic's errors that the schemas of campaign files and maps can raise.
+_WANTED = {
+    "string_type": "text", "bool_type": "true or false", "int_type": "a whole number", "float_type": "a number", "finite_number": "a finite number",
+    "list_type": "a list", "dict_type": "a table", "model_type": "a table", "literal_error": "{expected}", "value_error": "{error}",
+    "string_too_short": "a name", "string_pattern_mismatch": "a letter, and behind it at most 60 letters, digits and _",
+    "too_short": "a list of {min_length} or more", "too_long": "a list of {max_length} or fewer",
+    "greater_than": "above {gt:g}", "greater_than_equal": "at least {ge:g}", "less_than_equal": "at most {le}",
+}  # fmt: skip
+
+
+def mistake(problem: Mapping[str, Any]) -> str:
+    """What one of pydantic's errors says, in our words; a validator of ours that raises ValueError says what the value must be, PydanticCustomError all."""
+    if problem["type"] == "missing":
+        return "it is missing"
+    if problem["type"] in _WANTED:
+        wanted = _WANTED[problem["type"]].format(**problem.get("ctx", {}))
+        return f"it is {reprlib.repr(problem['input'])}, but must be {wanted}"
+    return problem["msg"]
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a finite number, and no truth; TOML's whole numbers may be larger than any that a computer calculates with."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def toml_value(value: Any) -> str:

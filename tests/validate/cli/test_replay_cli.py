@@ -137,7 +137,7 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
         (("[positions]", '[positions]\ny = "body.poss"'), "positions.y: … no variable 'body.poss' (near it: body.pos"),
         (("[goal]\nx", "[goal]\nxx"), "goal.xx: … no position or velocity … near it: x"),
         (("ghost_impulse", "ghost_impuls"), "limits.ghost_impuls: … no metric … near it: ghost_impulse"),
-        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.scale: input should be a valid number"),
+        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.scale: it is … but must be a number"),
         (("\n[inputs]", 'internal_step = "body.pos"\n[inputs]'), "internal_step: 'body.pos' is no parameter of the FMU"),
         (("[goal]", "[goal"), "it is not TOML"),
     ],

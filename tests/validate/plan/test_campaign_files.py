@@ -42,11 +42,11 @@ stage_options = [{}, {}]
 """
 # Where each mistake of it is, and what is said there.
 TOLD = {
-    "titel": "did you mean title?", "time_limit": "greater than 0, not -3", "pipelines[0]": "did you mean strict?", "pipelines[3]": "stands there twice",
-    "seeds[0]": "valid integer, not 1.5", "scenes[0].scene": "did you mean three_cart?", "scenes[1].parameters.kk": "did you mean k?",
-    "scenes[1].parameters.d": "-1 m lies outside its range", "scenes[1].parameters.c[0]": "valid number, not 'a'",
+    "titel": "did you mean title?", "time_limit": "it is -3, but must be above 0", "pipelines[0]": "did you mean strict?", "pipelines[3]": "stands there twice",
+    "seeds[0]": "it is 1.5, but must be a whole number", "scenes[0].scene": "did you mean three_cart?", "scenes[1].parameters.kk": "did you mean k?",
+    "scenes[1].parameters.d": "-1 m lies outside its range", "scenes[1].parameters.c[0]": "it is 'a', but must be a number",
     "scenes[1].start.q9": "there are q1, q2, q3, v1, v2, v3.", "scenes[1].goal.q1[0]": 'a number, or "free"',
-    "scenes[1].steps[0]": "greater than or equal to 1", "scenes[1].limits.defect.value": "it is missing", "scenes[1].limits.defect.valu": "did you mean value?",
+    "scenes[1].steps[0]": "it is 0, but must be at least 1", "scenes[1].limits.defect.value": "it is missing", "scenes[1].limits.defect.valu": "did you mean value?",
     "pipeline.mine.legs[0].method": "did you mean softplus_gd?", "pipeline.mine.legs[1].eps": "needs a schedule",
     "pipeline.mine.legs[1].options.max_iteration": "did you mean max_iterations?", "pipeline.mine.legs[1].options.max_iterations": "must be a whole number",
     "pipeline.mine.legs[2].eps[0]": "takes no eps", "pipeline.mine.legs[2].stage_options": "for 2 stages, but there is 1",
@@ -88,16 +88,16 @@ def test_on_the_command_line_each_is_a_line_and_the_exit_code_is_2(cli, tmp_path
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("scenes = []", "scenes: … at least 1 item"), ("", "scenes: it is missing"), ("scenes = [3]", "scenes[0]"),
+        ("scenes = []", "scenes: it is [], but must be a list of 1 or more"), ("", "scenes: it is missing"), ("scenes = [3]", "scenes[0]"),
         ('scenes = ["own/scene.py"]', "there is no such file"), ('scenes = ["three_cart", "three_cart"]', "2 of them are called 'three_cart'"),
         ('scenes = [{ scene = "three_cart", name = "hopper", steps = 3 }]', "is a scene of ours"),
         ('scenes = [{ scene = "three_cart", name = "../x" }]', "scenes[0].name"),
         ('scenes = [{ scene = "three_cart", steps = [1, 2, 3], step = [0.1, 0.2], sweep = "together" }]', "but theirs are 3, 2"),
         ('scenes = [{ scene = "three_cart", parameters = { k = 1e400 } }]', "scenes[0].parameters.k[0]"),
-        ('scenes = [{ scene = "three_cart", parameters = { k = true } }]', "valid number, not True"),
+        ('scenes = [{ scene = "three_cart", parameters = { k = true } }]', "it is True, but must be a number"),
         ('scenes = ["three_cart"]\nseeds = [1]', "name the pipelines"), ('scenes = ["three_cart"]\nseeds = [1]\npipelines = ["strict"]', "draws at random"),
         ('scenes = ["three_cart"]\n[pipeline.strict]\nlegs = [{ method = "strict_lcp" }]', "it is a pipeline of ours"),
-        ('scenes = ["three_cart"]\n[pipeline.x]\nlegs = [{ method = "mpcc", options = { search = { a = 1 } } }]', "an option is true, false"),
+        ('scenes = ["three_cart"]\n[pipeline.x]\nlegs = [{ method = "mpcc", options = { search = { a = 1 } } }]', "but must be true, false, a number"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_sentence(tmp_path, text, words):

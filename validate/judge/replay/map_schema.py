@@ -16,9 +16,9 @@ import heapq
 import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from models.errors import TouchstoneError, did_you_mean
@@ -26,7 +26,7 @@ from models.plan_table import Table
 from models.scene.values import base_exponents
 from validate.fmi.archive import DESCRIPTION, FmuError
 from validate.fmi.description import REAL, Package
-from validate.plan.toml_text import TomlError, read_toml
+from validate.plan.toml_text import TomlError, is_number, mistake, read_toml
 
 
 class MapError(TouchstoneError):
@@ -128,6 +128,12 @@ class PlanEntry(_Strict):
     hold: Literal["zero", "linear"] | None = None
 
 
+def _start(value: Any) -> Any:
+    if not isinstance(value, str) and not is_number(value):
+        raise ValueError("a number, or the name of a column")
+    return value
+
+
 class TaskEntry(_Strict):
     """duration: how long a plan of this task lasts [s]."""
 
@@ -151,7 +157,7 @@ class MapFile(_Strict):
     positions: dict[str, Signal] = {}
     velocities: dict[str, VelocitySignal] = {}
     contacts: dict[str, ContactEntry] = {}
-    start: dict[str, float | str] = {}
+    start: dict[str, Annotated[float | str, BeforeValidator(_start)]] = {}
     parameters: dict[str, float] = {}
     uncertainty: dict[str, UncertaintyEntry] = {}
     goal: dict[str, float] = {}
@@ -203,20 +209,18 @@ def _composed(path: Path, value: Any) -> Any:
     return found
 
 
-def _sentence(mistake: Any) -> str:
-    place, kind, words = mistake["loc"], mistake["type"], mistake["msg"]
+def _sentence(problem: Any) -> str:
+    place = problem["loc"]
     where = ".".join(map(str, place))
-    if kind == "greater_than":
-        return f"{where}: it is {float(mistake['input']):g}, but must be above {mistake['ctx']['gt']:g}"
     if place == ("plan", "scheme"):
         return f"{where}: a scheme is of a scene's equations, and an FMU keeps its own; take the line out"
     if place == ("task", "step"):
         return f"{where}: there is no such key; the steps are the plan's own, and a task of an FMU has a duration alone"
-    if kind == "extra_forbidden":
+    if problem["type"] == "extra_forbidden":
         known = list(_model_at(place).model_fields)
         what = f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
         return f"{where}: there is no such key; {did_you_mean(place[-1], known, what)}"
-    return f"{where}: {words[:1].lower()}{words[1:]}"
+    return f"{where}: {mistake(problem)}"
 
 
 def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:

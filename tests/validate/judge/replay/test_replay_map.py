@@ -148,11 +148,11 @@ def test_limit_is_waived_with_a_reason_alone(wired: Wire):
     ("text", "words"),
     [
         (FULL_MAP + "\n[task]\nduration = 0\n", "task.duration: it is 0 … above 0"),
-        (FULL_MAP + "\n[task]\nduration = 'long'\n", "task.duration: input should be a valid number"),
+        (FULL_MAP + "\n[task]\nduration = 'long'\n", "task.duration: it is … but must be a number"),
         (FULL_MAP + "\n[task]\nstep = 0.1\n", "task.step: … no such key; the steps are the plan's own"),
         (FULL_MAP + "\n[accuracy]\nposition = -1e-3\n", "accuracy.position: it is -0.001 … above 0"),
         (FULL_MAP + "\n[accuracy]\ngap = 0.0\n", "accuracy.gap: it is 0 … above 0"),
-        (FULL_MAP + "\n[accuracy]\nposition = true\n", "accuracy.position: input should be a valid number"),
+        (FULL_MAP + "\n[accuracy]\nposition = true\n", "accuracy.position: it is … but must be a number"),
         (FULL_MAP + "\n[plan]\nscheme = 'rk4'\n", "plan.scheme: … take the line out"),
         (FULL_MAP.replace("force =", "depth = -1\nforce ="), "contacts.stop.depth: it is -1 … above 0"),
         (FULL_MAP.replace("force =", "depth_reason = 'x'\nforce ="), "contacts.stop: it gives a depth_reason, but no depth"),

@@ -217,11 +217,11 @@ def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: st
         (WHOLE.replace("lower = -100.0", "lower = -500.000001"), "inputs.F.lower: -500 lies beyond"),
         (WHOLE.replace("lower = -100.0", "lower = 2.0, upper = 2.0"), "inputs.F: lower is 2 … below upper, 2"),
         (WHOLE.replace("lower = -100.0", "upper = -500.0"), "inputs.F: … lower bound is -500 … upper bound -500"),
-        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: … greater than or equal to 0"),
+        (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = -0.2"), "limits.replay_terminal_velocity_error.value: … but must be at least 0"),
         (WHOLE.replace("replay_terminal_velocity_error = 0.2", "replay_terminal_velocity_error = true"), "limits.replay_terminal_velocity_error: "),
-        (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: input should be a finite number"),
-        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: … at least 1 character"),
-        (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: input should be a valid number"),
+        (WHOLE.replace("gain = 2.5", "gain = nan"), "parameters.gain: it is nan, but must be a finite number"),
+        (WHOLE.replace('"torque"', '""'), "inputs.M.variable: … but must be a name"),
+        (WHOLE.replace("x = 1.25", 'x = "1.25"'), "goal.x: it is … but must be a number"),
     ],
 )  # fmt: skip
 def test_numbers_that_are_just_beyond_what_they_may_be(whole, text: str, words: str):
