@@ -221,7 +221,7 @@ class MpccSession(Session):
         )
         answer = search.answer
         if answer is None:
-            return replace(empty, iterations=budget.iterations, seconds=budget.seconds(), history=budget.columns)
+            return budget.spent_on(empty)
         rollout, u = correct_end(self._scene, self._kernel, answer.u, self._options.goal_tolerance)
         plan = plan_of(self._scene, rollout, u)
         residuals = self._plan_residuals(plan)
@@ -243,18 +243,9 @@ class MpccSession(Session):
             "least_biactive_multiplier": stationarity.least,
             "windows_tried": float(search.tried),
         }
-        return replace(
-            empty,
-            outcome=outcome,
-            message=message,
-            trajectory=plan,
-            cost=self._residuals.cost(plan),
-            iterations=budget.iterations,
-            seconds=budget.seconds(),
-            residuals=residuals,
-            history=budget.columns,
-            certificate=certificate,
-        )
+        cost = self._residuals.cost(plan)
+        found = replace(empty, outcome=outcome, message=message, trajectory=plan, cost=cost, residuals=residuals, certificate=certificate)
+        return budget.spent_on(found)
 
     def _plan_residuals(self, plan: Trajectory) -> dict[str, float]:
         """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""

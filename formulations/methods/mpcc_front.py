@@ -153,6 +153,7 @@ class MpccFrontSession(Session):
             options=asdict(self._options),
             iterations=sum(solution.iterations for solution in solutions),
             seconds=_sum(solutions, stage, self._clock),
+            solver=next((solution.solver for solution in solutions if solution.solver), ""),
             front=points,
         )
 

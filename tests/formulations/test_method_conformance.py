@@ -132,6 +132,7 @@ def test_its_answer_is_whole(name: str) -> None:
     seconds = solution.seconds
     assert min(seconds.build, seconds.translate, seconds.evaluate, seconds.linear_algebra) >= 0
     assert seconds.wall > 0
+    assert solution.solver or not seconds.translate, "what a model was translated for is named"
     assert seconds.build + seconds.translate + seconds.evaluate + seconds.linear_algebra <= seconds.wall * 1.001 + 1e-3
 
 
