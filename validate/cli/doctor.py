@@ -117,6 +117,13 @@ TRIALS = (
     Trial("PyTorch", "gradient", "pip install --force-reinstall 'torch>=2.4'", rests_on=_COMPILED),
     Trial("FMU", "fmu", _FOR_FMUS, rests_on=_COMPILED),
     Trial("proofs (extra [global])", "integer_programs", "pip install pyscipopt", False, "method global will say that it cannot run"),
+    Trial(
+        "MuJoCo (extra [engines])",
+        "other_simulator",
+        "pip install mujoco",
+        False,
+        "engine mujoco and fmu --mjcf will say that they cannot run",
+    ),
 )
 
 
@@ -281,3 +288,17 @@ def integer_programs(out: str, arrays: Any) -> str:
     model.optimize()
     _compare("the optimum of a knapsack", model.getObjVal(), 19.0, 1e-9)
     return f"SCIP {model.version()}"
+
+
+def other_simulator(out: str, arrays: Any) -> str:
+    """Whether the extra [engines] is there and lets a ball fall."""
+    try:
+        import mujoco
+    except ImportError:
+        return ""
+    ball = '<body><freejoint/><geom size="0.1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f'<mujoco><option integrator="RK4" gravity="0 0 -8"/><worldbody>{ball}</worldbody></mujoco>')
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    _compare("the height of a ball falling in MuJoCo", float(data.qpos[2]), -4.0 * data.time**2, 1e-9)
+    return f"MuJoCo {mujoco.__version__}; a ball falls right to 1e-9"

@@ -74,6 +74,19 @@ def test_a_trial_that_crashes_is_a_finding_too(tmp_path):
     assert finding.remedy == "install it"
 
 
+def test_mujoco_is_tried_and_its_absence_is_no_fault(tmp_path, monkeypatch):
+    pytest.importorskip("mujoco")
+    (found,) = examine_machine(tmp_path, named("MuJoCo (extra [engines])"))
+    assert (found.state, found.remedy) == (State.OK, "")
+    assert "falls right" in found.sentence
+    (tmp_path / "mujoco.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.syspath_prepend(tmp_path)
+    (found,) = examine_machine(tmp_path, named("MuJoCo (extra [engines])"))
+    assert (found.state, found.remedy) == (State.ABSENT, "pip install mujoco")
+    assert "engine mujoco and fmu --mjcf will say" in found.sentence
+
+
 def test_a_store_that_is_a_file_is_said(tmp_path):
     (tmp_path / "taken").write_text("x")
     (store,) = examine_machine(tmp_path / "taken", named("store"))
