@@ -66,7 +66,10 @@ def drawn(kernel: Kernel, u: np.ndarray, samples: int, seed: int) -> list[DrawnW
     worlds = []
     for number, point in enumerate(points):
         values, gains, starts, delay = np.split(point, np.cumsum(parts)[:-1])
-        moved = {item.name: item.value + size_of(item) * float(by) for item, by in zip(scene.parameters, values, strict=True)}
+        moved = {
+            item.name: item.value + size_of(item.value, item.uncertainty) * float(by)
+            for item, by in zip(scene.parameters, values, strict=True)
+        }
         worlds.append(
             DrawnWorld(
                 kernel=Kernel(scene.with_parameters(**moved), kernel.path),

@@ -6,11 +6,9 @@ input 1 % of its range, delay up to one step.
 
 from __future__ import annotations
 
-from models.scene.parts import Parameter
-
 PARAMETER, START, GAIN, NOISE, DELAY = 0.05, 0.01, 0.02, 0.01, 1.0
 
 
-def size_of(parameter: Parameter) -> float:
-    """How far from its value a parameter may be [its unit]; 0: it is certain."""
-    return PARAMETER * abs(parameter.value) if parameter.uncertainty is None else parameter.uncertainty
+def size_of(value: float, uncertainty: float | None) -> float:
+    """How far from its value a parameter may be [its unit]; 0: it is certain. uncertainty: as stated, None: it is not."""
+    return PARAMETER * abs(value) if uncertainty is None else uncertainty

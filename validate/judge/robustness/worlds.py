@@ -19,7 +19,7 @@ import numpy as np
 
 from models.errors import TrajectoryError, did_you_mean
 from models.scene import Scene
-from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START
+from models.scene.uncertainty import DELAY, GAIN, NOISE, PARAMETER, START, size_of
 from models.trajectory import Trajectory, columns_of
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.tracking import input_scale, nominals
@@ -75,9 +75,8 @@ def perturbations(
             )
 
     for index, item in enumerate(subject.parameters):
-        size, reason = item.uncertainty, item.uncertainty_reason
-        if size is None:
-            size, reason = PARAMETER * abs(item.value), f"{PARAMETER:.0%} of its value"
+        size = size_of(item.value, item.uncertainty)
+        reason = f"{PARAMETER:.0%} of its value" if item.uncertainty is None else item.uncertainty_reason
         add(kinds.PARAMETERS, index, item.name, item.value, size, item.unit, reason, item.lower, item.upper)
     columns = columns_of(subject)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     state = columns["q"] + columns["v"]
