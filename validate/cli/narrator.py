@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from reports.findings import NOT_ASKED
@@ -31,6 +31,7 @@ class PlainNarrator:
 
     def __init__(self) -> None:
         self.total = self.stored = self.done = self.anew = 0
+        self._refused: list[RunRecord] = []  # of scenes whose other runs have not ended
 
     def begins(self, total: int, stored: int, anew: int) -> None:
         """stored: runs and checks whose records are used; anew: others, of which a record is stored too."""
@@ -51,14 +52,17 @@ class PlainNarrator:
 
     def found(self, runs: Sequence[RunRecord]) -> None:
         """All runs of a scene have ended: what does not apply to it and why, how many hold, and the cheapest plan."""
+        self._refused = [run for run in self._refused if run.scene.name != runs[0].scene.name]
+        self._refusals(run for run in runs if run.verdict == "not applicable")
+        self.notes(f"so far: {_on_scene(runs)}")
+
+    def _refusals(self, runs: Iterable[RunRecord]) -> None:
         refused: dict[str, list[str]] = {}
         for run in runs:
-            if run.verdict == "not applicable":
-                method, _, why = run.message.partition(": ")
-                refused.setdefault(why if method.isidentifier() else run.message, []).append(run.pipeline)
+            method, _, why = run.message.partition(": ")
+            refused.setdefault(why if method.isidentifier() else run.message, []).append(run.pipeline)
         for why, pipelines in refused.items():
             self.notes(f"not applicable: {', '.join(pipelines)}: {why}")
-        self.notes(f"so far: {_on_scene(runs)}")
 
     def warns(self, sentence: str) -> None:
         """What the user should know before anything runs."""
@@ -72,9 +76,12 @@ class PlainNarrator:
         self.done += 1
         if record.outcome != "refused":
             self.notes(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
+        elif isinstance(record, RunRecord):
+            self._refused.append(record)
 
     def ends(self) -> None:
-        """The last run finished, or the campaign was interrupted."""
+        """The last run finished, or the campaign was interrupted: what did not apply and was not told is told."""
+        self._refusals(self._refused)
 
 
 class BarNarrator(PlainNarrator):
@@ -126,6 +133,7 @@ class BarNarrator(PlainNarrator):
 
     def ends(self) -> None:
         """Take the bar away."""
+        super().ends()
         self._progress.stop()
 
     def notes(self, sentence: str) -> None:

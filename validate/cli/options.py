@@ -105,6 +105,12 @@ def _our_plugin() -> str:
     return DEFAULT_PLUGIN
 
 
+def _one_expression(context: click.Context, option: click.Parameter, given: tuple[str, ...]) -> str | None:
+    if len(given) > 1:
+        raise click.UsageError(f"-k is given {len(given)} times; join what is meant in one: -k '{' or '.join(map('({})'.format, given))}'.")
+    return given[0] if given else None
+
+
 # What a campaign file decides.
 CHOOSING = options(
     click.option(
@@ -134,6 +140,8 @@ SELECTING = options(
     click.option(
         "-k",
         "expression",
+        multiple=True,
+        callback=_one_expression,
         metavar="EXPR",
         help="Only what matches by the name of its scene, pipeline or method: words joined by and, or, not, in upper or lower case. =NAME is a whole name; FMU and stress name the checks.",
     ),

@@ -116,7 +116,7 @@ def test_a_command_imports_what_it_needs(cli_environment, tmp_path, arguments, s
         (("all", "--tools", "campaign_fakes:PLUGIN"), "--tools is called --plugin now."), (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"), (("all", "--time-limit", "-1"), "not in the range x>0"),
         (("all", "--time-limit", "nan"), "not a finite number"), (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
-        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"), (("all", "-k", ""), "a name is missing"), (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
+        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"), (("all", "-k", ""), "a name is missing"), (("all", "-k", "strict", "-k", "FMU and not a"), "-k is given 2 times; join what is meant in one: -k '(strict) or (FMU and not a)'"), (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
         (("all", "--scene", "nowhere/at_all.py"), "there is no such file"), (("all", "--plugin", "no_such_module:PLUGIN"), "cannot be imported"),
         (("all", "--plugin", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"), (("report", "nowhere/at_all"), "no campaign in this folder"),
         (("replay", "plan.csv"), "give either --scene or --fmu"), (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),

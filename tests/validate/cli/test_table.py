@@ -157,6 +157,25 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
     assert told[:2] == ["not applicable: mpcc, front: it has friction: none.", "not applicable: own: a reason: so."]
 
 
+def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scene_have_not_ended(capsys):
+    """Ctrl-C, or -x: the scene is never whole."""
+    refused = factory.run("mpcc", None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(
+        update={"message": "m: it has none."}
+    )
+    plain = narrator.PlainNarrator()
+    plain.begins(3, 0, 0)
+    plain.finished(refused)
+    plain.ends()
+    assert capsys.readouterr().err.splitlines() == ["0 stored, 3 to run", "not applicable: mpcc: it has none."]
+    whole = narrator.PlainNarrator()
+    whole.begins(1, 0, 0)
+    whole.finished(refused)
+    whole.found([refused])
+    capsys.readouterr()
+    whole.ends()
+    assert capsys.readouterr().err == "", "once is enough"
+
+
 def test_of_a_folder_that_is_gone_nothing_is_said_to_be_stored(tmp_path):
     plain = narrator.PlainNarrator()
     plain.begins(3, 1, 0)
