@@ -175,7 +175,7 @@ def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False
         if absent:
-            return f"{_NEEDS[need]}."
+            return f"{_NEEDS[need]}{'; the replayed motion touches no contact' if need == 'lam' and case.touches_nothing else ''}."
     return ""
 
 

@@ -378,6 +378,12 @@ class Evidence:
         return replay
 
     @property
+    def touches_nothing(self) -> bool:
+        """Whether the replay got to the end, shows its gaps, and none of them closes."""
+        replay = self._replay
+        return replay is not None and replay.ok and replay.gap.size > 0 and bool((replay.gap > 0.0).all())
+
+    @property
     def error(self) -> Difference:
         """The replay's own error estimate; infinite where it has none."""
         estimate = self.replay.error.estimate

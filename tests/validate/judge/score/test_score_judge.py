@@ -228,6 +228,11 @@ def test_what_a_plan_does_not_say_is_not_asked(scene: Scene, plan: Trajectory, r
     assert after.metric("unexplained_force").ok is True, "asked where the forces of its own equations are not said"
     assert after.verdict is Verdict.HOLDS, after.why
     assert any(not unsaid(text, "not say its contact forces") for text in after.not_asked)
+    assert not any("touches no contact" in text for text in after.not_asked), "it does"
+    apart = replace(replayed, gap=np.abs(replayed.gap) + 0.1)
+    assert [text for text in score(scene, silent, apart).not_asked if text.endswith("forces; the replayed motion touches no contact.")]
+    for told, found in ((plan, apart), (silent, None)):
+        assert not any("touches no contact" in text for text in score(scene, told, found).not_asked)
     undeclared = score(scene, replace(silent, scheme=None), replayed)
     assert undeclared.verdict is Verdict.HOLDS, undeclared.why
     assert answered(undeclared)[6] == "not asked"

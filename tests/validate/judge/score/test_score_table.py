@@ -191,7 +191,7 @@ def metric_of(measured: Any, *, question: Question = Question.MOTION, default: t
         name="x", question=question, units=lambda scene: units, meaning="far", measure=measure, default=default, needs=needs
     )
     scene = SimpleNamespace(limit=lambda name: limit if name == "x" else None, nf=1, nc=1, frictions=())
-    return _metric(entry, SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=missing, scheme=scheme)))
+    return _metric(entry, SimpleNamespace(scene=scene, trajectory=SimpleNamespace(missing=missing, scheme=scheme), touches_nothing=False))
 
 
 def said(metric: Metric) -> tuple[Any, ...]:
@@ -253,7 +253,9 @@ def test_what_presses_on_a_friction_must_be_said():
     free = load_scene("three_cart")
     for name, need in (("friction", free.nf), ("lam", free.nc)):
         row = MetricEntry(name="x", question=Question.TASK, units=lambda scene: ("m",), meaning="", measure=lambda case: 1.0, needs=(name,))
-        case = SimpleNamespace(scene=free, trajectory=SimpleNamespace(missing=frozenset({"friction", "lam"}), scheme=None))
+        case = SimpleNamespace(
+            scene=free, trajectory=SimpleNamespace(missing=frozenset({"friction", "lam"}), scheme=None), touches_nothing=False
+        )
         assert (_metric(row, case).value is None) is bool(need), "without any there is nothing to say"
     assert isinstance(free, Scene)
 
