@@ -136,8 +136,8 @@ def difference(one: Recorded | None, other: Recorded | None) -> Difference | Non
 
 # Below this position difference [m or rad] a ratio is one of roundings.
 _ROUNDING = 1e-11
-# Two runs that differ by less than this share of the motion are the same run.
-_SAME = 1e-13
+# Two runs that differ by less than this share of the motion are the same run: ten thousand steps round as much.
+_SAME = 1e-10
 
 
 def heeds_step(coarse: Recorded | None, fine: Recorded | None) -> bool:
@@ -204,17 +204,22 @@ def step_ratio(before: Difference | None, after: Difference | None) -> float | N
     return before.position / after.position
 
 
-# Halving the step divides an error of first order by 2, of higher order by more; an event within a step makes that vary.
-_CONVERGES = 1.5
+# Halving the step divides an error of first order by 2, of the eighth by 256; an event within a step makes that vary.
+_CONVERGES = 1.5, 300.0
 
 
 def tells_its_error(first: Recorded | None, coarse: Recorded | None, fine: Recorded | None, *, heeds: bool) -> bool:
-    """Whether halving the step tells how wrong the finer run is: not if the first halving changed hardly more than the next.
+    """Whether halving the step tells how wrong the finer run is: only if each halving changes less than the last, by as much as methods do.
 
-    Then the FMU has a step of its own, which the one it is asked for hardly changes. heeds : whether it is known to obey its step, so that no change is no error.
+    Else the FMU has a step of its own: two runs make the same steps, but for rounding, or such as fit into theirs. heeds : whether it is known to obey its
+    step; then no change is no error.
     """
-    ratio = step_ratio(difference(first, coarse), difference(coarse, fine))
-    return (heeds or heeds_step(coarse, fine)) and (ratio is None or ratio >= _CONVERGES)
+    before, after = difference(first, coarse), difference(coarse, fine)
+    ratio = step_ratio(before, after)
+    if heeds or before is None or after is None:
+        return (heeds or heeds_step(coarse, fine)) and (ratio is None or ratio >= _CONVERGES[0])
+    sizes = [item.position or item.gap or item.state for item in (before, after)]
+    return heeds_step(first, coarse) and _CONVERGES[0] * sizes[1] <= sizes[0] <= _CONVERGES[1] * sizes[1]
 
 
 def estimate(

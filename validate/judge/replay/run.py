@@ -102,7 +102,7 @@ def _with_tracked(
 def _seeing_all(scene: Scene, kernel: Kernel, job: Job, feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
     """The replay and what it applied, made again with smaller steps while it steps over contacts; without an error estimate where that does not end."""
     for _ in range(_CLOSER_LOOKS):
-        simulated = job.run(feedback)
+        simulated = _convergent(scene, job, feedback)
         found, applied = _assemble(scene, job, simulated), _applied(simulated, job.plan)
         longest = overlooked(kernel, found)
         if longest is None:
@@ -141,7 +141,7 @@ def replay_foreign(
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
         """The replay, and the inputs (steps, nu) [unit of each column] that it applied. Raises FmuError, MachineError."""
         asked = looked_at if feedback is None else job  # feedback acts at the plan's own rows
-        simulated = _convergent(foreign, asked, None if feedback is None else feedback.in_units(*foreign.units))
+        simulated = _convergent(foreign.model, asked, None if feedback is None else feedback.in_units(*foreign.units))
         applied = (_applied(simulated, asked.plan) - foreign.input_offset) / foreign.input_scale
         found = _assemble(foreign.model, asked, in_plan_units(foreign, simulated))
         if asked is not job:
@@ -151,20 +151,24 @@ def replay_foreign(
     return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
 
 
-def _convergent(foreign: Foreign, job: Job, feedback: Feedback | None) -> Simulated:
-    """The simulations, with shorter communication steps where halving those of the job does not tell the error: the FMU makes steps of its own in them.
+def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simulated:
+    """The simulations, with shorter steps of Co-Simulation where halving those of the job does not tell its error, or why it is so far from the reference.
 
-    As they are where no number of calls that we pay for makes it tell.
+    As they are where no number of calls that we pay for does.
     """
     first = simulated = job.run(feedback)
-    while job.tolerances and simulated.judged.outcome is ReplayOutcome.OK and simulated.everyday:
-        error, is_known = error_of(foreign.model, job.variables, simulated)
-        if is_known or (error.tolerance is not None and error.estimate == error.tolerance):
+    while (
+        job.tolerances
+        and simulated.everyday
+        and all(run.outcome is ReplayOutcome.OK for run in (*simulated.reference, *simulated.everyday))
+    ):
+        error, is_known = error_of(subject, job.variables, simulated)
+        if error.estimate == error.tolerance if simulated.reference else is_known:
             return simulated
         job = replace(job, fineness=tuple(_SHORTER * fineness for fineness in job.fineness))
         if job.plan.steps * job.fineness[-1] > _MOST_CALLS * FINENESS_OF_A_CALL:
             break
-        simulated = job.run(feedback)
+        simulated = replace(replace(job, tolerances=()).run(feedback), reference=first.reference, seconds_reference=first.seconds_reference)
     return first
 
 

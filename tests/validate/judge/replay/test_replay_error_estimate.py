@@ -64,9 +64,9 @@ def test_a_difference_is_the_largest_of_one_coordinate_one_node_and_one_gap(sign
 def test_a_run_heeds_its_step_if_half_the_step_changes_more_than_rounding(sign: float):
     coarse, fine = still(), still()
     assert not heeds_step(coarse, fine)
-    coarse.v[2, 1] = sign * 1e-13  # of a motion of 2
+    coarse.v[2, 1] = sign * 1e-10  # of a motion of 2
     assert not heeds_step(coarse, fine)
-    coarse.v[2, 1] = sign * 3e-13
+    coarse.v[2, 1] = sign * 3e-10
     assert heeds_step(coarse, fine)
     assert heeds_step(None, fine)
     assert heeds_step(coarse, None)
@@ -98,8 +98,8 @@ def test_local_errors_of_a_run_that_heeds_no_step_are_not_known():
     fine, ends = still(), still(nodes=3)
     assert local_errors(fine, ends, TIMES, carried=True, heeds=False) is None
     assert local_errors(fine, ends, TIMES, carried=True, heeds=True) == Difference(position=0.0, state=0.0, gap=0.0)
-    ends.q[1, 0] += 1e-12
-    assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(1e-12, rel=1e-3)  # type: ignore[union-attr]
+    ends.q[1, 0] += 1e-9
+    assert local_errors(fine, ends, TIMES, carried=False, heeds=False).position == pytest.approx(1e-9, rel=1e-3)  # type: ignore[union-attr]
     assert local_errors(None, ends, TIMES, carried=True, heeds=True) is None
     assert local_errors(fine, None, TIMES, carried=True, heeds=True) is None
 
@@ -126,11 +126,13 @@ def test_the_ratio_of_two_halvings_is_not_one_of_roundings():
     ("halvings", "heeds", "tells"),
     [
         ((3e-3, 2e-3), False, True), ((2.9e-3, 2e-3), False, False), ((2.9e-3, 2e-3), True, False), ((1e-9, 0.9e-11), False, True),
-        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True),
+        ((1e-3, 0.0), False, False), ((1e-3, 0.0), True, True), ((None, 1e-3), False, True), ((None, 1e-11), False, False),
+        ((2.9e-3, 1e-5), False, True), ((3.1e-3, 1e-5), False, False), ((3.1e-3, 1e-5), True, True), ((1e-10, 5e-11), False, False),
     ],
 )  # fmt: skip
 def test_halving_tells_where_it_changes_something_and_ever_less(halvings: tuple[float | None, float], heeds: bool, tells: bool):
-    """Each halving changes two thirds of what the last one did at most; no change says nothing where nobody knows whether the step is heeded."""
+    """Each halving changes two thirds of what the last one did at most. Where nobody knows whether the step is heeded, no change says nothing, and so does
+    one that vanishes at once, or rounding."""
     (before, after), fine = halvings, still()
     coarse = replace(fine, q=fine.q + after)
     first = None if before is None else replace(fine, q=coarse.q + before * (1.0 + 1e-9))
