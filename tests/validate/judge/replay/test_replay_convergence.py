@@ -75,6 +75,20 @@ def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, t
     assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2
 
 
+def test_where_co_simulation_is_too_coarse_for_a_stiff_contact_it_is_made_finer_and_its_distance_is_no_error():
+    """A gram on 1e8 N/m is in contact for a fifth of a step of Co-Simulation: two halvings pass it by in the same way, and are half a metre wrong."""
+    scene = load_scene("bouncing_mass").with_parameters(m=1e-3, k=1e8).with_task(steps=90, step=0.01)
+    t = 0.01 * np.arange(91)
+    plan = Trajectory(t=t, q=np.full((91, 1), 0.5), v=np.zeros((91, 1)), u=np.zeros((90, 0)), lam=np.zeros((90, 1)))
+    result = replay(scene, build_fmu(scene, results=False), plan)
+    fall, omega, sag = np.sqrt(2.0 * 0.5 / 9.81), np.sqrt(1e11), 9.81e-11
+    touches = 2.0 * (np.pi - np.arctan2(9.81 * fall / omega, sag)) / omega
+    since = 0.9 - fall - touches  # it leaves as fast as it came
+    assert result.q[-1, 0] == pytest.approx(9.81 * since * (fall - since / 2.0), abs=result.error.estimate.position)
+    assert result.error.estimate == result.error.tolerance
+    assert result.error.estimate.position < 1e-8
+
+
 def smooth(t: np.ndarray) -> np.ndarray:
     """(n, 2) inputs that no grid holds exactly."""
     return np.column_stack([3 * np.sin(5 * t), -2 * np.cos(4 * t)])
