@@ -11,7 +11,7 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.errors import MachineError, UnknownNameError
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.execution.isolated import Limits
 from validate.judge import simulator
 from validate.judge.engines._mechanism import mechanism_of
@@ -90,6 +90,20 @@ def test_mujoco_makes_the_motion_of_our_reference(name: str):
         assert np.abs(true.q - load_engine("mujoco")(replace(asked, parts=100)).q).max() <= 1e-7
     half = load_engine("mujoco")(replace(asked, start=asked.start * np.where(asked.start == 0.0, 1.0, 1.001)))
     assert np.abs(true.q - half.q).max() > EXPRESSED[name], "a start a thousandth off must show"
+
+
+def test_mujoco_holds_a_line_by_its_value_in_the_middle_of_each_step():
+    """Carts apart: steps that push with the mean of a line over them give the exact velocity, v = v(0) + (slope t^2/2)/m without damping."""
+    pytest.importorskip("mujoco")
+    scene = load_scene("three_cart").with_parameters(c=0.0).with_task(start=(0.0, 9.0, 18.0, 0.0, 0.0, 0.0), steps=10)
+    t = uniform_grid(0.01, 10)
+    u = 30.0 * np.column_stack([t, np.zeros(11)])
+    plan = Trajectory(
+        t=t, q=np.zeros((11, 3)), v=np.zeros((11, 3)), u=u[:-1], lam=np.zeros((10, 2)), hold=Hold.LINEAR, u_end=u[-1]
+    )  # fmt: skip
+    motion = load_engine("mujoco")(Drive(scene=scene, plan=plan, start=np.array(scene.task.start), parts=5))
+    mass = next(item.value for item in scene.parameters if item.symbol.name == "m")
+    assert motion.v[:, 0] == pytest.approx(15.0 * t**2 / mass, abs=1e-12)
 
 
 @pytest.mark.peer

@@ -13,7 +13,7 @@ from wording import unsaid
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.trajectory import Trajectory, write_csv
-from reports.records.robustness_record import SAME, FailureRecord, RobustnessRecord, WayRecord
+from reports.records.robustness_record import SAME, FailureRecord, RobustnessRecord
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import Robustness, robustness
@@ -177,11 +177,6 @@ def test_first_order_is_held_against_what_was_found(
     assert said.compared == words
     if sizes is not None:
         assert said.words == "c by -0.2 N s/m (2.00 of its size)"
-
-
-def test_what_fails_is_named_the_most_frequent_first():
-    way = WayRecord.model_construct(fails_by={"time_limit": 2, "replay_terminal_position_error": 1234})
-    assert way.fails == "replay terminal position error in 1,234; time limit in 2"
 
 
 @pytest.mark.slow
