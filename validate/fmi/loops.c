@@ -133,6 +133,9 @@ static int held_inputs(struct integration *run, double time)
     return write_values(fmu, fmu->input_references, fmu->inputs, run->applied);
 }
 
+/* The FMU at (time, y), with the inputs of that time: those on lines are others at every call. */
+static int at(struct integration *run, double time, const double *y) { return (run->linear && held_inputs(run, time)) || move(&run->fmu, time, y); }
+
 /* CVRhsFn: negative, and run->fault says why. */
 EXPORT int integration_rates(double time, void *y, void *yp, void *data)
 {
@@ -140,8 +143,7 @@ EXPORT int integration_rates(double time, void *y, void *yp, void *data)
     struct fmu *fmu = &run->fmu;
     double *rate = data_of(run, yp), sum = 0.0;
     run->fault = CALL_REFUSED;
-    if (run->linear && held_inputs(run, time)) return -1;
-    if (move(fmu, time, data_of(run, y)) || fill(fmu, GET_DERIVATIVES, rate, fmu->states)) return -1;
+    if (at(run, time, data_of(run, y)) || fill(fmu, GET_DERIVATIVES, rate, fmu->states)) return -1;
     if (read_values(fmu, fmu->rate_references, fmu->rates, rate + fmu->states)) return -1;
     for (int64_t i = 0; i < fmu->states + fmu->rates; i++) sum += rate[i];
     run->fault = isfinite(sum) ? DONE : RATE_NOT_FINITE;
@@ -154,7 +156,7 @@ EXPORT int integration_indicators(double time, void *y, double *values, void *da
 {
     struct integration *run = data;
     run->fault = CALL_REFUSED;
-    if (move(&run->fmu, time, data_of(run, y)) || fill(&run->fmu, GET_INDICATORS, values, run->fmu.indicators)) return -1;
+    if (at(run, time, data_of(run, y)) || fill(&run->fmu, GET_INDICATORS, values, run->fmu.indicators)) return -1;
     run->fault = DONE;
     return 0;
 }
@@ -209,7 +211,7 @@ EXPORT int64_t integration_jump(struct integration *run)
 static enum reason completed(struct integration *run, double time, const double *y, bool *wants)
 {
     struct fmu *fmu = &run->fmu;
-    if (move(fmu, time, y)) return CALL_REFUSED;
+    if (at(run, time, y)) return CALL_REFUSED;
     int status;
     if (fmu->three) {
         bool event = false, ends = false;
@@ -230,7 +232,7 @@ static enum reason record(struct integration *run, double time, const double *y,
     for (int64_t i = 0; i < fmu->states; i++)
         if (!(fabs(y[i]) < run->bound[i])) return OUT_OF_BOUNDS;
     if (!all_finite(y, fmu->states + fmu->rates)) return SUM_NOT_FINITE;
-    if (move(fmu, time, y) || read_values(fmu, fmu->output_references, fmu->outputs, outputs)) return CALL_REFUSED;
+    if (at(run, time, y) || read_values(fmu, fmu->output_references, fmu->outputs, outputs)) return CALL_REFUSED;
     if (!all_finite(outputs, fmu->outputs)) return OUTPUT_NOT_FINITE;
     memcpy(sums, y + fmu->states, (size_t)fmu->rates * sizeof(double));
     return DONE;

@@ -1,7 +1,8 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
  * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes; with -DBEYOND=m only a cart of that mass does [kg]. With -DSAVES=1 it saves its state, with 2 it does
  * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance; -DOWN_GRID=h makes steps
- * of h alone, whenever they are due. */
+ * of h alone, whenever they are due. In Model Exchange -DLATCH=f holds the cart until an event finds it pushed by more [kN], and -DSAMPLED=h
+ * lets it feel what it is pushed by at time events h apart. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <fenv.h>
@@ -27,8 +28,8 @@
 #endif
 
 typedef struct {
-    double time, pos, vel, force, mass;
-    int touching, done;
+    double time, pos, vel, force, mass, held;
+    int touching, done, samples;
 } Cart;
 
 enum { POS = 10, VEL = 11, DPOS = 12, DVEL = 13, FORCE = 20, PUSH = 30, GAP = 31, MASS = 40 };
@@ -36,7 +37,14 @@ static const double STIFFNESS = 1000.0, STOP = 500.0;
 
 static double gap(const Cart *c) { return STOP - c->pos; }
 static double push(const Cart *c, int touching) { return touching ? -STIFFNESS * gap(c) / 1000.0 : 0.0; }
-static double acceleration(const Cart *c, int touching) { return 1000.0 * (1000.0 * c->force - push(c, touching)) / c->mass; }
+#if defined(LATCH)
+static double drive(const Cart *c) { return c->held > 0.0 ? c->force : 0.0; }
+#elif defined(SAMPLED)
+static double drive(const Cart *c) { return c->held; }
+#else
+static double drive(const Cart *c) { return c->force; }
+#endif
+static double acceleration(const Cart *c, int touching) { return 1000.0 * (1000.0 * drive(c) - push(c, touching)) / c->mass; }
 
 static const char MANY[1 << 20];
 static int deeper(int n) { volatile char room[10000]; room[0] = (char)n; return deeper(n + 1) + room[0]; }
@@ -139,6 +147,14 @@ int fmi2EnterEventMode(void *c) { (void)c; return 0; }
 int fmi2NewDiscreteStates(void *c, void *info)
 {
     memset(info, 0, 32);
+#if defined(LATCH)
+    if (((Cart *)c)->force > LATCH) ((Cart *)c)->held = 1.0;
+#elif defined(SAMPLED)
+    struct { int flags[4], has_next; double next; } *said = info;
+    Cart *own = c;
+    if (own->time >= SAMPLED * own->samples) own->held = own->force, own->samples++;
+    said->has_next = 1, said->next = SAMPLED * own->samples;
+#endif
     ((Cart *)c)->touching = gap(c) < 0 || (gap(c) == 0 && ((Cart *)c)->vel > 0);
     /* At the event itself the gap is zero but for rounding: the direction of motion says which side follows. */
     if (fabs(gap(c)) < 1e-6)
@@ -159,7 +175,11 @@ int fmi2GetDerivatives(void *c, double dx[], size_t n)
     dx[1] = acceleration(c, ((Cart *)c)->touching);
     return status;
 }
+#ifdef LATCH
+int fmi2GetEventIndicators(void *c, double z[], size_t n) { (void)n; z[0] = LATCH - ((Cart *)c)->force; return 0; }
+#else
 int fmi2GetEventIndicators(void *c, double z[], size_t n) { (void)n; z[0] = gap(c); return 0; }
+#endif
 
 /* Co-Simulation: many small steps of the midpoint rule */
 int fmi2DoStep(void *p, double time, double step, int no)

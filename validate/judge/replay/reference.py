@@ -31,6 +31,8 @@ PARTS = 3
 STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
 ABSOLUTE_FRACTION = 0.1
+# As a share of the time: two times that are the same but for rounding.
+_ROUNDING = 1e-14
 _CALLED = (
     "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
     "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode",
@@ -300,13 +302,24 @@ class _Integration:
             raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
 
     def _after_event(self, time: float, target: float, knot: bool) -> bool:
-        """The FMU's event at `time`, its record, and a new solver from there. Whether it fell on the point `target`, but for rounding."""
-        self.y[:] = self.model.event(time, self.y, None)
-        falls_on_it = abs(target - time) <= 1e-13 * max(1.0, abs(target))
+        """The FMU's event at `time`, its record, and a new solver from there. Whether it fell on the point `target`, but for rounding.
+
+        One that the FMU wants where the plan's inputs jump is the event of that jump: it sees the new ones.
+        """
+        falls_on_it = abs(target - time) <= 10.0 * _ROUNDING * max(1.0, abs(target))
         time = target if falls_on_it else time
+        if self._loop.flag == ROOT_RETURN or not (falls_on_it and knot and self._jumps_after(self.step)):
+            # A rounding later: what such an input takes through zero there has then changed its sign.
+            line = self._values + self._slopes * (time + _ROUNDING * max(1.0, abs(time)) - self._loop.begin)
+            self.y[:] = self.model.event(time, self.y, line if self.inputs.linear else None)
         self._record(time, knot=knot and falls_on_it)
         self._renew(time)
         return falls_on_it
+
+    def _jumps_after(self, step: int) -> bool:
+        """Whether inputs jump at the end of a step, which is an event of the FMU; a new slope is none."""
+        inputs = self.inputs
+        return step + 1 < len(inputs.values) and bool(inputs.breaks[step + 1]) and (not inputs.linear or inputs.feedback is not None)
 
     def _record(self, time: float, knot: bool) -> None:
         self._within_bounds(time)

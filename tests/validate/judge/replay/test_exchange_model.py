@@ -89,7 +89,8 @@ def integration(**more: Any) -> Any:
     given = {
         "run": Run(), "event_budget": 2, "y": np.array([1.0, -2.0, 3.0]), "_bound": np.array([10.0, 20.0]), "step": 0,
         "model": SimpleNamespace(states=2, event=lambda time, y, u: y + 0.5, read=lambda time, y: np.array([time, *y]), instance=SimpleNamespace(next_event=7.0)),
-        "_loop": SimpleNamespace(time=2.5, fault_time=1.5, flag=-4, fmu="fmu"), "_set_inputs": lambda: None,
+        "_loop": SimpleNamespace(time=2.5, fault_time=1.5, flag=-4, fmu="fmu", begin=0.0), "_set_inputs": lambda: None,
+        "_values": np.array([1.0]), "_slopes": np.array([2.0]), "inputs": SimpleNamespace(linear=False, values=np.zeros((1, 1))),
         "_solver": SimpleNamespace(roots=np.array([0, -1, 1]), renew=lambda time: None, memory=1, vector=2),
     } | more  # fmt: skip
     found.__dict__.update(given)

@@ -1,0 +1,51 @@
+"""An FMU's event sees the inputs of its time: those on a line where they are then, those that jump there the new ones. Against closed forms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_fmu import EXCHANGE, FULL_MAP, MASS, build_foreign, write_plan
+
+from models.plan_table import PlanTable
+from validate.execution.isolated import Limits
+from validate.fmi.description import read_package
+from validate.judge.replay import Replay
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay_foreign
+
+
+def moved(folder: Path, define: str, t: np.ndarray, force: np.ndarray, hold: str) -> Replay:
+    """The replay of forces (nodes,) [N] at t (nodes,) [s] on a cart at rest 0.3 m, without contact."""
+    package = read_package(build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)))
+    still = np.column_stack([t, np.full_like(t, 0.3), np.zeros_like(t), force, np.zeros_like(t)])
+    plan = write_plan(folder / "plan.csv", plan=still)
+    plan.write_text(f"# hold: {hold}\n" + plan.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "cart.toml").write_text(FULL_MAP, encoding="utf-8")
+    foreign, told = wire(package, PlanTable(plan), read_map(folder / "cart.toml"), None, "map")
+    found = replay_foreign(foreign, package, told, limits=Limits(seconds=60.0))
+    assert found.ok
+    return found
+
+
+@pytest.mark.parametrize("rows", [3, 9])
+def test_a_latch_opens_when_the_line_of_the_input_gets_there(tmp_path: Path, rows: int):
+    """F = 20 t N, held until it is 5 N at 0.25 s; then x - x(0) = (5 s^2/2 + 20 s^3/6)/m with s = t - 0.25 s."""
+    t = np.linspace(0.0, 0.4, rows)
+    found = moved(tmp_path, "LATCH=0.005", t, 20.0 * t, "linear")
+    s = np.maximum(t - 0.25, 0.0)
+    assert found.q[found.knots, 0] - 0.3 == pytest.approx((2.5 * s**2 + 20.0 * s**3 / 6.0) / MASS, abs=1e-9)
+    assert found.events[0].time == pytest.approx(0.25, abs=1e-12)
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-15, -1e-15])
+def test_a_time_event_at_a_row_samples_the_input_of_that_row(tmp_path: Path, rounding: float):
+    """Rows every 0.05 s, samples every 0.1 s: a force that is sampled acts until the next sample."""
+    t, force = 0.05 * np.arange(9), np.array([1.0, 7.0, -2.0, 5.0, 3.0, -9.0, 4.0, 1.0, 0.0])
+    shifted = t + np.where((t > 0.0) & (np.arange(9) % 2 == 0), rounding, 0.0)
+    found = moved(tmp_path, "SAMPLED=0.1", shifted, force, "zero")
+    felt = np.repeat(force[:-1:2], 2) / MASS
+    v = np.concatenate([[0.0], np.cumsum(0.05 * felt)])
+    x = 0.3 + np.concatenate([[0.0], np.cumsum(0.05 * v[:-1] + 0.05**2 * felt / 2.0)])
+    assert found.v[found.knots, 0] == pytest.approx(v, abs=1e-9)
+    assert found.q[found.knots, 0] == pytest.approx(x, abs=1e-9)
