@@ -240,10 +240,10 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
     plan = Trajectory(t=t, q=np.zeros((3, 3)), v=np.zeros((3, 3)), u=np.array([[1.0, 0.0], [20.0, -4.0]]), lam=np.zeros((2, 2)), hold=Hold.LINEAR, u_end=np.array([10.0, 8.0]))  # fmt: skip
     case = Evidence(scene, plan, None)
     start_q, start_v = np.array([2.0, 2.45, 4.0]), np.array([1.0, -1.0, 0.0])
-    replay = SimpleNamespace(t=np.array([0.0, 0.1, 0.15, 0.2]), q=np.array([start_q] * 4), v=np.array([start_v] * 4), applied=None)
+    replay = SimpleNamespace(t=np.array([0.0, 0.1, 0.15, 0.2]), q=np.array([start_q] * 4), v=np.array([start_v] * 4), applied=None, lam=np.tile([1.5, 0.0], (4, 1)), friction=np.zeros((4, 0)))  # fmt: skip
     case.__dict__ |= {"step_of": np.array([0, 1, 1]), "duration": np.array([0.1, 0.05, 0.05])}
     case._replay = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)
-    found = case._penetrations_within(2)
+    found = case._penetrations_within(2, 1000)
     assert found.shape == (1001, 2)
     # From t = 0.15 s on with u1 = 20 - 100 (t - 0.1) N.
     s = np.linspace(0.0, 0.05, 20001)
@@ -256,8 +256,28 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
         depths.append(depth)
     assert found[:, 0] == pytest.approx(np.array(depths)[::20], abs=3e-4)
     case._replay.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])
-    pulled = case._penetrations_within(2)[-1, 0]
+    pulled = case._penetrations_within(2, 1000)[-1, 0]
     assert pulled - found[-1, 0] == pytest.approx(-60.0 * 0.05**2 / 2, rel=0.05)
+
+
+@pytest.mark.parametrize("k", [1e6, 1e8])
+@pytest.mark.parametrize("around", [0.0, 5e-3], ids=["from touch to touch", "a contact far shorter than its piece"])
+def test_a_contact_between_two_rows_is_as_deep_as_it_was_though_a_shallower_one_has_rows_within(k: float, around: float):
+    """Half sines of 1 g without gravity, v/w deep: the first with a row where it is deepest; the second, a tenth faster, within one piece."""
+    scene, w = load_scene("bouncing_mass").with_parameters(m=1e-3, k=k, g=1e-9), math.sqrt(k / 1e-3)
+    swing = math.pi / w
+    t = np.cumsum([0.0, swing / 2, swing / 2, 0.1, swing + 2.0 * around / 1.1])
+    q = np.array([0.0, -1.0 / w, 0.0, around, around])[:, None]
+    v = np.array([-1.0, 0.0, 1.0, -1.1, 1.1])[:, None]
+    plan = Trajectory(t=t[[0, -1]], q=q[[0, -1]], v=v[[0, -1]], u=np.zeros((1, 0)), lam=np.zeros((1, 1)))
+    error = SimpleNamespace(estimate=SimpleNamespace(gap=1e-12))
+    replay: Any = SimpleNamespace(
+        t=t, q=q, v=v, gap=q, lam=np.maximum(-k * q, 0.0), friction=np.zeros((5, 0)), knots=np.array([0, 4]), applied=None, error=error,
+        outcome=ReplayOutcome.OK, ok=True,
+    )  # fmt: skip
+    depth, unsure = Evidence(scene, plan, replay).deepest
+    assert depth == pytest.approx(1.1 / w, rel=2e-5)
+    assert (unsure < 1e-4 / w).all()
 
 
 def test_what_has_left_every_bound_says_when():
