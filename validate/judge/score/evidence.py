@@ -25,6 +25,8 @@ from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
+# Small steps of a step of the task at first, how often they are halved, and what that changes of a cost where they are enough.
+_PARTS, _DOUBLINGS, _SETTLED = 50, 8, 1e-4
 # Small steps of a piece of the replay: at first, and at most; and what twice as many change of a depth where they are enough.
 _FEWEST, _MOST, _DEEP = 250, 512_000, 1e-6
 
@@ -116,6 +118,33 @@ class Evidence:
             return cost(0, inputs)
         final = cost(0, inputs[:0])
         return final + sum(part * (cost(row, one[None]) - final) for row, one, part in zip(rows, inputs, parts, strict=True))
+
+    @property
+    def cost_between_rows(self) -> float:
+        """By how much a cost of the plan may be that of the cubics between its rows: of the true motion from each row on it is another; 0 on the task's grid.
+
+        Infinite where that is not known. Raises Unmeasured without positions, velocities or equations.
+        """
+        if (self.h == self.scene.task.step).all():
+            return 0.0
+        found, change, parts = np.nan, np.nan, _PARTS
+        while parts <= _PARTS * 2**_DOUBLINGS and not change <= _SETTLED * abs(found):
+            before, found = found, self.cost_of(*self._own_rows(parts), self.trajectory.u)
+            change, parts = abs(found - before), 2 * parts
+        cubics = self.cost_of(self.trajectory.t, self.q, self.v, self.trajectory.u)
+        return float(np.nan_to_num(abs(found - cubics) + 2.0 * change, nan=np.inf))
+
+    def _own_rows(self, parts: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of the plan, and between them the true motion from each on, in so many parts a step of the task: t (n,) [s], q, v (n, nq)."""
+        plan, held, step, rows = self.trajectory, self.held_inputs, self.scene.task.step, []
+        for row, length in enumerate(self.h):
+            count = parts * max(1, round(length / step))
+            late = length / count * np.arange(count)
+            u = held.values[row] + held.slopes[row] * (late + length / count / 2.0)[:, None]
+            run = self.kernel.rollout(np.concatenate([self.q[row], self.v[row]]), u, float(length) / count)
+            rows.append((plan.t[row] + late, run.q[:-1], run.v[:-1]))
+        t, q, v = (np.concatenate(part) for part in zip(*rows, (plan.t[-1:], self.q[-1:], self.v[-1:]), strict=True))
+        return t, q, v
 
     @cached_property
     def push(self) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What the metrics are computed from, by numbers that can be followed by hand: costs on any grid, printed digits, forces and motions in between."""
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from models.codegen.kernel import KernelError
+from models.codegen.kernel import KernelError, load_kernel
+from models.scene import Limit
 from models.schemes import Scheme
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import _metric
@@ -94,6 +96,27 @@ def test_a_plan_shorter_than_half_a_step_costs_one():
     t, rows = np.array([0.0, 0.04]), np.array([[1.0], [2.0]])
     found = priced([0.0, 0.04], [[7.0]], 0.1, (t, rows, 10 * rows), Hold.ZERO_ORDER, None)
     assert found[0] == [([1.0, 2.0], [10.0, 20.0], [7.0])]
+
+
+@pytest.mark.parametrize(("share", "ok"), [(1.001, True), (0.999, False)])
+@pytest.mark.parametrize("rows", [1, 20])
+def test_a_cost_is_held_to_its_limit_as_that_of_the_motion_however_many_rows_a_plan_has(share: float, ok: bool, rows: int):
+    """A pendulum falls against its wall, made hard: with a row at its start and its end the cubic between them makes it a fifth dearer."""
+    scene, parts = load_scene("wall_pendulum").with_parameters(k=2e3, w=0.12), 2000
+    fine = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((20 * parts, 1)), scene.task.step / parts)
+    cost = float((fine.q[:-1:parts] ** 2 + fine.v[:-1:parts] ** 2).sum())
+    scene = replace(scene, limits=(Limit(metric="cost", value=share * cost, reason="a test"),))
+    steps, every = 20 // rows, parts * rows
+    plan = Trajectory(
+        t=uniform_grid(scene.task.step * rows, steps),
+        q=fine.q[::every],
+        v=fine.v[::every],
+        u=np.zeros((steps, 1)),
+        lam=np.zeros((steps, 1)),
+    )
+    metric = _metric(next(entry for entry in TABLE if entry.name == "cost"), Evidence(scene, plan, None))
+    assert (metric.ok, metric.error) == (ok, 0.0)
+    assert metric.value > 1.1 * cost if rows > 1 else metric.value == pytest.approx(cost, rel=1e-12)
 
 
 def test_rows_are_found_but_for_the_rounding_of_their_times():
