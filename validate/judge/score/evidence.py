@@ -25,6 +25,8 @@ from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
+# What counts as a contact force at least, of the inputs' range: a plan that only grazes is not held to a millionth of a newton.
+_OF_RANGE = 0.1
 # Small steps of a step of the task at first, how often they are halved, and what that changes of a cost where they are enough.
 _PARTS, _DOUBLINGS, _SETTLED = 50, 8, 1e-4
 # Small steps of a piece of the replay: at first, and at most; and what twice as many change of a depth where they are enough.
@@ -210,8 +212,7 @@ class Evidence:
         """Velocities of the plan, (nodes, nq) [m/s or rad/s]; where it says none, those that its positions take. Raises Unmeasured without positions."""
         if "v" not in self.trajectory.missing:
             return self.trajectory.v
-        v = self.departures.v
-        return np.vstack([v, self.own_steps(v).ends[-1, self.scene.nq :]])
+        return np.vstack([self.departures.v, self.departures.last])
 
     def own_steps(self, v: np.ndarray) -> OwnSteps:
         """The true motion over each step from the plan's positions and given velocities.
@@ -230,8 +231,37 @@ class Evidence:
             typical = np.concatenate([sizes(mass, np.diff(v, axis=0, append=v[-1:])), sizes(mass, (end - start) / self.h[:, None] - v)])
             nominal = float(sizes(mass, np.array([item.nominal for item in self.scene.coordinates])).max())
             scale = max(float(typical.max()), 1e-6 * nominal)
-            own = self._own_steps[v.tobytes()] = self.stepper.run(np.hstack([start, v]), lambda dv: sizes(mass, dv), scale)
+            own = self._own_steps[v.tobytes()] = self.stepper.run(
+                np.hstack([start, v]), lambda dv: sizes(mass, dv), scale, lambda: self.reference_force
+            )
         return own
+
+    @cached_property
+    def reference_force(self) -> float:
+        """The force that unexplained ones are measured by, in the norm of M^-1 [kg^0.5 m/s^2].
+
+        The largest contact force of the replay, or a tenth of the inputs' range where that is more; without contact their range, and without inputs the
+        largest force of the motion, or what moves it by its nominal within the plan. Raises Unmeasured without positions or equations.
+        """
+        scene, kernel = self.equations, self.kernel
+        q = self.opened_q
+        v, u, none = np.zeros_like(q), np.zeros((len(q), scene.nu)), np.zeros((len(q), scene.nl))
+        mass, largest = self.masses_at(q), 0.0
+        still = kernel.acceleration(q, v, u, none)
+        for contact in range(scene.nc):
+            push = none.copy()
+            push[:, contact] = self.opened_lam[:, contact]
+            largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, u, push) - still).max()))
+        share = _OF_RANGE if largest > 0.0 else 1.0
+        ranges = [item.upper - item.lower for item in scene.inputs]
+        for place, width in enumerate(ranges):
+            pull = u.copy()
+            pull[:, place] = share * (width if np.isfinite(width) else 2.0 * np.abs(self.trajectory.u[:, place]).max())
+            largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, pull, none) - still).max()))
+        if largest > 0.0:
+            return largest
+        nominal = np.array([item.nominal for item in scene.coordinates]) / self.trajectory.duration**2
+        return max(float(sizes(mass, still).max()), float(sizes(mass, nominal).max()))
 
     @cached_property
     def masses(self) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The true motion over each step of a plan, from the plan's own states and under its inputs: small steps of the compiled kernel, as many as it takes.
 
 A step is cut into 50 parts, and into twice as many until twice as many change its end by less than a thousandth of what the plan's steps turn over: a
-light body in a strong damper, or a hard bounce within one step, needs thousands.
+light body in a strong damper, or a hard bounce within one step, needs thousands. Where none are enough, a thousandth of the force that unexplained ones
+are measured by is.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score.verdict import Unmeasured
 
 _FIRST, _DOUBLINGS = 50, 8
+# What 200 small steps, each of which rounds, may lose of a number of doubles.
+ROUNDED = 100.0 * float(np.finfo(float).eps)
 # Of the largest change of momentum in a step: a hundredth of what unexplained_force allows.
 _SETTLED = 1e-3
-# Newton steps towards a velocity, and what is then missed at most, in nominals.
+# Newton steps towards a velocity, and what is then missed at most: in nominals, of a shorter step by the square of its share of the longest, as the force
+# that would make up for it is the miss over h^2; no less than the rounding of a position.
 _SHOTS, _MISSED = 20, 1e-10
 
 # Parts of steps in one call of the kernel: 200 MB for three carts.
@@ -43,11 +47,12 @@ class OwnSteps:
 class Departures:
     """The velocities with which the true motion arrives at each next position.
 
-    v (steps, nq): at the starts of the steps; missed (steps, nq) [m]: by how much it does not arrive; gains (steps,) [1/s]: by how much a position
-    that is off by 1 changes them.
+    v (steps, nq): at the starts of the steps; last (nq,): at the end of the last; missed (steps, nq) [m]: by how much it does not arrive;
+    gains (steps,) [1/s]: by how much a position that is off by 1 changes them.
     """
 
     v: np.ndarray
+    last: np.ndarray
     missed: np.ndarray
     gains: np.ndarray
 
@@ -58,7 +63,7 @@ class Stepper:
     def __init__(self, kernel: Kernel, held: HeldInputs) -> None:
         self._kernel, self._held, self._h = kernel, held, np.diff(held.times)
 
-    def run(self, x: np.ndarray, size: Size, scale: float) -> OwnSteps:
+    def run(self, x: np.ndarray, size: Size, scale: float, force: Callable[[], float]) -> OwnSteps:
         """The true motion over each step, in as many parts as it takes.
 
         Parameters
@@ -66,13 +71,15 @@ class Stepper:
         x : (steps, 2*nq) states at the starts [m or rad], [m/s or rad/s].
         size : (n,) of velocities (n, nq), with their step's mass.
         scale : what that is measured by.
+        force : what a mean force over a step is measured by, in the norm of M^-1 [kg^0.5 m/s^2]: asked where no number of parts settles by `scale`.
 
         Raises
         ------
         Unmeasured : where no number of parts settles.
         """
         nq, steps = x.shape[1] // 2, np.arange(len(x))
-        found = self._parts(steps, x, _FIRST)
+        found, off = self._parts(steps, x, _FIRST), np.full(len(x), np.inf)
+        lost = ROUNDED * np.maximum(size(np.abs(x[:, nq:])), size(np.abs(x[:, :nq])) / self._h)
         ends, least, most = found.ends.copy(), found.least.copy(), found.most.copy()
         for doubling in range(1, _DOUBLINGS + 1):
             finer = self._parts(steps, x[steps], _FIRST * 2**doubling)
@@ -82,13 +89,18 @@ class Stepper:
                 change[1, steps] = (finer.ends[:, :nq] - ends[steps, :nq]) / self._h[steps, None]
                 off = np.maximum(size(change[0]), size(change[1]))[steps]
             ends[steps], least[steps], most[steps] = finer.ends, finer.least, finer.most
-            steps = steps[~(off <= _SETTLED * scale)]  # not a number is not settled either
+            open_yet = ~(off <= _SETTLED * scale + lost[steps])  # not a number is not settled either
+            steps, off = steps[open_yet], off[open_yet]
             if not len(steps):
-                return OwnSteps(ends=ends, least=least, most=most)
-        raise Unmeasured(
-            f"the true motion from the plan's own state at t = {self._held.times[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
-            "parts of the step do not tell it."
-        )
+                break
+        # A body that rests turns over nothing, and one that bounces in every part is told by no number of them: what counts is the force that is left open.
+        steps = steps[~(off <= _SETTLED * force() * self._h[steps])] if len(steps) else steps
+        if len(steps):
+            raise Unmeasured(
+                f"the true motion from the plan's own state at t = {self._held.times[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
+                "parts of the step do not tell it."
+            )
+        return OwnSteps(ends=ends, least=least, most=most)
 
     def _parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
         """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
@@ -124,30 +136,35 @@ class Stepper:
         """
         found, missed, gains, before = np.empty((len(q) - 1, q.shape[1])), np.empty((len(q) - 1, q.shape[1])), np.empty(len(q) - 1), v0
         enough = _SETTLED * float(np.abs(np.diff(q, axis=0) / self._h[:, None]).max()) + _MISSED * float(nominal.max())
+        near = np.maximum(_MISSED * nominal * (self._h / self._h.max())[:, None] ** 2, ROUNDED * np.abs(q).max(axis=0))
         for step in range(len(found)):
             best = None
             for guess in (before, (q[step + 1] - q[step]) / self._h[step]):
-                one = self._departure(step, q, guess, nominal, enough)
+                one = self._departure(step, q, guess, nominal, near[step], enough)
                 best = one if best is None or np.abs(one[2]).max() < np.abs(best[2]).max() else best
-                if (np.abs(best[2]) <= _MISSED * nominal).all():
+                if (np.abs(best[2]) <= near[step]).all():
                     break
             assert best is not None
-            found[step], before, missed[step], gains[step] = best
-        return Departures(v=found, missed=missed, gains=gains)
+            found[step], arrived, missed[step], gains[step] = best
+            # A step too short to tell a velocity goes on with that of the one before, known as well as there.
+            if step and (found[step] == before).all():
+                gains[step] = min(gains[step], gains[step - 1])
+            before = arrived
+        return Departures(v=found, last=before, missed=missed, gains=gains)
 
     def _departure(
-        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, enough: float
+        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, near: np.ndarray, enough: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The velocity, that of arrival, what is missed, and the gain, with so many parts that more change the velocity by less than `enough` [m/s]."""
-        before, found = np.full(len(v), np.inf), self._newton(step, q, v, nominal, _FIRST)
+        before, found = np.full(len(v), np.inf), self._newton(step, q, v, nominal, near, _FIRST)
         for doubling in range(2, _DOUBLINGS + 1, 2):
             if np.abs(found[0] - before).max() <= enough:
                 break
-            before, found = found[0], self._newton(step, q, found[0], nominal, _FIRST * 2**doubling)
+            before, found = found[0], self._newton(step, q, found[0], nominal, near, _FIRST * 2**doubling)
         return found
 
     def _newton(
-        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, parts: int
+        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, near: np.ndarray, parts: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """The best of some steps, each halved until it is better: friction that sticks makes corners."""
         nq, h = q.shape[1], self._h[step]
@@ -165,7 +182,7 @@ class Stepper:
                 best = v, ends[0, nq:], np.nan_to_num(miss, nan=np.inf), float(np.abs(inverse).sum(axis=1).max())
             else:
                 move = move / 2.0
-            if (np.abs(best[2]) <= _MISSED * nominal).all():
+            if (np.abs(best[2]) <= near).all():
                 break
         assert best is not None
         return best

@@ -18,16 +18,15 @@ from __future__ import annotations
 import numpy as np
 
 from validate.judge.score.evidence import Evidence, sizes
+from validate.judge.score.own_steps import ROUNDED
 
 # What the metric is limited by where a scene sets nothing.
 LIMIT = 0.1
-# What counts as a contact force at least, of the inputs' range: a plan that only grazes is not held to a millionth of a newton.
-_SHARE_OF_RANGE = 0.1
 
 
 def unexplained_force(case: Evidence) -> float:
-    """Largest unexplained mean force of a step, as a share of the peak contact force of the replay (or of what else drives it: `_reference`)."""
-    reference = _reference(case)
+    """Largest unexplained mean force of a step, as a share of the peak contact force of the replay (or of what else drives it: `Evidence.reference_force`)."""
+    reference = case.reference_force
     return float(_forces(case, LIMIT * reference).max()) / reference
 
 
@@ -66,7 +65,7 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
     """(steps,) the same of the motion alone."""
     plan, h = case.trajectory, np.diff(case.trajectory.t)
     if "v" not in plan.missing:
-        return _by_velocities(case, h, plan.v, case.printing["v"])
+        return _by_velocities(case, h, plan.v, _off(case, "v"))
     if case.equations.relaxation_index is not None:
         return _without_inertia(case, h, case.departures.v)
     backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
@@ -76,10 +75,15 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
     return min(found, _by_departures(case, h), key=lambda forces: forces.max())
 
 
+def _off(case: Evidence, group: str) -> float:
+    """What printing and rounding may change of the plan's "t", "q" or "v"; in the unit of the group."""
+    return max(case.printing[group], ROUNDED * float(np.abs(getattr(case.trajectory, group)).max(initial=0.0)))
+
+
 def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
     """(steps,) with velocities v (nodes, nq) printed to p_v."""
-    q, p_q, mass = case.q, case.printing["q"], case.masses
-    late = 2.0 * case.printing["t"]  # a node that is printed late has moved on by its speed, and its speed by its acceleration
+    q, p_q, mass = case.q, _off(case, "q"), case.masses
+    late = 2.0 * _off(case, "t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
     ends = case.own_steps(v[:-1]).ends
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
     moved = np.diff(q, axis=0)
@@ -98,7 +102,7 @@ def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray
     """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
     mass = case.masses[1:]
     missed = (case.q[1:] - case.own_steps(v).ends[:, : case.scene.nq]) / h[:, None]
-    allowed = (2.0 * case.printing["q"] + 2.0 * case.printing["t"] * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
+    allowed = (2.0 * _off(case, "q") + 2.0 * _off(case, "t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
     return (sizes(mass, missed) - allowed * sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
 
 
@@ -109,8 +113,8 @@ def _relaxation_time(case: Evidence) -> float:
 
 def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
-    p_q, mass, departing, gains = case.printing["q"], case.masses, case.departures.v, case.departures.gains
-    late = 2.0 * case.printing["t"]
+    p_q, mass, departing, gains = _off(case, "q"), case.masses, case.departures.v, case.departures.gains
+    late = 2.0 * _off(case, "t")
     arriving = case.own_steps(departing).ends[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
     spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])
@@ -120,30 +124,3 @@ def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     unit = sizes(mass[:-1], np.ones(case.scene.nq))
     missed = (sizes(mass[:-1], case.departures.missed) - 2.0 * p_q * unit) / h**2
     return np.maximum((sizes(mass[:-1], jump) - allowed * unit) / spans, missed).clip(0.0)
-
-
-def _reference(case: Evidence) -> float:
-    """The force that unexplained ones are measured by, in the norm of M^-1.
-
-    The largest contact force of the replay, or a tenth of the inputs' range where that is more; without contact their range, and without inputs the
-    largest force of the motion, or what moves it by its nominal within the plan.
-    """
-    scene, kernel = case.equations, case.kernel
-    q = case.opened_q
-    v, u, none = np.zeros_like(q), np.zeros((len(q), scene.nu)), np.zeros((len(q), scene.nl))
-    mass, largest = case.masses_at(q), 0.0
-    still = kernel.acceleration(q, v, u, none)
-    for contact in range(scene.nc):
-        push = none.copy()
-        push[:, contact] = case.opened_lam[:, contact]
-        largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, u, push) - still).max()))
-    share = _SHARE_OF_RANGE if largest > 0.0 else 1.0
-    ranges = [item.upper - item.lower for item in scene.inputs]
-    for place, width in enumerate(ranges):
-        pull = u.copy()
-        pull[:, place] = share * (width if np.isfinite(width) else 2.0 * np.abs(case.trajectory.u[:, place]).max())
-        largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, pull, none) - still).max()))
-    if largest > 0.0:
-        return largest
-    nominal = np.array([item.nominal for item in scene.coordinates]) / case.trajectory.duration**2
-    return max(float(sizes(mass, still).max()), float(sizes(mass, nominal).max()))

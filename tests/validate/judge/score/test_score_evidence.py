@@ -404,13 +404,18 @@ def size_of(dv: np.ndarray) -> np.ndarray:
     return np.abs(dv[:, 0])
 
 
+def none() -> float:
+    """By which nothing is small."""
+    return 0.0
+
+
 X = np.array([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]])
 
 
 def test_each_step_is_run_from_its_own_state_under_its_own_input():
     """Steps of 0.5, 0.25 and 0.5 s; of equal length together."""
     kernel = Falling()
-    found = stepper(kernel, [0.0, 0.5, 0.75, 1.25], [4.0, -8.0, 2.0]).run(X, size_of, 1.0)
+    found = stepper(kernel, [0.0, 0.5, 0.75, 1.25], [4.0, -8.0, 2.0]).run(X, size_of, 1.0, none)
     assert found.ends == pytest.approx(np.array([[1 + 1 + 0.5, 4.0], [3 - 0.25 - 0.25, -3.0], [0.25, 1.0]]))
     assert kernel.parts == [(1, 50, 0.005), (2, 50, 0.01), (1, 100, 0.0025), (2, 100, 0.005)]
     assert (found.least.ravel().tolist(), found.most.ravel().tolist()) == ([4.0, 8.0, 2.0], [400.0, 800.0, 200.0])
@@ -418,7 +423,7 @@ def test_each_step_is_run_from_its_own_state_under_its_own_input():
 
 def test_inputs_that_are_lines_are_taken_in_the_middle_of_each_part():
     """From 4 to 8 in half a second: their mean is 6, wherever it is cut."""
-    found = stepper(Falling(), [0.0, 0.5], [4.0], Hold.LINEAR, 8.0).run(X[:1], size_of, 1.0)
+    found = stepper(Falling(), [0.0, 0.5], [4.0], Hold.LINEAR, 8.0).run(X[:1], size_of, 1.0, none)
     assert found.ends[0, 1] == pytest.approx(2.0 + 0.5 * 6.0, abs=1e-12)
     assert found.least[0, 0] == pytest.approx(4.0 + 4.0 / 200)
 
@@ -427,16 +432,25 @@ def test_inputs_that_are_lines_are_taken_in_the_middle_of_each_part():
 def test_parts_are_doubled_until_they_change_less_than_a_thousandth(error: float, parts: int):
     """An error of 1/n changes by half of what it was at n/2: 0.1/100 of a scale of 1."""
     kernel = Falling(error)
-    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
+    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
     assert kernel.parts[-1][1] == parts
 
 
 def test_only_steps_that_are_not_settled_go_on_and_what_never_settles_is_said():
     kernel = Falling(0.11)
     with pytest.raises(Unmeasured, match=r"at t = 0 s, .*not to be had: 12800 parts"):
-        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
-    stepper(kernel, [0.0, 0.5, 1.0], [0.0, 0.0]).run(X[:2], lambda dv: np.abs(dv[:, 0]) * np.array([1.0, 0.1]), 1.0)
+        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
+    stepper(kernel, [0.0, 0.5, 1.0], [0.0, 0.0]).run(X[:2], lambda dv: np.abs(dv[:, 0]) * np.array([1.0, 0.1]), 1.0, none)
     assert [(rows, parts) for rows, parts, _ in kernel.parts] == [(2, 50), (2, 100), (1, 200)]
+
+
+def test_what_never_settles_is_known_well_enough_where_little_force_is_left_open():
+    """It jumps by 2 to the end of a step of half a second: a force of 4, and a thousandth of 4100 is more."""
+    jumping = Falling(1.0, jump=True)
+    found = stepper(jumping, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, lambda: 4100.0)
+    assert found.ends[0, 1] in (1.0, 3.0)
+    with pytest.raises(Unmeasured):
+        stepper(Falling(1.0, jump=True), [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, lambda: 3900.0)
 
 
 def test_a_position_that_changes_counts_as_a_velocity_over_its_step():
@@ -448,7 +462,7 @@ def test_a_position_that_changes_counts_as_a_velocity_over_its_step():
         return lam, ends + np.array([0.055 / u.shape[1], 0.0])
 
     kernel.rollouts = off
-    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0)
+    stepper(kernel, [0.0, 0.5], [0.0]).run(X[:1], size_of, 1.0, none)
     assert kernel.parts[-1][1] == 200
 
 
