@@ -26,6 +26,8 @@ _ENTRIES = {entry.name: entry for entry in (*TABLE, *FEEDBACK)}
 _UNSTABLE = 100.0
 # A step that the order of the scheme predicts is taken a little smaller.
 _SAFETY = 0.8
+# A number of three digits has nine at most where its limit looks alike.
+_MORE_DIGITS = 7
 _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
 # What a metric says of itself where it fails first.
 _CAUSES = {
@@ -248,7 +250,7 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
     if first.name in _CAUSES:
-        return _CAUSES[first.name]
+        return _CAUSES[first.name] + (_few_digits(scored.trajectory) if first.name == "contact_law_error" else "")
     if first.name == "max_penetration":
         return _of_depth(scored)
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
@@ -263,6 +265,12 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         text = f": discretisation error {number(grid.value or 0.0, grid.unit)}"
         return f"{text}; the contact forces are correct{_unstable(scored)}" if by_the_grid else text
     return ": force at a distance" if first.name == "ghost_impulse" else ""
+
+
+def _few_digits(plan: Trajectory) -> str:
+    """Whether the plan's own digits may be the cause: numbers with so few are taken as they stand."""
+    few = next((digits for digits in range(4) if np.allclose(plan.q, np.round(plan.q, digits), rtol=0.0, atol=1e-12)), None)
+    return "" if few is None else f", or the plan's own digits: its positions are given to {10.0**-few:g}"
 
 
 def _of_depth(scored: ScoredPlan) -> str:
@@ -340,25 +348,33 @@ def _quote(metric: Metric) -> str:
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:
         return f"{metric.name}: {metric.reason.rstrip('.')}"
-    is_share = name in ("unexplained_force", EFFORT, SHARE)
-    value, limit = (percent(of) if is_share else number(of, metric.unit) for of in (metric.value, metric.limit or 0.0))
+    value, limit = _told_apart(metric.value, metric.limit or 0.0, None if name in ("unexplained_force", EFFORT, SHARE) else metric.unit)
     phrase = _ENTRIES[name].quote(value)
     if name != metric.name:
         phrase = "with feedback " + phrase.replace("driven by its inputs ", "")
     return f"{phrase}, limit {limit}" if metric.is_judged else phrase
 
 
-def number(value: float, unit: str) -> str:
-    """Three digits and the unit; a norm over several units has none."""
-    return f"{value:.3g}" if unit == "1" or "," in unit else f"{value:.3g} {unit}"
+def _told_apart(value: float, limit: float, unit: str | None) -> tuple[str, str]:
+    """Both in as many digits as tell them apart; shares where there is no unit."""
+    for more in range(_MORE_DIGITS):
+        texts = [percent(of, 2 + more) if unit is None else number(of, unit, 3 + more) for of in (value, limit)]
+        if texts[0] != texts[1]:
+            break
+    return texts[0], texts[1]
 
 
-def percent(share: float) -> str:
+def number(value: float, unit: str, digits: int = 3) -> str:
+    """Three digits, or as many, and the unit; a norm over several units has none."""
+    return f"{value:.{digits}g}" if unit == "1" or "," in unit else f"{value:.{digits}g} {unit}"
+
+
+def percent(share: float, digits: int = 2) -> str:
     """`24 %`."""
-    return f"{100 * share:.2g} %" if abs(share) < 10 else f"{rounded(100 * share)} %"
+    return f"{100 * share:.{digits}g} %" if abs(share) < 10 else f"{rounded(100 * share, digits)} %"
 
 
-def rounded(value: float) -> str:
-    """Two digits, without a power of ten up to a million: 5600, 0.34."""
-    text = float(f"{value:.2g}")
+def rounded(value: float, digits: int = 2) -> str:
+    """Two digits, or as many, without a power of ten up to a million: 5600, 0.34."""
+    text = float(f"{value:.{digits}g}")
     return f"{text:.0f}" if 10.0 <= text < 1e6 else f"{text:g}"

@@ -204,9 +204,9 @@ TABLE = (
     ),
     MetricEntry(
         name="unexplained_force", question=Question.MOTION, units=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
-        default=(LIMIT, "10 % of the largest force that drives the motion, of contacts or inputs: as much as a step of a good grid leaves open"),
-        meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the largest force that drives it",
-        quoted="its own motion needs a force that neither inputs nor contact give, {} of the largest force that drives it",
+        default=(LIMIT, "10 % of what counts as a large force: as much as a step of a good grid leaves open"),
+        meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of what counts as a large one: the largest of contact, at least a tenth of the inputs' range; that range without contact; the largest of the motion without inputs",
+        quoted="its own motion needs a force that neither inputs nor contact give, {} of what counts as a large force",
     ),
     MetricEntry(
         name="max_penetration", question=Question.POSSIBLE, units=_unit("m"), measure=measures.max_penetration,

@@ -60,6 +60,28 @@ def test_each_metric_that_fails_first_has_its_cause(first: Metric, says: str):
     assert not unsaid(told(first), says)
 
 
+@pytest.mark.parametrize(
+    ("name", "unit", "value", "limit", "says"),
+    [
+        ("replay_cost", "1", 1668.87, 1670.54, "costs 1669, limit 1671."),
+        ("replay_cost", "1", 1668.87, 1900.0, "costs 1.67e+03, limit 1.9e+03."),
+        ("max_penetration", "m", 5.00001e-07, 5e-07, "by 5.00001e-07 m, limit 5e-07 m."),
+        ("max_penetration", "m", 0.5 + 1e-12, 0.5, "by 0.5 m, limit 0.5 m."),
+        ("unexplained_force", "1", 0.1004, 0.1, "10.04 % of what counts as a large force, limit 10 %."),
+        (EFFORT, "1", 12.34, 12.3, "is 1234 % of the half-range of the inputs, limit 1230 %."),
+    ],
+)
+def test_a_number_and_its_limit_have_the_digits_that_tell_them_apart(name: str, unit: str, value: float, limit: float, says: str):
+    assert cause._quote(metric(name, False, value=value, limit=limit, unit=unit)).endswith(says.rstrip("."))
+
+
+def test_digits_that_are_few_may_be_why_forces_are_not_those_of_the_motion():
+    few, many = (SimpleNamespace(q=np.array([[0.25, 2.0], [0.31, last]])) for last in (2.5, 2.50041))
+    assert cause._few_digits(few) == ", or the plan's own digits: its positions are given to 0.01"
+    assert cause._few_digits(many) == ""
+    assert ", or forces of another motion, or the plan's own digits: its" in told(metric("contact_law_error", False, unit="N s"))
+
+
 def test_a_law_that_the_motion_contradicts_is_not_blamed():
     same = "; its inputs give its motion all the same: if another integrator made it"
     for name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
