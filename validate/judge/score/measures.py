@@ -15,6 +15,7 @@ from models.trajectory import Hold
 from validate.judge.replay.result import Event
 from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
+from validate.judge.score.depths import deepest
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
@@ -263,14 +264,14 @@ def replay_limits(scene: Subject) -> np.ndarray:
 def max_penetration(case: Evidence) -> Measured:
     """Deepest penetration of each contact in the replay [m]."""
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
-    deepest, unsure = case.deepest
+    depth, unsure = deepest(case)
     error = case.error.gap + unsure
     if not isinstance(case.scene, Scene):
         _check_gaps(case)
         # Between rows a smooth gap is below their chord by an eighth of its second difference.
         bends = np.abs(np.diff(np.vstack([case.replay_gap[:1], case.replay_gap, case.replay_gap[-1:]]), 2, axis=0)) / 8.0
         error += np.take_along_axis(bends, case.replay_gap.argmin(axis=0)[None], 0)[0]
-    return Measured(values=deepest, error=error, scales=depths)
+    return Measured(values=depth, error=error, scales=depths)
 
 
 def _check_gaps(case: Evidence) -> None:

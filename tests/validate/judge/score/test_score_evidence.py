@@ -17,6 +17,7 @@ from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import _metric
+from validate.judge.score.depths import deepest, penetrations_within
 from validate.judge.score.evidence import Evidence, _at_times
 from validate.judge.score.own_steps import Stepper
 from validate.judge.score.table import TABLE
@@ -266,7 +267,7 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
     replay = SimpleNamespace(t=np.array([0.0, 0.1, 0.15, 0.2]), q=np.array([start_q] * 4), v=np.array([start_v] * 4), applied=None, lam=np.tile([1.5, 0.0], (4, 1)), friction=np.zeros((4, 0)))  # fmt: skip
     case.__dict__ |= {"step_of": np.array([0, 1, 1]), "duration": np.array([0.1, 0.05, 0.05])}
     case._replay = SimpleNamespace(**vars(replay), outcome=ReplayOutcome.OK, ok=True)
-    found = case._penetrations_within(2, 1000)
+    found = penetrations_within(case, 2, 1000)
     assert found.shape == (1001, 2)
     # From t = 0.15 s on with u1 = 20 - 100 (t - 0.1) N.
     s = np.linspace(0.0, 0.05, 20001)
@@ -279,7 +280,7 @@ def test_between_rows_a_penetration_is_that_of_the_motion_under_the_inputs_of_it
         depths.append(depth)
     assert found[:, 0] == pytest.approx(np.array(depths)[::20], abs=3e-4)
     case._replay.applied = np.array([[0.0, 0.0], [-40.0, 0.0]])
-    pulled = case._penetrations_within(2, 1000)[-1, 0]
+    pulled = penetrations_within(case, 2, 1000)[-1, 0]
     assert pulled - found[-1, 0] == pytest.approx(-60.0 * 0.05**2 / 2, rel=0.05)
 
 
@@ -298,7 +299,7 @@ def test_a_contact_between_two_rows_is_as_deep_as_it_was_though_a_shallower_one_
         t=t, q=q, v=v, gap=q, lam=np.maximum(-k * q, 0.0), friction=np.zeros((5, 0)), knots=np.array([0, 4]), applied=None, error=error,
         outcome=ReplayOutcome.OK, ok=True,
     )  # fmt: skip
-    depth, unsure = Evidence(scene, plan, replay).deepest
+    depth, unsure = deepest(Evidence(scene, plan, replay))
     assert depth == pytest.approx(1.1 / w, rel=2e-5)
     assert (unsure < 1e-4 / w).all()
 
