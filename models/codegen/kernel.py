@@ -11,6 +11,7 @@ friction forces belong to the slip at the end of the step (friction.h) and stand
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,6 +95,28 @@ class Kernel:
         self._columns = {"q": scene.nq, "v": scene.nq, "u": scene.nu, "lam": scene.nl}
         self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
         self._p_of_step: dict[float, np.ndarray] = {}
+
+    def with_parameters(self, values: np.ndarray) -> Kernel:
+        """The same functions with other values of the scene's parameters, which a new scene would take a hundred times as long to give.
+
+        Parameters
+        ----------
+        values
+            (np,), each in its own unit [SI], in the scene's order.
+
+        Returns
+        -------
+        Kernel
+            Its `scene` says the old values.
+
+        Raises
+        ------
+        KernelError
+            For another number of values.
+        """
+        other = copy(self)
+        other._p, other._p_of_step = self._array("parameters", values, len(self.scene.parameters)).copy(), {}
+        return other
 
     def parameters_of(self, step: float) -> np.ndarray:
         """Parameter values for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).

@@ -335,7 +335,7 @@ def _failures(arena: Arena, cause: Perturbation) -> Iterable[FirstFailure]:
     own, one_sided = _at(arena, cause, 0.0), cause.below == 0.0
     near = [_at(arena, cause, size) for size in ((_SLOPE, 2.0 * _SLOPE) if one_sided else (_SLOPE, -_SLOPE))]
     known = all(trial.shares for trial in (own, *near))
-    parts = [(trial.states, trial.gaps, trial.cost) for trial in (own, *near)]
+    parts = [(trial.states, np.vstack([trial.gaps, trial.lowest]), trial.cost) for trial in (own, *near)]
     series = [_series(values, one_sided) for values in zip(*parts, strict=True)] if known else []
     for direction in (1,) if one_sided else (-1, 1):
         tried = min(FARTHEST, cause.above if direction > 0 else cause.below)

@@ -4,7 +4,8 @@
         arena.trial(world).ratio         # the largest of what is asked, as a share of its limit: up to 1 it arrives
         arena.checked(world).ratio       # the same by the reference
 
-The FMU's step is the coarsest whose motion in the model's own world ends where the reference's does. A scene's FMU is loaded once, and reset before each
+The FMU's step is the coarsest whose motion in the model's own world ends where the reference's does; of a scene in two perturbed worlds too, and where none
+does, worlds are the reference's. A scene's FMU is loaded once, and reset before each
 world. Somebody's is tried in the child process that a replay uses, and what ends the child there is a world in which the plan fails: by Co-Simulation where
 it has that, checked by Model Exchange, or else by half the smallest step; one with Model Exchange alone by a looser and a tighter tolerance.
 
@@ -16,14 +17,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
 
-from models.codegen.kernel import load_kernel
+from models.codegen.kernel import Kernel, load_kernel
+from models.collocation import lowest_between, penetration_rates
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
@@ -36,13 +39,13 @@ from validate.judge.judgement import WiredFmu
 from validate.judge.replay.everyday import simulate
 from validate.judge.replay.job import Job
 from validate.judge.replay.reference import ExchangeModel, integrate
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.run import EVENT_BUDGET, OWN_STEP, foreign_job, in_plan_units
 from validate.judge.replay.run import FINENESS as JUDGED
 from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
-from validate.judge.replay.wiring import Feedback, World, WorldInputs
-from validate.judge.robustness.worlds import nominal_world
+from validate.judge.replay.wiring import Feedback, HeldInputs, Variables, World, WorldInputs
+from validate.judge.robustness.worlds import moved, nominal_world, perturbations
 from validate.judge.score import Score
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import replay_limits
@@ -51,6 +54,14 @@ from validate.judge.score.measures import replay_limits
 FINENESS = (2, 5, 10, 20, 50, 100, 200)
 # In the place of a fineness; and the relative tolerance of the reference: limits are told with three digits.
 REFERENCE, RTOL = -1, 1e-9
+# A piece between two rows in which a contact may go deeper than they tell is run again in so many parts, more where these do not tell it either.
+_PARTS = (32, 128, 512, 2048, 8192, 32768)
+# Rows tell a depth where what is between them adds no more than this share of it: the cubic through them is then right to 1e-4.
+_TOLD = 0.01
+# How much further than shares the gaps of two motions may be apart.
+_ROUGHLY = 10.0
+# What goes no deeper than this share of the limit is not looked at closely.
+_SHALLOW = 1e-3
 _POSITION, _VELOCITY = "replay_terminal_position_error", "replay_terminal_velocity_error"
 _COST, _SPEED, _DEPTH, _MOTION = "replay_cost", "replay_velocity_bound_violation", "max_penetration", "replay_error"
 
@@ -126,8 +137,12 @@ class Asked:
             away = np.abs(states[:, :half] - self.planned).max(axis=0)
             shares[_MOTION] = float(np.max(1.0 + (away - self.near) / np.where(self.near > 0.0, self.near, 1.0)))
         if len(self.depths):
-            shares[_DEPTH] = float(np.max(-gaps.min(axis=0, initial=math.inf) / self.depths))
+            shares[_DEPTH] = self.depth_share(gaps.min(axis=0, initial=math.inf))
         return shares
+
+    def depth_share(self, lowest: np.ndarray) -> float:
+        """The deepest contact as a share of its depth [-]. lowest: least gaps (nc,) [m]. Raises ValueError without contacts."""
+        return float(np.max(-lowest / self.depths))
 
 
 def asked_limits(score: Score) -> dict[str, float]:
@@ -139,11 +154,12 @@ def asked_limits(score: Score) -> dict[str, float]:
 class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
-    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    lowest: the least gaps (nc,) [m], of a scene between its rows too; cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
     """
 
     states: np.ndarray
     gaps: np.ndarray
+    lowest: np.ndarray
     cost: float
     shares: dict[str, float]
     outcome: ReplayOutcome
@@ -170,6 +186,20 @@ class WorldTrial:
         return tuple(now for before, now in zip([None, *closed], closed, strict=False) if now != before)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Ran:
+    """How a run ended; states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early; commands (steps, nu).
+
+    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m].
+    """
+
+    outcome: ReplayOutcome
+    states: np.ndarray
+    gaps: np.ndarray
+    lowest: Callable[[np.ndarray], np.ndarray]
+    commands: np.ndarray
+
+
 class Arena(ABC):
     """Where a plan is tried in one world after the other: what runs a world (`_run`) is a scene's or an FMU's own.
 
@@ -187,6 +217,7 @@ class Arena(ABC):
         """Raises FmuError."""
         self.scene, self.plan, self.asked, self.followed, self.feedback = scene, plan, asked, followed, feedback
         self.nominal: World = nominal_world(scene, plan)
+        self.probes: Sequence[World] = (self.nominal,)
         self._cost = Evidence(scene, plan, None).cost_of
 
     def settle(self) -> Self:
@@ -198,8 +229,8 @@ class Arena(ABC):
         return self
 
     @abstractmethod
-    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
-        """How a run ended; states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early; commands (steps, nu)."""
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
+        """The plan in a world."""
 
     @abstractmethod
     def close(self) -> None:
@@ -215,30 +246,63 @@ class Arena(ABC):
         return self._tried(world, REFERENCE, feedback)
 
     def _tried(self, world: World, fineness: int, feedback: bool) -> WorldTrial:
-        outcome, states, gaps, commands = self._run(world, fineness, self.feedback if feedback else None)
+        ran = self._run(world, fineness, self.feedback if feedback else None)
+        states, gaps, lowest, outcome = ran.states, ran.gaps, ran.gaps.min(axis=0, initial=math.inf), ran.outcome
         if outcome is not ReplayOutcome.OK:
-            return WorldTrial(states=states, gaps=gaps, cost=math.nan, shares={}, outcome=outcome)
+            return WorldTrial(states=states, gaps=gaps, lowest=lowest, cost=math.nan, shares={}, outcome=outcome)
         q, v = np.hsplit(states, 2)
-        cost = self._cost(self.plan.t, q, v, commands) if _COST in self.asked.limits else 0.0
-        return WorldTrial(states=states, gaps=gaps, cost=cost, shares=self.asked.shares(states, gaps, cost), outcome=outcome)
+        cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
+        shares = self.asked.shares(states, gaps, cost)
+        if shares.pop(_DEPTH, None) is not None:
+            # Where the plan fails by something else a depth is told only if it is by more.
+            others = max(shares.values(), default=0.0)
+            lowest = ran.lowest(self.asked.depths * (others if others > 1.0 else _SHALLOW))
+            shares[_DEPTH] = self.asked.depth_share(lowest)
+        return WorldTrial(states=states, gaps=gaps, lowest=lowest, cost=cost, shares=shares, outcome=outcome)
 
     def _fine_enough(self) -> int:
-        exact = self.checked(self.nominal, feedback=self.followed)
+        exact = [self.checked(world, feedback=self.followed) for world in self.probes]
         for fineness in self.levels[:-1]:
-            found = self._tried(self.nominal, fineness, self.followed)
-            if found.shares and all(abs(found.shares[name] - share) <= self.near for name, share in exact.shares.items()):
+            found = (self._tried(world, fineness, self.followed) for world in self.probes)
+            if all(self._is_near(*pair) for pair in zip(found, exact, strict=True)):
                 return fineness
         return self.levels[-1]
 
+    def _is_near(self, found: WorldTrial, exact: WorldTrial) -> bool:
+        """Whether all shares are, and where the plan does not arrive the one by which it fails, for its size; and roughly the gaps, in depths of their contacts.
+
+        A depth alone may be right by luck, where the first of many bounces is the deepest.
+        """
+        if found.outcome is not exact.outcome or not exact.shares:
+            return found.outcome is exact.outcome
+        names = exact.shares if exact.arrives else [exact.fails_by]
+        shares = all(abs(found.shares[name] - exact.shares[name]) <= self.near * max(1.0, abs(exact.shares[name])) for name in names)
+        return shares and bool((np.abs(found.gaps - exact.gaps) <= _ROUGHLY * self.near * self.asked.depths).all())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Motion:
+    """A scene's motion in a world: t (rows,) [s] and values (rows, 2*nq + nc) that the FMU gave; inputs, as the run applied them; the FMU's variables and the equations' functions with the world's parameters."""
+
+    t: np.ndarray
+    values: np.ndarray
+    inputs: HeldInputs
+    variables: Variables
+    kernel: Kernel
+
 
 class SceneArena(Arena):
-    """A scene's own FMU, in this process: loaded once, and reset before each world."""
+    """A scene's own FMU, in this process: loaded once, and reset before each world. Where no step of it is near enough, worlds are the reference's."""
+
+    levels = (*FINENESS, REFERENCE)
 
     def __init__(self, scene: Scene, package: Package, plan: Trajectory, asked: Asked, followed: bool) -> None:
         """Raises FmuError, TrackingError; TrajectoryError if the plan does not fit the scene."""
-        super().__init__(
-            scene, plan, asked, followed, design_feedback(load_kernel(scene), scene, plan) if plan.has_states and scene.nu else None
-        )
+        self._kernel = load_kernel(scene)
+        feedback = design_feedback(self._kernel, scene, plan) if plan.has_states and scene.nu else None
+        super().__init__(scene, plan, asked, followed, feedback)
+        causes = perturbations(scene, plan)
+        self.probes = [self.nominal, *(moved(self.nominal, causes, np.full(len(causes), size)) for size in (-1.0, 1.0))]
         self._package, every = package, find_variables(package, scene.continuous())
         # Only what is asked is read.
         self._variables = replace(every, lam=(), friction=(), energies={}, powers={})
@@ -255,7 +319,7 @@ class SceneArena(Arena):
         ):
             yield arena.settle()
 
-    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
         inputs = WorldInputs(self.plan, world, feedback)
         # An FMU of ours has every parameter of its scene, in the scene's order.
         parameters = [
@@ -266,12 +330,75 @@ class SceneArena(Arena):
             with closing(ExchangeModel(self._package, variables)) as model:
                 run = integrate(model, world.start, inputs, RTOL, EVENT_BUDGET, parts=1)
         else:
-            run = simulate(self._package, variables, world.start, inputs, fineness, fmu=self._fresh())
-            if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
-                self.close()
-        values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[run.knots]
-        states, gaps = np.split(values[inputs.rows[inputs.rows < len(values)]], [2 * self.scene.nq], axis=1)
-        return run.outcome, states, gaps, inputs.commands
+            run = self._simulate(variables, world.start, inputs, fineness)
+        values, kernel = np.array(run.outputs).reshape(len(run.t), len(variables.outputs)), self._kernel.with_parameters(world.parameters)
+        motion = _Motion(t=np.array(run.t), values=values, inputs=inputs, variables=variables, kernel=kernel)
+        nodes = values[run.knots]
+        states, gaps = np.split(nodes[inputs.rows[inputs.rows < len(nodes)]], [2 * self.scene.nq], axis=1)
+        return _Ran(outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion), commands=inputs.commands)
+
+    def _lowest(self, motion: _Motion, reach: np.ndarray) -> np.ndarray:
+        """Least gaps (nc,) [m] of a motion at its rows and between them: what may be lower than any, and as deep as `reach` (nc,) [m], is run again."""
+        lowest, pieces, possible = self._told(motion)
+        possible[possible > -reach] = math.inf
+        for contact in range(len(lowest) if len(pieces) else 0):
+            while possible[place := int(possible[:, contact].argmin()), contact] < lowest[contact]:
+                lowest, possible[place] = np.minimum(lowest, self._within(motion, int(pieces[place]))), math.inf
+        return lowest
+
+    def _within(self, motion: _Motion, piece: int) -> np.ndarray:
+        """Least gaps (nc,) [m] between two rows of a motion, by as many rows between them as it takes."""
+        lowest = motion.values[piece, 2 * self.scene.nq :]
+        for parts in _PARTS:
+            lowest, _, possible = self._told(self._again(motion, piece, parts))
+            if np.isinf(possible).all():
+                break
+        return lowest
+
+    def _told(self, motion: _Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Least gaps (nc,) [m] that a motion's rows tell; pieces (n,) between two rows, and how low each may lead (n, nc) [m], infinite where they tell that too."""
+        nq, gap = self.scene.nq, motion.values[:, 2 * self.scene.nq :]
+        by_contact = np.ascontiguousarray(gap.T)  # five times as fast where rows are many
+        lowest, moves = by_contact.min(axis=1, initial=math.inf), np.abs(np.diff(by_contact)).max(axis=1, initial=0.0)
+        # A contact is touched and left between two rows no further away than twice what its gap changes by between any; as far again shows what presses it.
+        close = by_contact < (np.minimum(lowest, 0.0) + 4.0 * moves)[:, None]
+        pieces = np.flatnonzero((close[:, :-1] | close[:, 1:]).any(axis=0))
+        if not len(pieces):
+            return lowest, pieces, np.empty((0, len(lowest)))
+        rows, h = np.concatenate([pieces, pieces + 1]), (motion.t[pieces + 1] - motion.t[pieces])[:, None]
+        rate, gap = -penetration_rates(motion.kernel, motion.values[rows, :nq], motion.values[rows, nq : 2 * nq]), gap[rows]
+        (first, last), (begins, comes) = np.split(gap, 2), rate.reshape(2, len(pieces), -1)
+        ends, floor = np.minimum(first, last), np.maximum(-lowest, _SHALLOW * self.asked.depths)
+        # Where the cubic goes no deeper than its ends, and its rates have the mean that the gap changed by, the rows tell all of it.
+        beyond = ends - np.minimum(first + h * begins / 3.0, last - h * comes / 3.0)
+        told = np.maximum(beyond, np.abs(last - first - h * (begins + comes) / 2.0)) <= _TOLD * floor
+        deep = np.flatnonzero((told & (ends - beyond < np.minimum(lowest, 0.0))).any(axis=1))
+        if len(deep):
+            pairs = np.column_stack([deep, deep + len(pieces)]).ravel()
+            between = lowest_between(motion.t[rows[pairs]], gap[pairs], rate[pairs])[0][::2]
+            lowest = np.minimum(lowest, between.min(axis=0, initial=math.inf, where=told[deep]))
+        # Elsewhere it stays above its tangents at both ends, but for what presses the contact on: up to twice as much as anywhere without a contact that turns it back.
+        pressed = 2.0 * np.maximum(((begins - comes) / np.maximum(h, 1e-3 * h.max())).max(axis=0), 0.0) * h
+        begins, comes = begins - pressed, comes + pressed
+        late = np.clip(np.divide(h * comes - (last - first), comes - begins, out=np.zeros_like(h * comes), where=comes > begins), 0.0, h)
+        return lowest, pieces, np.where(told, math.inf, np.minimum(ends, first + begins * late))
+
+    def _again(self, motion: _Motion, piece: int, parts: int) -> _Motion:
+        """The motion from one row to the next, with rows at the ends of so many parts."""
+        (begin, end), inputs, nx = motion.t[piece : piece + 2], motion.inputs, 2 * self.scene.nq
+        t, step = np.linspace(begin, end, parts + 1), int(np.searchsorted(inputs.times, (begin + end) / 2.0)) - 1
+        u = inputs.values[step] + inputs.slopes[step] * ((t[:-1] + t[1:]) / 2.0 - inputs.times[step])[:, None]
+        still = np.zeros((len(t), self.scene.nq))
+        held = HeldInputs(Trajectory(t=t, q=still, v=still, u=u, lam=np.zeros((parts, self.scene.nl))))
+        run = self._simulate(motion.variables, motion.values[piece, :nx], held, 2)
+        return replace(motion, t=np.array(run.t), values=np.array(run.outputs).reshape(len(run.t), motion.values.shape[1]))
+
+    def _simulate(self, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> Run:
+        """The everyday replay from a start (2*nq,) on the instance that is kept; one that failed is not."""
+        run = simulate(self._package, variables, start, inputs, fineness, fmu=self._fresh())
+        if run.outcome in (ReplayOutcome.FMU_FAILED, ReplayOutcome.FATAL):
+            self.close()
+        return run
 
     def _fresh(self) -> Instance:
         """The instance as it was when it was made."""
@@ -325,19 +452,26 @@ class FmuArena(Arena):
         with closing(cls(wired, Asked.of(wired.foreign.model, limits, wired.plan), followed)) as arena:
             yield arena.settle()
 
-    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> tuple[ReplayOutcome, np.ndarray, np.ndarray, np.ndarray]:
+    def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
         foreign, inputs, nx = self._foreign, WorldInputs(self.plan, world, feedback), 2 * self.scene.nq
         level = {"tolerances": (_LOOSE,), "fineness": ()} if fineness == _LOOSELY else {"tolerances": (), "fineness": (fineness,)}
         try:
             job = replace(self._moved(world), **(self._exact if fineness == REFERENCE else level))
             simulated = in_plan_units(foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units)))
         except FmuError:  # what it does in this world alone is no mistake of the user's
-            return ReplayOutcome.FMU_FAILED, np.empty((0, nx)), np.empty((0, self.scene.nc)), inputs.commands
+            nothing = np.empty((0, nx + self.scene.nc))
+            return self._told(ReplayOutcome.FMU_FAILED, nothing[:, :nx], nothing[:, nx:], nothing[:, nx:], inputs)
         self.seconds += simulated.seconds_reference + simulated.seconds_everyday
         run = simulated.judged
-        found = recorded(foreign.model, foreign.variables, run, run.knots)
-        rows = inputs.rows[inputs.rows < len(found.q)]
-        return run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], inputs.commands
+        found = recorded(foreign.model, foreign.variables, run)
+        rows = np.array(run.knots, dtype=int)[inputs.rows[inputs.rows < len(run.knots)]]
+        return self._told(run.outcome, np.hstack([found.q, found.v])[rows], found.gap[rows], found.gap, inputs)
+
+    @staticmethod
+    def _told(outcome: ReplayOutcome, states: np.ndarray, gaps: np.ndarray, every: np.ndarray, inputs: WorldInputs) -> _Ran:
+        """every: gaps (points, nc) [m] at all points that the FMU showed."""
+        lowest = every.min(axis=0, initial=math.inf)
+        return _Ran(outcome=outcome, states=states, gaps=gaps, lowest=lambda _: lowest, commands=inputs.commands)
 
     def _moved(self, world: World) -> Job:
         """The job in a world, in the FMU's units; what is as the FMU has it is not set."""
