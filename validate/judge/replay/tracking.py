@@ -19,7 +19,7 @@ are settled, so that a contact that the plan closes is closed. One step is exp(h
 inputs: of second order in h, and half a contact where it closes in between.
 
 How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the
-plan's own time step (of one that declares no scheme: of steps so small that smaller ones give the same), with the true contact law, from the block's
+plan's own time step (of one that declares no scheme: of steps that are stable in contact, and so small that smaller ones give the same), with the true contact law, from the block's
 first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm over i < j of
 S^-1 Phi_qq(j, i) S, the positions that positions lead to, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that
 amplification = exp(rate T). Velocities are left out: in a contact of frequency w a position becomes w times as much speed, which is no growth.
@@ -30,6 +30,7 @@ number explains a verdict, and decides none.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import closing
 from itertools import pairwise
@@ -42,6 +43,7 @@ from models.codegen.kernel import Kernel, KernelError
 from models.errors import TouchstoneError
 from models.scene import Scene
 from models.scene.goal import goal_state
+from models.stability import step_stability
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits, packed, run_isolated, unpacked_from
 from validate.fmi.description import Package, read_package, unpacked
@@ -179,8 +181,9 @@ def _states(package: Package) -> list[Any]:
 # Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the cost below that of one replay.
 _BLOCKS = 50
 
-# Parts of a plan's step, tried until twice in a row the growth is the same up to this factor.
-_PARTS, _AGREE = (1, 8, 64, 512), 3.0
+# Parts of a plan's step, more and more until twice in a row the growth is the same up to this factor, or they are so many in all (a CPU second). The first are
+# no longer than this share of the longest stable ones.
+_FINER, _AGREE, _MOST, _STABLY = 8, 1.2, 4_000_000, 0.25
 
 
 def nominals(subject: Subject) -> np.ndarray:
@@ -197,12 +200,15 @@ def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | N
     """
     if plan.scheme is not None:
         return _growth_in(1, kernel, scene, plan)
-    before = None
-    for parts in _PARTS:
+    stable, longest = step_stability(scene).largest_step, float(np.diff(plan.t).max())
+    parts, before = 1 if longest < stable else math.ceil(longest / (_STABLY * stable)), None
+    while parts * plan.steps <= _MOST:
         found = _growth_in(parts, kernel, scene, plan)
-        if found is not None and before is not None and max(found.amplification, 1.0) / max(before.amplification, 1.0) >= 1.0 / _AGREE:
-            return found
-        before = found
+        if found is not None and before is not None:
+            ratio = max(found.amplification, 1.0) / max(before.amplification, 1.0)
+            if 1.0 / _AGREE <= ratio <= _AGREE:
+                return found
+        parts, before = parts * _FINER, found
     return None
 
 
