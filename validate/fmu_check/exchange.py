@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import Crowded, Exchange, by_adams_or_bdf, run
+from validate.fmu_check.motion import Crowded, Exchange, Record, by_adams_or_bdf, fresh_run, run
 from validate.fmu_check.subject import HOLD, Block, CheckedInstance, Subject
 
 # Values read in two ways are the same number.
@@ -102,8 +102,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
                     break
                 now = np.abs(instance.indicators()) if count else size
                 size = np.maximum(size, now)
-                # The look falls on an event, which its indicator announces by being zero.
-                if ((now <= _ZERO * size) & (size > 0)).any():
+                # The look falls on an event, which its indicator announces by being zero, or its time.
+                if ((now <= _ZERO * size) & (size > 0)).any() or mover.is_at_time_event:
                     continue
                 mover.update_unannounced()
                 if mover.record.surprises:
@@ -124,6 +124,20 @@ def indicators(subject: Subject, kind: str) -> Finding:
     state_events = sum(bool(event[1]) for event in mover.record.events)
     others = len(mover.record.events) - state_events
     return passed(f"{count} indicators; {state_events} state events and {others} others by t = {mover.time:.4g} s.")
+
+
+@check("events tell that they change states", Scope.EXCHANGE, clauses=("3.2.2", "2.3.5"))
+def told(subject: Subject, kind: str) -> Finding:
+    """A state that an event update changes is told by valuesOfContinuousStatesChanged: an importer keeps its own states otherwise."""
+    if not subject.description.numberOfContinuousStates:
+        return not_offered("there are no continuous states.")
+    record = Record()
+    fresh_run(subject, kind, subject.long_steps(kind), observe="end", record=record)
+    if record.untold:
+        return failed(
+            f"an event update changes {record.untold[0]}, but valuesOfContinuousStatesChanged is false: an importer goes on with its own states."
+        )
+    return passed(f"no state changes untold, in {len(record.events)} events of its own and where inputs jump.")
 
 
 _RTOLS = (1e-7, 1e-9)

@@ -40,7 +40,7 @@ BEHAVIOUR: tuple[Check, ...] = (
     communication.keeps_time, communication.stop_time, communication.event_mode, communication.early_return,
     communication.intermediate_update, communication.input_derivatives,
     states.repeats, states.resets, states.independent, states.leaks, states.surrounded, states.token, states.restores, states.serialises,
-    exchange.arrays, exchange.nominals, exchange.indicators,
+    exchange.arrays, exchange.nominals, exchange.indicators, exchange.told,
     derivatives.directional, derivatives.adjoint, derivatives.dependencies, derivatives.rates,
     exchange.agree, clocks.ticking, clocks.activated, reference.stored, *importers.CHECKS,
 )  # fmt: skip

@@ -102,7 +102,8 @@ _MOST_EVENTS = 2000
 _CROWDED = 1e-7
 # What changes by more than this share of its size at an event update jumps.
 _JUMP = 1e-8
-# Less than this, as a share of the time, is no time to integrate over.
+# Less than this, as a share of the time (of 1 s near 0), is no time to integrate over: what is so near a time event is at it. It is 450 units in the last
+# place of 1: a time that an FMU sums up from 500 periods, as many as the longest run has steps, is up to 250 units off.
 _NO_TIME = 1e-13
 
 
@@ -110,12 +111,13 @@ _NO_TIME = 1e-13
 class Record:
     """What a run of Model Exchange noted.
 
-    events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; crowded: from when on
-    events crowd; most: events after which the run ends.
+    events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words; untold: states that an event
+    changed and the FMU did not say so, in words; crowded: from when on events crowd; most: events after which the run ends.
     """
 
     events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
     surprises: list[str] = field(default_factory=list)
+    untold: list[str] = field(default_factory=list)
     crowded: float = math.inf
     most: int = _MOST_EVENTS
 
@@ -216,7 +218,7 @@ class Exchange:
             instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)
-            instance.settle()
+            self._settle()
         self.renew(time)
 
     def renew(self, time: float) -> None:
@@ -259,11 +261,16 @@ class Exchange:
                 self._event(crossed)
         self._move(target, self.y)
 
+    @property
+    def is_at_time_event(self) -> bool:
+        """Whether the next time event is now, but for rounding."""
+        return self.instance.next_event - self.time <= _NO_TIME * max(1.0, abs(self.time))
+
     def _event(self, crossed: tuple[int, ...]) -> None:
         events = self.record.events
         indicators = self.instance.indicators() if self.instance.indicator_count else np.empty(0)
-        if crossed or self.time >= self.instance.next_event:
-            self.instance.event()
+        if crossed or self.is_at_time_event:
+            self._update()
         else:
             self.update_unannounced()
         events.append((self.time, crossed, indicators))
@@ -276,19 +283,35 @@ class Exchange:
         """An event update that no indicator and no time announced: what it makes jump is noted."""
         instance = self.instance
         if not self.count:
-            instance.event()
+            self._update()
             return
         before, rates = instance.states(), instance.rates()
-        instance.event()
+        self._update()
         largest = np.maximum(np.abs(rates).max(), self.nominal)
         for what, old, new, scale in (("state", before, instance.states(), self.nominal), ("derivative", rates, instance.rates(), largest)):
-            jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
-            place = int(np.argmax(jump))
-            if jump[place] > _JUMP:
-                subject = instance.subject
-                names = (subject.states if what == "state" else subject.derivatives).names
-                name = names[place] if place < len(names) else f"{what} {place}"
-                self.record.surprises.append(f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.time:.6g} s")
+            self.record.surprises += self._jumps(what, old, new, scale)
+
+    def _update(self) -> None:
+        """Event mode and back."""
+        self.instance.fmu.enterEventMode()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Event updates in Event Mode, then out of it: a state that they change, and do not say so, is noted."""
+        before = self.instance.states() if self.count else self.y
+        if not self.instance.settle() and self.count:
+            self.record.untold += self._jumps("state", before, self.instance.states(), self.nominal)
+
+    def _jumps(self, what: str, old: np.ndarray, new: np.ndarray, scale: np.ndarray) -> list[str]:
+        """The largest jump of states, or of derivatives, (nx,) [unit of each], in words; nothing if none jumps."""
+        jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
+        place = int(np.argmax(jump))
+        if not jump[place] > _JUMP:
+            return []
+        subject = self.instance.subject
+        names = (subject.states if what == "state" else subject.derivatives).names
+        name = names[place] if place < len(names) else f"{what} {place}"
+        return [f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.instance.time:.6g} s"]
 
     def _move(self, time: float, y: np.ndarray) -> None:
         self.instance.move(time, y[: self.count])

@@ -1,0 +1,96 @@
+"""What events and variabilities allow, and what not: sampling from t = 0 on, times that rounding moves, states that change untold, what moves between events."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from shell_fmu import FOREIGN, NO_EVENTS, PARAMETER, RATE, SKIP_SLOPE, STATE, Foreign, build_shell
+
+from validate.fmu_check import FmuCheckRow, Status, check_fmu
+
+_OBEYED, _ANNOUNCED, _TOLD = "start values are obeyed", "event indicators announce events", "events tell that they change states"
+_STILL, _APART = "variables move as their variability says", "instances do not disturb each other"
+pytestmark = pytest.mark.slow
+_SHELLS = {model.name: model for model in FOREIGN}
+_HELD = 'causality="output" variability="discrete" initial="exact"'
+
+# x' = 1 - held, where held is x as it was at the last of the times 0, 0.1, 0.2, ..; those are products, of which 3 * 0.1 is a unit in the last place after 0.3.
+_SAMPLED = Foreign(
+    name="sampled",
+    macros="#define NX 1\n#define NZ 0\n#define NR 3\n#define NI 1\n#define SOLVER_STEP 1e-3\n#define STATE(k) ((k) + 1)\n#define RATE(k) ((k) + 2)\n",
+    code="""
+enum { X = 1, DER_X, HELD };
+static void start(Model *m) { (void)m; }
+static void calculate(Model *m) { m->r[DER_X] = 1.0 - m->r[HELD]; }
+static void indicate(Model *m, double *z) { (void)m; (void)z; }
+static double next_event(const Model *m) { return 0.1 * m->i[0]; }
+static int update(Model *m)
+{
+    if (m->time < next_event(m) - 1e-12) return 0;
+    m->r[HELD] = m->r[X];
+    m->i[0]++;
+    return 0;
+}
+"""
+    + SKIP_SLOPE,
+    reals=(("x", STATE, 'start="0"'), ("der(x)", RATE, 'derivative="2"'), ("held", _HELD, 'start="0"')),
+    states=(2,),
+    integers='<ScalarVariable name="samples" valueReference="100" causality="local" variability="discrete" initial="exact"><Integer start="0"/></ScalarVariable>',
+    experiment='startTime="0" stopTime="1" stepSize="0.02"',
+)
+
+
+def _rows(model: Foreign, folder: Path, *names: str, edit: tuple[str, str] = ("", "")) -> dict[str, FmuCheckRow]:
+    """The rows of these checks by the type of FMI; each check has its own where there are more."""
+    rows = check_fmu(build_shell(model, folder, edit), names=list(names)).rows
+    return {row.type if len(names) == 1 else row.title: row for row in rows if row.name in names}
+
+
+@pytest.mark.parametrize(("early", "status"), [("1e-9", Status.FAILED), ("1e-14", Status.PASSED)])
+def test_a_time_event_may_come_early_by_rounding_alone(early: str, status: Status, tmp_path: Path):
+    """Looked at 0.1 s and 0.3 s, so much before the times that the FMU told, it has sampled already."""
+    code = _SAMPLED.code.replace("return 0.1 * m->i[0];", f"return 0.1 * m->i[0] + {early};").replace("- 1e-12", f"- 2.0 * {early}")
+    row = _rows(replace(_SAMPLED, code=code), tmp_path, _ANNOUNCED)["ME"]
+    assert row.status is status, row.sentence
+
+
+def test_a_state_that_an_event_changes_untold_is_found(tmp_path: Path):
+    """A ball that falls from 1 m meets the floor with sqrt(2 g), and leaves it with 0.7 of that."""
+    ball = _SHELLS["bouncing_ball"]
+    assert _rows(ball, tmp_path, _TOLD)["ME"].status is Status.PASSED
+    row = _rows(ball, tmp_path, _TOLD, edit=("info->valuesOfContinuousStatesChanged = update(&self->m);", "update(&self->m);"))["ME"]
+    assert row.status is Status.FAILED
+    told = re.search(r"v from (\S+) to (\S+) at t = (\S+) s, but valuesOfContinuousStatesChanged is false", row.sentence)
+    assert told, row.sentence
+    speed = math.sqrt(2 * 9.81)
+    assert [float(number) for number in told.groups()] == pytest.approx([-speed, 0.7 * speed, speed / 9.81], rel=1e-4)
+    assert row.clause == "FMI 2.0.4, 3.2.2"
+
+
+# Where an instance leaves what every instance shows as `last`: each reads its own right after its step.
+_LEAVES = {
+    "CS": ("    m->time = end;\n", "    m->time = end;\n    shared = m->r[1];\n"),
+    "ME": ("SELF; self->m.time = time;", "SELF; self->m.time = time; shared = time + self->m.r[1];"),
+}
+
+
+def _decaying(variability: str, start: float = 1.0) -> Foreign:
+    """x' = -x, and what x is beyond 0.5."""
+    return Foreign(
+        name="decaying",
+        macros="#define NX 1\n#define NZ 0\n#define NR 4\n#define NI 0\n#define SOLVER_STEP 1e-2\n#define STATE(k) ((k) + 1)\n#define RATE(k) ((k) + 2)\n",
+        code=f"static void start(Model *m) {{ m->r[1] = {start!r}; m->r[4] = 0.5; }}\n"
+        "static void calculate(Model *m) { m->r[2] = -m->r[1]; m->r[3] = m->r[1] > m->r[4] ? m->r[1] - m->r[4] : 0.0; }\n"
+        + NO_EVENTS
+        + SKIP_SLOPE,
+        reals=(
+            ("x", STATE, f'start="{start!r}"'), ("der(x)", RATE, 'derivative="2"'),
+            ("beyond", f'causality="local" variability="{variability}" initial="calculated"', ""), ("edge", PARAMETER, 'start="0.5"'),
+        ),
+        states=(2,),
+        experiment='startTime="0" stopTime="1" stepSize="0.01"',
+    )  # fmt: skip
