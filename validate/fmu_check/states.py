@@ -12,6 +12,7 @@ import contextlib
 import copy
 import ctypes
 import gc
+import itertools
 import mmap
 import os
 import sys
@@ -185,25 +186,33 @@ def resets(subject: Subject, kind: str) -> Finding:
 
 @check("instances do not disturb each other", Scope.EACH, clauses=("2.1.5", "2.3.1"))
 def independent(subject: Subject, kind: str) -> Finding:
-    """Two instances stepped in turn give what each gives alone."""
+    """Two instances stepped in turn give what each gives alone, and keep it while the other steps."""
     if subject.can(kind, "canBeInstantiatedOnlyOncePerProcess"):
         return not_offered("canBeInstantiatedOnlyOncePerProcess is true.")
     steps = min(subject.steps(kind), _IN_TURN)
 
     def in_turn(name: str, *seeds: int) -> Iterator[np.ndarray]:
-        """(steps, observed) [unit of each variable] after each step, of an instance for each seed: two know other parameters and inputs. Raises as `run`."""
+        """(steps + 1, observed) [unit of each variable] before and after each step, of an instance for each seed: two know other parameters and inputs.
+
+        Each is read again when another has stepped. Raises as `run`; Failed where that gives something else.
+        """
         instances = {seed: CheckedInstance(subject, kind, f"{name} {seed}") for seed in seeds}
         for seed, instance in instances.items():
             instance.begin_varied() if seed else instance.begin()
-        rows = [[run(item, step, step + 1, seed=seed, observe="end")[0] for seed, item in instances.items()] for step in range(steps)]
+        rows = {seed: [instance.observe()] for seed, instance in instances.items()}
+        for step, (seed, instance) in itertools.product(range(steps), instances.items()):
+            rows[seed].append(run(instance, step, step + 1, seed=seed, observe="end")[0])
+            for other in instances.keys() - {seed}:
+                last, again = np.array(rows[other][-1:]), instances[other].observe()[np.newaxis]
+                require_equal(subject, last, again, "after a step of another instance", len(rows[other]) - 1)
         for instance in instances.values():
             instance.close()
-        yield from np.swapaxes(np.array(rows), 0, 1)
+        yield from map(np.array, rows.values())
 
     alone = [*in_turn("alone", 0), *in_turn("alone", 1)]
     for one, beside in zip(alone, in_turn("pair", 0, 1), strict=True):
-        require_equal(subject, one, beside, "beside another instance", 1)
-    return passed(f"{steps} steps each in turn, with different parameters and inputs: equal bits.")
+        require_equal(subject, one, beside, "beside another instance")
+    return passed(f"{steps} steps each in turn, with different parameters and inputs, each read again after the other's step: equal bits.")
 
 
 @check("freed instances give memory back", Scope.EACH, clauses=("2.1.5", "2.3.1"))

@@ -78,6 +78,20 @@ _LEAVES = {
 }
 
 
+@pytest.mark.parametrize("kind", ["CS", "ME"])
+def test_what_another_instance_does_after_a_step_is_seen(kind: str, tmp_path: Path):
+    model = replace(
+        _SHELLS["dahlquist"],
+        macros=_SHELLS["dahlquist"].macros.replace("NR 3", "NR 4"),
+        code="static double shared;\nstatic void start(Model *m) { m->r[1] = 1.0; m->r[3] = 1.0; }\n"
+        "static void calculate(Model *m) { m->r[2] = -m->r[3] * m->r[1]; m->r[4] = shared; }\n" + NO_EVENTS + SKIP_SLOPE,
+        reals=(*_SHELLS["dahlquist"].reals, ("last", 'causality="local" variability="continuous"', "")),
+    )  # fmt: skip
+    rows = _rows(model, tmp_path, _APART, edit=_LEAVES[kind])
+    assert [row.status is Status.FAILED for row in (rows["CS"], rows["ME"])] == [kind == "CS", kind == "ME"], rows
+    assert "after a step of another instance, last differs by" in rows[kind].sentence
+
+
 def _decaying(variability: str, start: float = 1.0) -> Foreign:
     """x' = -x, and what x is beyond 0.5."""
     return Foreign(
