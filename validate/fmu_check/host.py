@@ -36,7 +36,7 @@ STATIC: tuple[Check, ...] = (files.archive, files.valid)
 FIRST = communication.lives
 READING: tuple[Check, ...] = (files.consistent, files.compiled, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
-    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.get_order,
+    FIRST, values.readable, values.starts, values.obeyed, values.finite, values.still, values.get_order,
     communication.keeps_time, communication.stop_time, communication.event_mode, communication.early_return,
     communication.intermediate_update, communication.input_derivatives,
     states.repeats, states.resets, states.independent, states.leaks, states.surrounded, states.token, states.restores, states.serialises,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterator
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.check import Finding, Scope, check, failed, not_offered, passed, unless
-from validate.fmu_check.motion import fresh_run, require_equal, run
-from validate.fmu_check.subject import Block, CheckedInstance, FmuVariable, Subject
+from validate.fmi.instance import Fault, Misbehaviour
+from validate.fmu_check.check import Finding, Scope, check, failed, in_fork, not_offered, passed, unless
+from validate.fmu_check.motion import Record, fresh_run, require_equal, run
+from validate.fmu_check.subject import FEWEST_STEPS, HOLD, NOTHING, Block, CheckedInstance, FmuVariable, Settings, Subject
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -21,6 +22,8 @@ _SINGLE = 1e-6
 _ONE_BY_ONE, _COMPUTED, _LEAST = 2000, 40_000_000, 100
 # How far a start value is moved to see whether it is obeyed.
 _MOVED = 0.01
+# How long a run from other starts may take [s].
+_ELSEWHERE_SECONDS = 5.0
 
 
 @check("variables can be read", Scope.EACH, clauses=("2.1.7", "2.2.7.2"))
@@ -129,11 +132,15 @@ def obeyed(subject: Subject, kind: str) -> Finding:
                 wrong.append(f"{block[0].name} cannot be set {phase} initialisation{instance.quote()}")
                 continue
             try:
-                after = instance.finish_initialisation().get(block)
+                if _is_kept(block[0]):
+                    instance.finish_initialisation()
+                else:  # its first event update may change it: it is read before that
+                    instance.fmu.exitInitializationMode()
+                after = instance.get(block)
             except FMICallException:
                 refused += 1  # the model has no solution there, and says so
                 continue
-            wrong += _ignored(block[0], phase, value, inside, after, default[block])
+            wrong += _ignored(block[0], kind, phase, value, inside, after, default[block])
     more = f" {refused} of them make the model refuse to start." if refused else ""
     if tried < 2 * len(moved):
         more += f" After {tried + 1} instances the FMU gave no other one for the {len(moved) - tried // 2} that are left."
@@ -146,12 +153,23 @@ def _drawn(count: int, size: int) -> list[int]:
     return np.random.default_rng(5).permutation(count)[: min(_ONE_BY_ONE, max(_LEAST, _COMPUTED // max(size, 1)))].tolist()
 
 
-def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
-    """Why the value was not obeyed; nothing if it was. The first event may move a state, but not back to where it would be anyhow."""
+def _is_kept(item: FmuVariable) -> bool:
+    """Whether nothing but a call of ours changes it."""
+    return item.causality in ("parameter", "input")
+
+
+def _ignored(
+    item: FmuVariable, kind: str, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray
+) -> list[str]:
+    """Why the value was not obeyed; nothing if it was.
+
+    Co-Simulation makes its first event update as it leaves initialisation: that may compute anew what is discrete, and move a state, but not back to where it would be anyhow.
+    """
     clause = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
         return [f"{clause}, but is {inside[0]:.10g} in Initialization Mode"]
-    may_move = item.causality not in ("parameter", "input") and not np.array_equal(after, default)
+    is_anew = kind == "CS" and item.variability == "discrete"
+    may_move = not _is_kept(item) and (is_anew or not np.array_equal(after, default))
     kept = may_move or np.allclose(after, value, rtol=_TEXT, atol=0.0)
     return [] if kept else [f"{clause}, but is {after[0]:.10g} after it"]
 
@@ -166,6 +184,44 @@ def finite(subject: Subject, kind: str) -> Finding:
         row, column = bad[0]
         return failed(f"{subject.observed.names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
+
+
+@check("variables move as their variability says", Scope.EACH, clauses=("2.2.7", "2.4.7.4"))
+def still(subject: Subject, kind: str) -> Finding:
+    """Constant, fixed, tunable and discrete variables do not move between events; of Co-Simulation, where a discrete one may change in each step, the others."""
+    bound = {"constant", "fixed", "tunable"} | ({"discrete"} if kind == "ME" else set())
+    if not (count := sum(item.variability in bound for item in subject.observed)):
+        return not_offered("there are none.")
+    steps, states = subject.long_steps(kind), Block(item for item in subject.exact if item.is_continuous and item.causality != "input")
+    if moves := _moves(subject, kind, bound, steps):
+        return failed(moves)
+    # From elsewhere too, where other equations may hold. That a model cannot live there is no fault of it.
+    with contextlib.suppress(Fault):
+        if moves := in_fork(lambda: _moves(subject, kind, bound, FEWEST_STEPS, (states, states.near(1.0))), _ELSEWHERE_SECONDS):
+            return failed(moves)
+    return passed(f"{count} variables in a run of at most {steps} steps, and in a few from other starts.")
+
+
+def _moves(subject: Subject, kind: str, bound: set[str], steps: int, before: Settings = NOTHING) -> str:
+    """The first variable of a variability in `bound` that moves in a run, as a sentence; empty without one. before: what is set before it. Raises as `run`."""
+    record, events = Record(), [0]
+    with CheckedInstance(subject, kind).begin(before) as instance:
+        rows = run(instance, 0, steps, record=record, after=lambda _: events.append(len(record.events)))
+    old, new = rows[:-1], rows[1:]
+    moved = (old != new) & ~(np.isnan(old) & np.isnan(new)) & (subject.observed.each(lambda item: item.variability in bound) > 0.0)
+    if kind == "ME":  # inputs change by an event every HOLD steps
+        moved &= np.array([step % HOLD > 0 and events[step] == events[step + 1] for step in range(len(moved))], bool)[:, np.newaxis]
+    else:  # an event may be in a step, but not in each
+        moved = moved[:-2] & moved[1:-1] & moved[2:]
+    if not moved.any():
+        return ""
+    step, place = np.argwhere(moved)[0]
+    name, when = (
+        subject.observed.names[place],
+        f"t = {subject.time(step):.6g} s to {new[step, place]:.10g} at t = {subject.time(step + 1):.6g} s",
+    )
+    how = "without an event between" if kind == "ME" else "and on in the next two steps"
+    return f"{name} is {subject.by_name[name].variability}, but moves from {old[step, place]:.10g} at {when}, {how}."
 
 
 @check("order of reading does not matter", Scope.EACH)

@@ -50,12 +50,27 @@ def _rows(model: Foreign, folder: Path, *names: str, edit: tuple[str, str] = (""
     return {row.type if len(names) == 1 else row.title: row for row in rows if row.name in names}
 
 
+def test_a_state_that_is_sampled_at_the_start_and_at_rounded_times_is_sound(tmp_path: Path):
+    rows = _rows(_SAMPLED, tmp_path, _OBEYED, _ANNOUNCED, _STILL)
+    assert {title: row.sentence for title, row in rows.items() if row.status is Status.FAILED} == {}
+    assert [title for title, row in rows.items() if row.status is Status.PASSED and "ME" in title] == [
+        f"{name} (ME)" for name in (_OBEYED, _STILL, _ANNOUNCED)
+    ]
+
+
 @pytest.mark.parametrize(("early", "status"), [("1e-9", Status.FAILED), ("1e-14", Status.PASSED)])
 def test_a_time_event_may_come_early_by_rounding_alone(early: str, status: Status, tmp_path: Path):
     """Looked at 0.1 s and 0.3 s, so much before the times that the FMU told, it has sampled already."""
     code = _SAMPLED.code.replace("return 0.1 * m->i[0];", f"return 0.1 * m->i[0] + {early};").replace("- 1e-12", f"- 2.0 * {early}")
     row = _rows(replace(_SAMPLED, code=code), tmp_path, _ANNOUNCED)["ME"]
     assert row.status is status, row.sentence
+
+
+def test_co_simulation_may_sample_as_it_leaves_initialisation(tmp_path: Path):
+    rows = _rows(_SAMPLED, tmp_path, _OBEYED, edit=("if (NZ) indicate(&self->m, self->m.z);", "update(&self->m);"))
+    assert rows["CS"].status is Status.PASSED, rows["CS"].sentence
+    assert rows["ME"].status is Status.FAILED, "Model Exchange has Event Mode for that"
+    assert "held was set to 0.01 before initialisation, but is 0 after it" in rows["ME"].sentence
 
 
 def test_a_state_that_an_event_changes_untold_is_found(tmp_path: Path):
@@ -108,3 +123,23 @@ def _decaying(variability: str, start: float = 1.0) -> Foreign:
         states=(2,),
         experiment='startTime="0" stopTime="1" stepSize="0.01"',
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("start", [1.0, 0.0])
+@pytest.mark.parametrize(
+    ("variability", "found"), [("fixed", ("CS", "ME")), ("tunable", ("CS", "ME")), ("discrete", ("ME",)), ("continuous", ())]
+)
+def test_what_moves_between_events_against_its_variability_is_found(variability: str, found: tuple[str, ...], start: float, tmp_path: Path):
+    """From 0 it does not move; from another start it does."""
+    rows = _rows(_decaying(variability, start), tmp_path, _STILL)
+    failed = {kind: row for kind, row in rows.items() if row.status is Status.FAILED}
+    assert sorted(failed) == sorted(found), rows
+    for row in failed.values():
+        assert f"beyond is {variability}, but moves from 0." in row.sentence
+
+
+def test_a_parameter_that_a_model_changes_by_an_event_is_no_motion(tmp_path: Path):
+    """The ball at rest has no gravity: so do the Reference FMUs."""
+    ball = _SHELLS["bouncing_ball"]
+    rows = _rows(replace(ball, experiment='startTime="0" stopTime="10" stepSize="2e-2"'), tmp_path, _STILL)
+    assert [row.status for row in rows.values()] == [Status.PASSED, Status.PASSED], rows
