@@ -295,6 +295,11 @@ def _check_numbers(package: Package, variable: Any) -> None:
             raise FmuError(f"FMU {package.path}: {why}.") from None
 
 
+# What a map takes, and what to do with anything else.
+_TAKEN = (
+    f"a map takes variables of one floating-point number ({', '.join(REAL)}); leave it out (inputs and parameters keep their start values), "
+    "or wrap the FMU in one that has such a variable for it"
+)
 # Names from which on only some are compared with one that is not there, and how many: comparing takes up to 40 us a name.
 _MANY = 2000
 
@@ -315,6 +320,19 @@ class Named:
     def numbers(self) -> list[str]:
         """Names of the variables that are numbers."""
         return [name for name, variable in self.by_name.items() if variable.type in REAL]
+
+    def refusal(self, name: str) -> str:
+        """Why a map cannot take a variable of this name, a clause without full stop; empty where it can."""
+        variable, array = self.by_name.get(name), name.rpartition("[")[0]
+        if name in self.twice:
+            return f"the FMU has two variables {name!r}, so it is not clear which is meant"
+        if variable is None and not getattr(self.by_name.get(array), "dimensions", None):
+            return f"the FMU has no variable {name!r}{hint(name, self.numbers())}"
+        if variable is None:
+            return f"{name!r} is an entry of the array {array!r}, but {_TAKEN}"
+        if getattr(variable, "dimensions", None):
+            return f"{name!r} is an array of {variable.type}, but {_TAKEN}"
+        return "" if variable.type in REAL else f"{name!r} is of type {variable.type}, but {_TAKEN}"
 
 
 def by_equal_names(named: Named, table: Table) -> MapFile:

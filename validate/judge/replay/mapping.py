@@ -66,15 +66,9 @@ class _Wiring:
         return MapError(f"{self._where}: {path}: {text}")
 
     def _variable(self, path: str, name: str) -> Any:
-        variable = self._by_name.get(name)
-        if variable is None:
-            raise self._fail(path, f"the FMU has no variable {name!r}{map_schema.hint(name, self._named.numbers())}.")
-        if name in self._named.twice:
-            raise self._fail(path, f"the FMU has two variables {name!r}, so it is not clear which is meant.")
-        if variable.type not in REAL or getattr(variable, "dimensions", None):
-            kind = f"{variable.type}{' (an array)' if variable.type in REAL else ''}"
-            raise self._fail(path, f"{name!r} is of type {kind}, but must be one number.")
-        return variable
+        if refusal := self._named.refusal(name):
+            raise self._fail(path, f"{refusal}.")
+        return self._by_name[name]
 
     def _reference(self, path: str, name: str) -> int:
         return int(self._variable(path, name).valueReference)
@@ -442,8 +436,8 @@ class _Wiring:
             said = "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
             notes.append(f"The plan declares the scheme {scheme.value}, {said}")
         driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
-        inputs = [name for name, item in self._by_name.items() if item.causality == "input" and item.type in REAL]
-        idle = [name for name in inputs if self._place(name) not in driven]
+        inputs = [(name, item.type) for name, item in self._by_name.items() if item.causality == "input" and item.type != "Clock"]
+        idle = [name for name, kind in inputs if kind not in REAL or self._place(name) not in driven]
         if idle:
             named = ", ".join(idle[:5]) + " .." * (len(idle) > 5)
             notes.append(f"Inputs of the FMU that the plan does not drive keep their start values: {named}.")

@@ -14,6 +14,8 @@ from validate.judge.replay.wiring import Effort, Feedback
 if TYPE_CHECKING:
     from fmpy.fmi1 import FMICallException
 
+# Of an FMU whose error is known better; one that does may have been replayed by its own steps.
+_EXCHANGE = "offers Model Exchange (without --own-step)"
 # The status of FMI after which nothing of the FMU may be called any more.
 _FATAL = 4
 
@@ -118,18 +120,18 @@ class ReplayError:
             return ""
         if self.estimate is None:
             return (
-                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that offers Model Exchange or names its "
-                "internal step (internal_step = ..)"
+                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that names its internal step "
+                f"(internal_step = ..) or {_EXCHANGE}"
             )
         parts = (("position", self.estimate.position), ("velocity", self.estimate.state), ("gap", self.estimate.gap))
         unknown = [name for name, value in parts if math.isinf(value)]
         if unknown:
             # The norm of the state is unknown where the position is, whatever is stated of the velocity.
             unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
-            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that offers Model Exchange"
+            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that {_EXCHANGE}"
         if "stated" in self.step_source:
-            return "a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that offers Model Exchange"
-        return "a plan with shorter steps, or an FMU that offers Model Exchange"
+            return f"a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that {_EXCHANGE}"
+        return f"a plan with shorter steps, or an FMU that {_EXCHANGE}"
 
     def as_json(self) -> dict[str, Any]:
         """Its numbers by name; what is infinite is null, as JSON knows no such number."""

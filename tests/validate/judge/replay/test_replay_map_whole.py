@@ -74,13 +74,14 @@ ROWS = f"{HEAD}\n0,1,2,3,4,5,6,7,8\n1,11,12,13,14,15,16,17,18\n3,,,23,24,25,26,,
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Callable[..., tuple[Foreign, Trajectory]]:
-    """The cart with more variables, wired; nothing of it runs."""
+    """The cart with more variables, wired, or an FMU that is described otherwise; nothing of it runs."""
     text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("  </ModelVariables>", MORE + "  </ModelVariables>")
-    with zipfile.ZipFile(tmp_path / "whole.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.writestr("binaries/linux64/cart.so", b"")
 
-    def call(given: str = WHOLE, plan: str = ROWS) -> tuple[Foreign, Trajectory]:
+    def call(given: str = WHOLE, plan: str = ROWS, described: str = text) -> tuple[Foreign, Trajectory]:
+        with zipfile.ZipFile(tmp_path / "whole.fmu", "w") as archive:
+            archive.writestr("modelDescription.xml", described)
+            for platform in ("linux64", "x86_64-linux"):
+                archive.writestr(f"binaries/{platform}/cart.so", b"")
         (tmp_path / "map.toml").write_text(given, encoding="utf-8")
         (tmp_path / "plan.csv").write_text(plan, encoding="utf-8")
         return wire(read_package(tmp_path / "whole.fmu"), PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
@@ -209,6 +210,41 @@ def test_one_force_or_one_gap_that_is_missing_leaves_impulses_out(whole, line: s
 )  # fmt: skip
 def test_each_mistake_in_a_whole_map_names_its_place(whole, text: str, words: str):
     assert not unsaid(refusal(lambda: whole(text)), words)
+
+
+# One number of each kind that a map does not take, and what it does.
+_KINDS = """<fmiModelDescription fmiVersion="3.0" modelName="kinds" instantiationToken="{kinds}"><CoSimulation modelIdentifier="cart"/><ModelVariables>
+<Float64 name="x" valueReference="1" causality="output"/><Float64 name="F" valueReference="2" causality="input" start="0"/>
+<Int32 name="gear" valueReference="3" causality="input" start="1"/><Boolean name="brake" valueReference="4" causality="input" start="false"/>
+<Float64 name="u" valueReference="5" causality="input" start="0 0"><Dimension start="2"/></Float64>
+<Int32 name="teeth" valueReference="6" causality="parameter" variability="fixed" start="12"/><Clock name="tick" valueReference="7" causality="input" intervalVariability="triggered"/>
+</ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure></fmiModelDescription>"""
+_KINDS_MAP = '[inputs]\nF = { variable = "F" }\n[positions]\nx = { variable = "x" }\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (_KINDS_MAP.replace('"F"', '"gear"'), "inputs.F: 'gear' is of type Int32, but"),
+        (_KINDS_MAP.replace('"F"', '"brake"'), "inputs.F: 'brake' is of type Boolean, but"),
+        (_KINDS_MAP.replace('"F"', '"u"'), "inputs.F: 'u' is an array of Float64, but"),
+        (_KINDS_MAP.replace('"F"', '"u[1]"'), "inputs.F: 'u[1]' is an entry of the array 'u', but"),
+        (f"{_KINDS_MAP}[parameters]\nteeth = 11\n", "parameters.teeth: 'teeth' is of type Int32, but"),
+        (f"{_KINDS_MAP}[start]\nbrake = 1\n", "start.brake: 'brake' is of type Boolean, but"),
+    ],
+)
+def test_a_variable_of_another_kind_is_refused_with_what_a_map_takes_and_what_to_do(whole, text: str, words: str):
+    told = refusal(lambda: whole(text, "t,F,x\n0,1,0\n1,,0\n", _KINDS))
+    assert not unsaid(
+        told,
+        words,
+        "a map takes variables of one floating-point number (Real, Float64); leave it out (inputs and parameters keep their start values), or wrap the FMU",
+    )
+
+
+def test_inputs_of_other_kinds_are_named_that_keep_their_start_values(whole):
+    foreign, _ = whole(_KINDS_MAP, "t,F,x\n0,1,0\n1,,0\n", _KINDS)
+    assert foreign.model.notes == ("Inputs of the FMU that the plan does not drive keep their start values: gear, brake, u.",)
 
 
 @pytest.mark.parametrize(

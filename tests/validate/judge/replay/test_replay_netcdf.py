@@ -263,6 +263,7 @@ def test_each_column_of_somebodys_replay_is_its_own(tmp_path: Path):
 def test_what_would_decide_an_undecided_replay(error: ReplayError, words: str):
     assert error.would_decide.startswith(words)
     assert bool(error.would_decide) is bool(words)
+    assert ("offers Model Exchange (without --own-step)" in error.would_decide) is bool(words)
 
 
 def test_a_replay_holds_finite_numbers_that_nobody_changes(replayed: Replay):
