@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
+from scipy.linalg import eigh, null_space
 from scipy.sparse.linalg import splu
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Start
@@ -50,6 +51,16 @@ _STAYS_FEASIBLE = 1e-9
 _UNREFINED, _TIGHTER, _TIGHTEST = 1e-6, 1e-3, 1e-14
 # The barrier that a solve begins with which goes on from a solution.
 _SMALL_BARRIER = 1e-10
+# A curvature below this, of the largest entry of the Hessian, is more than rounding and the errors of multipliers.
+_CURVED = 1e-6
+# Multipliers of a point with a larger error say too little about what is active.
+_EXACT = 1e-9
+# The step along a direction of negative curvature: of its largest component, relative to max(1, |x|).
+_ASIDE = 0.1
+# Steps of Lanczos's method, each two solves with one factorisation.
+_LANCZOS = 20
+# A vector of which no more than this is left spans nothing new, and a direction of length 1 that changes a row by no more keeps it.
+_EXHAUSTED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,9 +172,7 @@ def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray,
     """(step of the free variables, new multipliers of the active rows)."""
     row, column = problem.jacobianstructure()
     jacobian = sparse.csr_matrix((problem.jacobian(x), (row, column)), shape=(problem.m, problem.n))[rows][:, free]
-    row, column = problem.hessianstructure()
-    lower = sparse.csr_matrix((problem.hessian(x, y, 1.0), (row, column)), shape=(problem.n, problem.n))
-    hessian = (lower + sparse.tril(lower, -1).T).tocsr()[free][:, free]
+    hessian = _hessian(problem, x, y)[free][:, free]
     right = np.concatenate([-problem.gradient(x)[free], target - problem.constraints(x)[rows]])
     if not np.all(np.isfinite(right)):
         return None
@@ -176,6 +185,76 @@ def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray,
         return splu((system + sparse.diags(signs)).tocsc()).solve(right)
     except RuntimeError:  # singular in spite of the regularisation
         return None
+
+
+def _hessian(problem: IpoptProblem, x: np.ndarray, y: np.ndarray) -> sparse.csr_matrix:
+    """Of the Lagrangian, both triangles (n, n)."""
+    lower = sparse.csr_matrix((problem.hessian(x, y, 1.0), problem.hessianstructure()), shape=(problem.n, problem.n))
+    return (lower + sparse.tril(lower, -1).T).tocsr()
+
+
+def step_aside(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak: float) -> np.ndarray | None:
+    """A step (n,) by which the Lagrangian falls to second order, while what is active keeps its value to first order; None where none is found.
+
+    Raises nothing.
+
+    Parameters
+    ----------
+    problem : with the bounds as they are to hold
+    x, lagrange : (n,), (m,) a point that is stationary with these multipliers [units of the variables, objective per constraint]
+    weak : an inequality need not keep its value where its multiplier is no more than this [objective per variable]
+    """
+    slope, g = np.abs(problem.lagrangian_gradient(x, lagrange)), problem.constraints(x)
+    at_bound = np.minimum(x - problem.lower, problem.upper - x)
+    at_row = np.minimum(g - problem.constraint_lower, problem.constraint_upper - g)
+    is_held = (problem.lower == problem.upper) | ((at_bound <= _BIACTIVE) & (slope > weak))
+    is_kept = (problem.constraint_lower == problem.constraint_upper) | ((at_row <= _BIACTIVE) & (np.abs(lagrange) > weak))
+    free, rows = np.flatnonzero(~is_held), np.flatnonzero(is_kept)
+    hessian = _hessian(problem, x, lagrange)[free][:, free]
+    jacobian = sparse.csr_matrix((problem.jacobian(x), problem.jacobianstructure()), shape=(problem.m, problem.n))[rows][:, free]
+    largest = float(np.max(np.abs(hessian.data), initial=0.0))
+    if not 0.0 < largest < np.inf or not np.all(np.isfinite(jacobian.data)):
+        return None
+    curvature, direction = _least_curved(hessian, jacobian)
+    if not curvature < -_CURVED * largest:
+        return None
+    step = np.zeros(problem.n)
+    step[free] = direction * (_ASIDE / np.max(np.abs(direction) / np.maximum(1.0, np.abs(x[free]))))
+    gain = -0.5 * curvature * float(step @ step)
+    return step if gain > BETTER * max(1.0, abs(problem.objective(x))) else None
+
+
+def _least_curved(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> tuple[float, np.ndarray]:
+    """(least curvature, its direction of length 1) in the null space of the Jacobian; with many unknowns by Lanczos's method, which tells no lower one."""
+    n, m = hessian.shape[0], jacobian.shape[0]
+    length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
+    rows = sparse.diags(1.0 / np.where(length > 0.0, length, 1.0)) @ jacobian
+    if n <= _DENSE:
+        basis = null_space(rows.toarray(), rcond=1e-10) if m else np.eye(n)
+        if not basis.shape[1]:
+            return 0.0, np.zeros(n)
+        curvatures, directions = eigh(basis.T @ (hessian @ basis), subset_by_index=[0, 0])
+        return float(curvatures[0]), basis @ directions[:, 0]
+    try:
+        factors = splu(sparse.bmat([[sparse.eye(n), rows.T], [rows, -_DELTA * sparse.eye(m)]], format="csc"))
+    except RuntimeError:  # singular in spite of the regularisation
+        return 0.0, np.zeros(n)
+    span = np.zeros((0, n))
+    vector = np.random.default_rng(0).normal(size=n)
+    for _ in range(_LANCZOS):
+        size = np.linalg.norm(vector)
+        for _ in range(2):  # once leaves of the rows and of the others what the regularisation and rounding do
+            vector = factors.solve(np.append(vector, np.zeros(m)))[:n]
+            vector = vector - span.T @ (span @ vector)
+        if not np.linalg.norm(vector) > _EXHAUSTED * size:
+            break
+        span = np.vstack([span, vector / np.linalg.norm(vector)])
+        vector = hessian @ span[-1]
+    if not len(span):
+        return 0.0, np.zeros(n)
+    curvatures, directions = eigh(span @ (hessian @ span.T))
+    direction = span.T @ directions[:, 0]
+    return (float(curvatures[0]), direction) if np.max(np.abs(rows @ direction), initial=0.0) <= _EXHAUSTED else (0.0, direction)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -214,6 +293,7 @@ class Branching:
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
         self.unbounded = False  # whether some branch turned out to be
+        self.curves_down = False  # whether the branch last given to `past_saddle` does, and it found none that is better
         self._size = _size_of_slopes(work.branches.problem, work.branch_point(start))
 
     def polish(self, x: np.ndarray) -> Branch | None:
@@ -254,6 +334,34 @@ class Branching:
             if not found:
                 return branch
             branch = min(found, key=self._sense)
+
+    def past_saddle(self, branch: Branch) -> Branch | None:
+        """A better point of the same branch where its Lagrangian curves downwards (a maximum, a saddle); None where it does not, or none is found.
+
+        `curves_down` says afterwards whether it does, in both senses of a direction that keeps all that is active, and none was found.
+
+        Raises what `formulations.ipopt.solve` does.
+
+        Parameters
+        ----------
+        branch : where first order sees no way down
+        """
+        self.curves_down = False
+        if _kkt_error(self._hold(branch.closed)[0], branch.x, branch.lagrange, self._size) > _EXACT:
+            return None
+        tried: np.ndarray | None = None
+        for weak in (_WANTING * self._size, -np.inf):
+            step = step_aside(self._hold(branch.closed)[0], branch.x, branch.lagrange, weak)
+            if step is None:  # nor is there one that keeps more
+                return None
+            if tried is None or not np.array_equal(step, tried):
+                found = [self._solve_anew(branch.closed, branch.x + sign * step) for sign in (1.0, -1.0) if not self._budget.is_over]
+                better = [self._improve(other) for other in found if other is not None and self._is_better(other, branch)]
+                if better:
+                    return min(better, key=self._sense)
+            tried = step
+        self.curves_down = True
+        return None
 
     def every_branch(self, starts: Sequence[np.ndarray]) -> tuple[Branch | None, Outcome]:
         """The best of all branches, improved, and how it ended: for a few pairs of which no branch is known.
@@ -338,7 +446,8 @@ class Branching:
             self._known[key] = self._solve_anew(closed, point)
         return self._known[key]
 
-    def _solve_anew(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
+    def _hold(self, closed: np.ndarray) -> tuple[IpoptProblem, np.ndarray]:
+        """The problem with the bounds of a branch, and the columns (pairs,) that it holds at 0."""
         problem, columns = self._columns.problem, self._columns
         low, high, row_low, row_high = (bound.copy() for bound in self._columns.bounds)
         held = np.where(closed, columns.first, columns.second)
@@ -349,13 +458,17 @@ class Branching:
         high[columns.twin[twins]] = np.minimum(high[columns.twin[twins]], 0.0)
         row_low[columns.twin_row[twins]], row_high[columns.twin_row[twins]] = -np.inf, np.inf
         problem.lower, problem.upper, problem.constraint_lower, problem.constraint_upper = low, high, row_low, row_high
+        return problem, held
+
+    def _solve_anew(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
+        columns, (problem, held) = self._columns, self._hold(closed)
         options = {
             "max_iter": min(self._settings.step_iterations, _BRANCH_ITERATIONS),
             "bound_relax_factor": 0.0,
             "tol": 1e-9,
             **self._settings.ipopt,
         }
-        start = Start(x=np.clip(point, low, np.maximum(low, high)))
+        start = Start(x=np.clip(point, problem.lower, np.maximum(problem.lower, problem.upper)))
         result = self._budget.run(problem, options, start)
         if not result.solved and result.status in _CLAIMS_SUCCESS and not self._budget.is_over:
             # Rows that say the same twice (a pair stated twice, held on the same side): multipliers of 1e17 that cancel, and a point off the

@@ -35,6 +35,13 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
         return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"
     if residual > candidate.work.settings.complementarity_tolerance:
         return Outcome.STALLED, f"the pairs could not be decided; {summary}"
+    if candidate.curves_down:
+        if candidate.unbounded:
+            return (
+                Outcome.DIVERGED,
+                f"a branch of the problem is unbounded, and the objective curves down towards it from a stationary point; {summary}",
+            )
+        summary = f"{summary}; its Lagrangian curves downwards along a direction, but no better point was found there"
     if certificate is not None and certificate.b_stationary is False:
         if candidate.unbounded:
             return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {summary}"
@@ -53,7 +60,10 @@ def outcome_without_point(candidate: Candidate) -> tuple[Outcome, str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """What one strategy found: a branch, or only a point of its relaxation, or neither; and whether it met a branch without a lower bound."""
+    """What one strategy found: a branch, or only a point of its relaxation, or neither.
+
+    unbounded: whether it met a branch without a lower bound; curves_down: whether the Lagrangian curves downwards at the branch, and no better one was found
+    """
 
     work: Workspace
     branch: Branch | None
@@ -61,6 +71,7 @@ class Candidate:
     outcome: Outcome
     message: str
     unbounded: bool = False
+    curves_down: bool = False
 
     @property
     def columns(self) -> Columns:

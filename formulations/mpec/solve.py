@@ -68,6 +68,8 @@ _SMALL_WORK, _WORK = 1.0, 3.0
 _ENTRIES = 1e7
 # An attempt is begun where at least this share of the iterations of the first success is left.
 _WORTHWHILE = 0.5
+# So many maxima and saddles are left on the way down.
+_SADDLES = 4
 # Both parts of an absolute value below this: the answer lies on its kink.
 _ON_KINK = 1e-6
 
@@ -195,9 +197,19 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     branch, last = None, None
     if not work.lifted.pairs:
         branch = branching.polish(start)
+        if branch is not None:
+            branch = _settled(branching, branch, start, [branch])
         message = "" if branching.last is None else branching.last.message
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
-        return Candidate(work=work, branch=branch, point=None, outcome=outcome, message=message)
+        return Candidate(
+            work=work,
+            branch=branch,
+            point=None,
+            outcome=outcome,
+            message=message,
+            unbounded=branching.unbounded,
+            curves_down=branching.curves_down,
+        )
     before: np.ndarray | None = None
     for last in path.points(start, is_tried=is_tried):
         first, second = work.relaxed.pair_values(last.x)
@@ -212,14 +224,34 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     else:
         if last is not None and settings.polish:
             branch = branching.polish(last.x)
-    if branch is not None and not any(_is_same(branch, known) for known in searched):
-        searched.append(branch)
-        branch = branching.search(branch, start)
-        searched.append(branch)
+    if branch is not None:
+        branch = _settled(branching, branch, start, searched)
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
         branch, outcome, message = _without_branch(work, start, branching, path, last)
-    return Candidate(work=work, branch=branch, point=last, outcome=outcome, message=message, unbounded=branching.unbounded)
+    return Candidate(
+        work=work,
+        branch=branch,
+        point=last,
+        outcome=outcome,
+        message=message,
+        unbounded=branching.unbounded,
+        curves_down=branching.curves_down,
+    )
+
+
+def _settled(branching: Branching, branch: Branch, start: np.ndarray, searched: list[Branch]) -> Branch:
+    """Where no neighbour of a branch is better, and no direction along which it curves downwards leads to a better one."""
+    for _ in range(_SADDLES):
+        if not any(_is_same(branch, known) for known in searched):
+            searched.append(branch)
+            branch = branching.search(branch, start)
+            searched.append(branch)
+        lower = branching.past_saddle(branch)
+        if lower is None:
+            break
+        branch = lower
+    return branch
 
 
 def _is_same(branch: Branch, known: Branch) -> bool:
@@ -237,8 +269,8 @@ def _without_branch(
         if outcome is Outcome.INFEASIBLE:
             reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
             return None, outcome, f"{reason}each of the {2 ** len(work.lifted.pairs)} branches of the problem is infeasible (locally)"
-        if outcome is Outcome.SOLVED:
-            return branch, outcome, ""
+        if branch is not None and outcome is Outcome.SOLVED:
+            return _settled(branching, branch, start, [branch]), outcome, ""
     if budget.is_late:
         return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
     if budget.is_over:

@@ -380,3 +380,80 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
     m.cost = pyo.Objective(expr=m.x**2 - m.y)
     m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
     assert solve_mpec(m).outcome is Outcome.DIVERGED
+
+
+# -- what first order does not see -----------------------------------------------------------------------------------------------------------
+def _with_pair():
+    """Beside a pair that is (0, 2) at the solution and costs 1."""
+    m = pyo.ConcreteModel()
+    m.v, m.w = pyo.Var(bounds=(0, None), initialize=0.0), pyo.Var(bounds=(0, None), initialize=0.0)
+    m.pair = Complementarity(expr=complements(m.v >= 0, m.w >= 0))
+    return m, (m.v - 1) ** 2 + (m.w - 2) ** 2
+
+
+def _hilltop(count):
+    """A maximum between the corners of a box, whose plane through the middle keeps the sum."""
+    m, pull = _with_pair()
+    m.x = pyo.Var(range(count), bounds=(-1, 1), initialize=0.0)
+    m.cost = pyo.Objective(expr=pull - sum(m.x[i] ** 2 for i in m.x))
+    m.row = pyo.Constraint(expr=sum(m.x[i] for i in m.x) == 0)
+    return m
+
+
+def _top_of_circle():
+    """The objective is linear: what curves downwards is the row."""
+    m, pull = _with_pair()
+    m.x, m.y = pyo.Var(initialize=0.0), pyo.Var(initialize=1.0)
+    m.row = pyo.Constraint(expr=m.x**2 + m.y**2 == 1)
+    m.cost = pyo.Objective(expr=pull + m.y)
+    return m
+
+
+def _two_wells():
+    """A maximum in both directions at the origin; at (+-1, +-sqrt(1/2)) it is 0 - 1/4."""
+    m, pull = _with_pair()
+    m.x, m.y = pyo.Var(initialize=0.0), pyo.Var(initialize=0.0)
+    m.cost = pyo.Objective(expr=pull + (m.x**2 - 1) ** 2 - m.y**2 + m.y**4)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("model", "optimum"), [(_hilltop(2), 1.0 - 2.0), (_hilltop(200), 1.0 - 200.0), (_top_of_circle(), 1.0 - 1.0), (_two_wells(), 0.75)]
+)
+def test_a_maximum_where_the_search_starts_is_left(model, optimum):
+    result = solve_mpec(model)
+    assert result.solved
+    assert result.objective == pytest.approx(optimum, abs=1e-8)
+    assert "curves" not in result.message
+
+
+@pytest.mark.parametrize("count", [3, 200])
+def test_a_minimum_of_what_the_rows_leave_is_kept(count):
+    """x y is a saddle, x x on the plane x = y is none."""
+    m, pull = _with_pair()
+    m.x, m.y = pyo.Var(range(count), initialize=0.0), pyo.Var(range(count), initialize=0.0)
+    m.row = pyo.Constraint(range(count), rule=lambda m, i: m.x[i] == m.y[i])
+    m.cost = pyo.Objective(expr=pull + sum(m.x[i] * m.y[i] for i in m.x))
+    result = solve_mpec(m)
+    assert (result.solved, result.objective) == (True, pytest.approx(1.0, abs=1e-9))
+    assert "curves" not in result.message
+
+
+def test_a_maximum_above_an_unbounded_branch_is_unbounded():
+    """x y on the line x + y = 1 is largest at (1/2, 1/2), and falls without end on both sides."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=0.0), pyo.Var(initialize=0.0)
+    m.cost = pyo.Objective(expr=m.x * m.y)
+    m.strip = Complementarity(expr=complements(m.x + m.y >= -1, 1 - m.x - m.y >= 0))
+    assert solve_mpec(m).outcome is Outcome.DIVERGED
+
+
+def test_a_curvature_that_leads_nowhere_is_told():
+    """x^4 <= 0 leaves nothing but x = 0, to no order that the Lagrangian sees."""
+    m, pull = _with_pair()
+    m.x = pyo.Var(initialize=0.0)
+    m.row = pyo.Constraint(expr=m.x**4 <= 0)
+    m.cost = pyo.Objective(expr=pull - m.x**2)
+    result = solve_mpec(m)
+    assert (result.solved, result.objective) == (True, pytest.approx(1.0))
+    assert "curves downwards along a direction, but no better point was found there" in result.message
