@@ -242,6 +242,13 @@ class IpoptResult(IpoptExit):
         """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
+    @property
+    def told(self) -> str:
+        """The message; where Ipopt stopped at an infeasible point, what that does not show too."""
+        if self.outcome is Outcome.INFEASIBLE and self.status != NOT_SENT:
+            return f"no feasible point was found near the start, which does not show that there is none ({self.message})"
+        return self.message
+
 
 def load(problem: IpoptProblem, result: IpoptResult) -> None:
     """Write x into the model's variables (marking all others stale, as Pyomo's solvers do)."""

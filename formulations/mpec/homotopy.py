@@ -285,7 +285,7 @@ class Path:
                 continue
             failures += 1
             self.gave_up = True
-            self.last_outcome, self.last_message = result.outcome, result.message
+            self.last_outcome, self.last_message = result.outcome, result.told
             if self._budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
                 return
             if good is None:

@@ -30,7 +30,7 @@ from pyomo.opt import SolverResults
 
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
-from formulations.mpec.branching import BETTER, Branch, Branching
+from formulations.mpec.branching import BETTER, NEAREST, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, compile_branches, natural_residual
@@ -70,6 +70,8 @@ _ENTRIES = 1e7
 _WORTHWHILE = 0.5
 # So many maxima and saddles are left on the way down.
 _SADDLES = 4
+# The first rank of `_rank` without a feasible point.
+_WITHOUT = 3
 # Both parts of an absolute value below this: the answer lies on its kink.
 _ON_KINK = 1e-6
 
@@ -138,7 +140,8 @@ def _solved(model: Any, settings: MpecSettings, budget: WorkBudget) -> MpecResul
         if name not in works:
             works[name] = Workspace(lifted, branches, STRATEGIES[name], settings, budget)
         is_tried = len(lifted.pairs) > LARGE and best is None and len(strategies) > 1
-        candidate = _run_strategy(works[name], start, steps, searched, is_tried=is_tried)
+        is_last = len(attempts) == settings.starts * len(strategies) - 1 and (best is None or _rank(best)[0] >= _WITHOUT)
+        candidate = _run_strategy(works[name], start, steps, searched, is_tried=is_tried, is_last=is_last)
         outcome, objective = candidate.outcome if candidate.branch is None else Outcome.SOLVED, candidate.objective
         if best is None or not best.solved or candidate.sense * objective < candidate.sense * best.objective - _better(best.objective):
             result = _judged(model, candidate)
@@ -181,14 +184,17 @@ def _attempts_in_words(attempts: list[StrategyAttempt]) -> str:
     words = []
     for attempt in attempts:
         told = f"{attempt.objective:.6g}" if attempt.outcome is Outcome.SOLVED else attempt.outcome.name.lower().replace("_", " ")
+        if attempt.outcome is Outcome.REFUSED:
+            told += f" (more equations than variables{', each pair is one' if attempt.strategy == 'smoothing' else ''})"
         words.append(f"{attempt.strategy}{f' from start {attempt.start}' if attempt.start else ''} {told}")
     return f"best of {len(attempts)}: {', '.join(words)}"
 
 
-def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: list[Branch], *, is_tried: bool) -> Candidate:
+def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: list[Branch], *, is_tried: bool, is_last: bool) -> Candidate:
     """One strategy from one start: its path, whose steps are added to those before, and the branch it leads to.
 
-    searched: branches around which others were tried before, which is not done again; is_tried: as of `Path.points`
+    searched: branches around which others were tried before, which is not done again; is_tried: as of `Path.points`; is_last: whether nothing feasible
+    was found before, and nothing comes after
     """
     strategy, settings = work.strategy, work.settings
     start = work.start(number)
@@ -199,7 +205,7 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
         branch = branching.polish(start)
         if branch is not None:
             branch = _settled(branching, branch, start, [branch])
-        message = "" if branching.last is None else branching.last.message
+        message = "" if branching.last is None else branching.last.told
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
         return Candidate(
             work=work,
@@ -228,7 +234,7 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
         branch = _settled(branching, branch, start, searched)
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
-        branch, outcome, message = _without_branch(work, start, branching, path, last)
+        branch, outcome, message = _without_branch(work, start, branching, path, last, is_last=is_last)
     return Candidate(
         work=work,
         branch=branch,
@@ -259,18 +265,23 @@ def _is_same(branch: Branch, known: Branch) -> bool:
 
 
 def _without_branch(
-    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None
+    work: Workspace, start: np.ndarray, branching: Branching, path: Path, last: PathPoint | None, *, is_last: bool
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
     settings, budget = work.settings, work.budget
-    if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not budget.is_over:
+    pairs = len(work.lifted.pairs)
+    is_small = pairs <= settings.max_biactive
+    if settings.polish and not budget.is_over and (is_small or (is_last and pairs <= settings.search)):
         starts = [work.branch_point(start)] if last is None else [work.branch_point(x) for x in (last.x, start)]
-        branch, outcome = branching.every_branch(starts)
-        if outcome is Outcome.INFEASIBLE:
-            reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
-            return None, outcome, f"{reason}each of the {2 ** len(work.lifted.pairs)} branches of the problem is infeasible (locally)"
+        branch, outcome = branching.every_branch(starts) if is_small else branching.nearest_branch(starts[0])
+        reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
+        count = 2**pairs
+        are_all = is_small or count <= NEAREST
+        if outcome is Outcome.INFEASIBLE and (are_all or reason):
+            which = f"the {'' if are_all else f'nearest {NEAREST} of the '}{count} branches"
+            return None, outcome, f"{reason}each of {which} of the problem is infeasible (locally)"
         if branch is not None and outcome is Outcome.SOLVED:
-            return _settled(branching, branch, start, [branch]), outcome, ""
+            return _settled(branching, branch, start, [branch] if is_small else []), outcome, ""
     if budget.is_late:
         return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
     if budget.is_over:

@@ -1,6 +1,7 @@
 """SolverFactory("mpec_ipopt"): the model is left as it was, the answer is certified, endings are honest, multipliers come where they are asked for; points that satisfy every residual only because complementarity is not exact are no solutions."""
 
 import io
+import itertools
 import logging
 import math
 
@@ -457,3 +458,33 @@ def test_a_curvature_that_leads_nowhere_is_told():
     result = solve_mpec(m)
     assert (result.solved, result.objective) == (True, pytest.approx(1.0))
     assert "curves downwards along a direction, but no better point was found there" in result.message
+
+
+# -- nothing feasible near the start -----------------------------------------------------------------------------------------------------------
+def _some_of(numbers, total):
+    """Each number counts or not, and they are to add up."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(range(len(numbers)), initialize=0.5)
+    m.choice = Complementarity(range(len(numbers)), rule=lambda m, i: complements(m.x[i] >= 0, 1 - m.x[i] >= 0))
+    m.sum = pyo.Constraint(expr=sum(number * m.x[i] for i, number in enumerate(numbers)) == total)
+    m.cost = pyo.Objective(expr=sum(m.x[i] for i in m.x))
+    return m
+
+
+def test_branches_are_tried_where_nothing_feasible_is_known():
+    """With more pairs than `max_biactive`."""
+    numbers, total = [72, 83, 21, 83, 57, 60, 69], 143
+    fewest = min(n for n in range(8) if any(sum(some) == total for some in itertools.combinations(numbers, n)))
+    result = solve_mpec(_some_of(numbers, total))
+    assert (result.solved, result.objective) == (True, pytest.approx(fewest))
+    assert "smoothing refused (more equations than variables, each pair is one)" in result.message
+
+
+def test_what_is_infeasible_near_the_start_is_told_as_that():
+    """An odd sum of even numbers; a bound above another needs no search, and is told as it was."""
+    result = solve_mpec(_some_of([2 * number for number in (72, 83, 21, 83, 57, 60, 69)], 141))
+    assert result.outcome is Outcome.INFEASIBLE
+    assert "no feasible point was found near the start, which does not show that there is none" in result.message
+    m = two(near)
+    _crossed(m)
+    assert "near the start" not in solve_mpec(m).message
