@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # a Solution costs no Pyomo
 
 
 class Outcome(Enum):
-    """How a solve ended; the value is a sentence of advice for the user."""
+    """How a solve ended; the value is a sentence of advice for who looks for a plan, its repr the name alone."""
 
     SOLVED = "Solved: the method's own stopping rule was met."
     ITERATION_LIMIT = "Stopped at the number of iterations it was given; allow more, or use the plan as a warm start."
@@ -29,6 +29,9 @@ class Outcome(Enum):
     REFUSED = "The method does not apply to this scene; the reason stands beside it."
     CRASHED = "The process ended without an answer; the log tells more."
     FAILED = "The solver ended in a way it does not explain; the log tells more."
+
+    def __repr__(self) -> str:
+        return f"Outcome.{self.name}"
 
     @property
     def has_answer(self) -> bool:
