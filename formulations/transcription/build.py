@@ -83,7 +83,7 @@ def build_model(
     contact : how contact is written
     eps : with SOFTPLUS needed, 0 < eps < 1; with COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
         transformations of your own), a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2]
-    steps, step : another grid than the task's [s]
+    steps, step : another grid than the task's [s]; the plan lasts steps * step, so that either alone changes how long
     scheme : the time step, semi-implicit Euler or a collocation of higher order (`collocation` says what its block has)
     integrate_cost : with a collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes
 
@@ -98,7 +98,7 @@ def build_model(
     --------
     >>> import pyomo.environ as pyo
     >>> from formulations import ContactFormulation, build_model, set_relaxation
-    >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50)
+    >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50, step=0.1)
     >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
     >>> set_relaxation(model, 1e-4)                                                  # the bound moves, the model stays
@@ -139,6 +139,8 @@ def build_block(
         raise ModelError(f"{block.name} holds a plan already; build each plan into a Block of its own.")
     if not isinstance(contact, ContactFormulation):
         raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactFormulation)}.")
+    if not isinstance(scheme, Scheme):
+        raise ModelError(f"scheme is {scheme!r}, but must be one of {', '.join(str(item) for item in Scheme)}.")
     if steps is not None or step is not None:
         task = chosen.task
         chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
@@ -311,8 +313,10 @@ def load_plan(block: Any, plan: Trajectory) -> None:
     ------
     TrajectoryError
         unless the plan has the block's grid and numbers of columns
+    ModelError
+        for a model of something else
     """
-    steps, h = len(block.set_steps), pyo.value(block.parameter_step)
+    steps, h = _steps_of(block), pyo.value(block.parameter_step)
     check_grid(plan, steps, h, f"model {block.name}")
     friction = block.component("variable_friction")
     nf = 0 if friction is None else len(friction) // steps
@@ -330,6 +334,13 @@ def load_plan(block: Any, plan: Trajectory) -> None:
     if is_collocated(block):
         settle_stages(block)
     settle_separation(block)
+
+
+def _steps_of(block: Any) -> int:
+    steps = getattr(block, "set_steps", None)
+    if steps is None:
+        raise ModelError(f"model {getattr(block, 'name', repr(block))} holds no plan: it must come from build_model or build_block.")
+    return len(steps)
 
 
 def load_first_guess(block: Any) -> None:
@@ -351,8 +362,8 @@ def load_first_guess(block: Any) -> None:
 
 
 def read_plan(block: Any) -> Trajectory:
-    """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value."""
-    steps = len(block.set_steps)
+    """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value, ModelError for a model of something else."""
+    steps = _steps_of(block)
     arrays, scheme = {}, Scheme.SEMI_IMPLICIT_EULER
     for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
         variable = block.component(f"variable_{name}")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyomo.environ as pyo
@@ -192,6 +193,16 @@ def test_impossible_sharpness_is_refused(eps) -> None:
 def test_impossible_bounds_are_refused(eps) -> None:
     with pytest.raises(ModelError, match="at least 0"):
         build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=eps, steps=2)
+
+
+def test_what_is_no_scheme_and_a_model_without_a_plan_are_refused():
+    wrong: Any = "radau_iia_2"
+    with pytest.raises(ModelError, match=r"scheme is 'radau_iia_2', but must be one of .*Scheme\.RADAU_IIA_2"):
+        build_model("three_cart", scheme=wrong)
+    plan = read_plan(build_model("three_cart", steps=5))
+    for use in (read_plan, lambda model: load_plan(model, plan)):
+        with pytest.raises(ModelError, match="model unknown holds no plan: it must come from build_model or build_block"):
+            use(pyo.ConcreteModel())
 
 
 def test_a_function_that_pyomo_does_not_have_is_refused_by_name() -> None:

@@ -25,7 +25,7 @@ from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES, halved
+from validate.judge.score.measures import MEASURES, halved, times_the_law
 from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, Measured, MetricEntry
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict, decide, wants_feedback
 
@@ -114,8 +114,9 @@ def _scored(
     metrics = {entry.name: _metric(entry, case) for entry in rows}
     verdict, found, judged = decide(tuple(metrics.values()), followed)
     return ScoredPlan(
-        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict, questions=found, halved=partial(halved, case)
-    ), judged
+        scene=scene, trajectory=plan, replay=replay, metrics=metrics, verdict=verdict, questions=found,
+        halved=partial(halved, case), times_the_law=partial(times_the_law, case),
+    ), judged  # fmt: skip
 
 
 def _as_declared(scored: ScoredPlan, rows: list[MetricEntry]) -> ScoredPlan | None:

@@ -42,7 +42,8 @@ class ScoredPlan:
     """One plan with its metrics and answers.
 
     other_hold: whether question 4 is answered yes with the inputs held the other way; own: the plan as one of the scheme that makes its motion, where it declares
-    none; halved: the grid errors [m or rad] with the step halved ever again until they are so small (validate.judge.score.measures); they raise Unmeasured.
+    none; halved: the grid errors [m or rad] with the step halved ever again until they are so small, times_the_law: how many times what contact gives the planned
+    forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured.
     """
 
     scene: Subject
@@ -55,6 +56,7 @@ class ScoredPlan:
     other_hold: bool = False
     own: ScoredPlan | None = None
     halved: Callable[[float], Iterator[float]] = lambda near: iter(())
+    times_the_law: Callable[[], np.ndarray] = lambda: np.ones(0)
 
     def value(self, name: str) -> float | None:
         """Of a metric; None if it was not measured."""
@@ -249,6 +251,8 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
+    if first.name in ("physics_scaled", "contact_law_error") and (multiple := _multiple_of_the_law(scored)):
+        return multiple
     if first.name in _CAUSES:
         return _CAUSES[first.name] + (_few_digits(scored.trajectory) if first.name == "contact_law_error" else "")
     if first.name == "max_penetration":
@@ -265,6 +269,22 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         text = f": discretisation error {number(grid.value or 0.0, grid.unit)}"
         return f"{text}; the contact forces are correct{_unstable(scored)}" if by_the_grid else text
     return ": force at a distance" if first.name == "ghost_impulse" else ""
+
+
+def _multiple_of_the_law(scored: ScoredPlan) -> str:
+    """That the planned forces are those of contact but for a factor; empty where they are not."""
+    try:
+        times = scored.times_the_law()
+    except Unmeasured:
+        return ""
+    if not times.size:
+        return ""
+    alike = np.ptp(times) <= 0.01 * float(np.abs(times).max())
+    names = [item.name for item in scored.scene.contacts]
+    said = (
+        rounded(float(times.mean())) if alike else ", ".join(f"{rounded(float(x))} ({name})" for x, name in zip(times, names, strict=True))
+    )
+    return f": they are {said} times what the contact law gives, as of another stiffness or another unit"
 
 
 def _few_digits(plan: Trajectory) -> str:

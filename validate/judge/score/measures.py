@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ DEFECT = 1e-6
 _HALVINGS = 7
 # Below this share of the largest a force or a gap is nothing.
 _CLEARLY = 1e-2
+# Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
+_EXPLAINED = 0.1
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
 _AT_REST = 1e-3
 
@@ -149,6 +152,24 @@ def contact_law_error(case: Evidence) -> Measured:
     off = case.printing["lam"] + case.k * case.printing["q"]
     allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
     return Measured(values=value, scales=case.planned_impulse, allowed=allowed)
+
+
+def times_the_law(case: Evidence) -> np.ndarray:
+    """How many times what the contact law gives the planned forces are, (nc,) [-]: 1 of a contact without force.
+
+    Of the start, the end or the mean of each step. Raises Unmeasured where that does not explain them far better than the law itself does.
+    """
+    h, lam, least = case.h[:, None], case.lam, np.inf
+    times = np.ones(case.scene.nc)
+    for law in (case.law[:-1], case.law[1:], 0.5 * (case.law[:-1] + case.law[1:])):
+        given = (h * law**2).sum(axis=0)
+        found = np.divide((h * law * lam).sum(axis=0), given, out=np.ones_like(given), where=given > 0.0)
+        left, of_law = (float((h * np.abs(lam - other)).sum()) for other in (found * law, law))
+        if left <= _EXPLAINED * of_law and left < least:
+            times, least = found, left
+    if not math.isfinite(least):
+        raise Unmeasured("the planned contact forces are no multiple of those of contact.")
+    return times
 
 
 def _grazing(case: Evidence) -> float:

@@ -1,6 +1,7 @@
 """What a verdict says: what each cause needs to be said, what keeps it unsaid, and how numbers are quoted."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,9 +9,13 @@ import numpy as np
 import pytest
 from wording import unsaid
 
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw
+from models.scene import Limit
 from models.schemes import Scheme
+from models.trajectory import Trajectory
 from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
-from validate.judge.score import Metric, Question, Verdict, cause
+from validate.judge.score import Metric, Question, Verdict, cause, score
 from validate.judge.score.verdict import (
     EFFORT,
     Unmeasured,
@@ -245,3 +250,26 @@ def test_percents(value: float, said: str):
 )
 def test_rounded_numbers(value: float, said: str):
     assert cause.rounded(value) == said
+
+
+def _pushed(law: ContactLaw = ContactLaw.RELU, eps: float | None = None, **parameters: float) -> Trajectory:
+    """The outer carts of three_cart pushed against the middle one, by the law of a scene with these parameters."""
+    scene = SCENE.with_parameters(**parameters)
+    u = np.tile([6.0, -4.0], (500, 1))
+    rolled = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.01, law=law, eps=eps)
+    return Trajectory(t=0.01 * np.arange(501), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+
+
+def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
+    anywhere = tuple(Limit(metric=f"terminal_{of}_error", value=None, reason="no plan here has a goal") for of in ("position", "velocity"))
+    scene = replace(SCENE, limits=(*(limit for limit in SCENE.limits if not limit.metric.startswith("terminal_")), *anywhere))
+    left, right = (item.name for item in SCENE.contacts)
+    exact, stiff, soft = _pushed(), _pushed(k=300.0), _pushed(k=3.0)
+    one = replace(exact, lam=exact.lam * [1.0, 7.0])
+    for plan, times in ((stiff, "10"), (soft, "0.1"), (replace(exact, lam=1e-3 * exact.lam), "0.001"), (one, f"1 ({left}), 7 ({right})")):
+        for scheme in (Scheme.SEMI_IMPLICIT_EULER, None):
+            why = score(scene, replace(plan, scheme=scheme), None).why
+            assert not unsaid(why, f": they are {times} times what the contact law gives, as of another stiffness or another unit"), why
+            assert "relaxed" not in why
+    for relaxed in (_pushed(ContactLaw.SOFTPLUS, 1e-3), _pushed(ContactLaw.SOFTPLUS, 1e-3, k=300.0), replace(exact, lam=exact.lam + 0.5)):
+        assert not unsaid(score(scene, relaxed, None).why, ": a relaxed contact law; tighten eps")
