@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib.util
+import os
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
@@ -28,7 +29,8 @@ _VERSION = 7
 _TYPES = {"i": ctypes.c_int, "l": ctypes.c_long, "n": ctypes.c_int64, "d": ctypes.c_double, "p": ctypes.c_void_p}
 # Result and arguments of SUNDIALS' functions.
 _SIGNATURES = {
-    "SUNContext_Create": "i:ip", "SUNContext_ClearErrHandlers": "i:p", "SUNContext_Free": "i:p", "N_VNew_Serial": "p:np", "N_VGetArrayPointer": "p:p",
+    "SUNContext_Create": "i:ip", "SUNContext_ClearErrHandlers": "i:p", "SUNContext_GetLogger": "i:pp", "SUNContext_Free": "i:p",
+    "SUNLogger_SetWarningFilename": "i:pp", "N_VNew_Serial": "p:np", "N_VGetArrayPointer": "p:p",
     "N_VDestroy": "i:p", "SUNDenseMatrix": "p:nnp", "SUNMatDestroy": "i:p", "SUNLinSol_Dense": "p:ppp", "SUNLinSolFree": "i:p", "CVodeCreate": "p:ip",
     "CVodeFree": "i:p", "CVodeInit": "i:ppdp", "CVodeReInit": "i:pdp", "CVodeSVtolerances": "i:pdp", "CVodeSetUserData": "i:pp",
     "CVodeSetLinearSolver": "i:ppp", "CVodeSetMaxNonlinIters": "i:pi", "CVodeSetMaxConvFails": "i:pi", "CVodeRootInit": "i:pip",
@@ -124,7 +126,7 @@ class Cvode:
         """A new solver from y at `time` [s]. Raises RuntimeError where CVODE refuses what it is given."""
         self.close()
         self.time = time
-        call, size, context = functions(), len(self.y), ctypes.c_void_p()
+        call, size, context, logger = functions(), len(self.y), ctypes.c_void_p(), ctypes.c_void_p()
 
         def made(pointer: int | None, free: Callable[[Any], Any]) -> int:
             self._accepted(0 if pointer else -1)
@@ -134,6 +136,9 @@ class Cvode:
         self._accepted(call.SUNContext_Create(0, ctypes.byref(context)))
         self._made.callback(call.SUNContext_Free, ctypes.byref(context))
         call.SUNContext_ClearErrHandlers(context)
+        self._accepted(
+            call.SUNContext_GetLogger(context, ctypes.byref(logger)), call.SUNLogger_SetWarningFilename(logger, os.devnull.encode())
+        )
         self.vector = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         tolerances = made(call.N_VNew_Serial(size, context), call.N_VDestroy)
         for vector, values in ((self.vector, self.y), (tolerances, self.absolute)):

@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -40,7 +41,8 @@ def made(method: tuple[int, int], y: np.ndarray, **more: Any) -> Cvode:
     given: dict[str, Any] = {
         "rtol": 1e-8, "absolute": np.array([1e-9, 2e-9, 3e-9]), "min_step": 1e-14, "max_step": 0.25, "max_steps": 10_000,
     }  # fmt: skip
-    return Cvode(method, y, rates=filling(swing, 3, True), indicators=filling(zeros, 2, False), count=2, **(given | more))
+    given |= {"rates": filling(swing, 3, True), "indicators": filling(zeros, 2, False), "count": 2}
+    return Cvode(method, y, **(given | more))
 
 
 @pytest.mark.parametrize(("method", "name"), [(ADAMS, "Adams"), (BDF, "BDF")])
@@ -127,3 +129,15 @@ def test_a_solver_that_is_missing_damaged_or_of_another_version_says_so(tmp_path
     monkeypatch.setattr(cvode, "_VERSION", 6)
     with pytest.raises(MachineError, match=r"is of SUNDIALS 7 in .*, not 6"):
         cvode.functions.__wrapped__()
+
+
+def test_it_prints_nothing_and_leaves_no_file_open(capfd: pytest.CaptureFixture[str]):
+    """Of an indicator that stays zero SUNDIALS would warn on stderr."""
+    solver = made(ADAMS, np.array([1.0, -0.25, 2.0]), indicators=filling(lambda time, y: [0.0, time - 9.0], 2, False))
+    solver.renew(0.0)
+    open_files = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").is_dir() else 0
+    for _ in range(3):
+        solver.renew(0.0)
+        assert solver.advance(0.5, 1.0, one_step=False) >= 0
+    assert not open_files or len(os.listdir("/proc/self/fd")) == open_files
+    assert capfd.readouterr() == ("", "")
