@@ -97,9 +97,14 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
     metrics = tuple(scored.metrics.values())
     verdict = _of_what_is_asked(scene, trajectory, scored.verdict, metrics)
     waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
-    scored = replace(scored, verdict=verdict, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold))
+    held = Hold.LINEAR if trajectory.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+    by_hold = other_hold is not None and other_hold.ok and _moves_so(scene, replace(trajectory, hold=held), other_hold)
+    scored = replace(scored, verdict=verdict, waived=waived, other_hold=by_hold)
     if verdict is Verdict.VIOLATES and scored.questions.get(Question.MOTION) == "no":
-        scored = replace(scored, own=_as_declared(scored, rows))
+        by_positions = scored.fails("unexplained_force") and _moves_so(
+            scene, replace(trajectory, missing=trajectory.missing | {"v"}), replay
+        )
+        scored = replace(scored, own=_as_declared(scored, rows), other_velocities=by_positions)
     return Score(
         metrics=metrics, verdict=verdict, why=explain(scored), cause=cause_of(scored), judged=judged, waived=waived,
         questions=tuple(scored.questions.items()), not_asked=_not_asked(scene, rows, metrics), names=_NAMES,
@@ -145,12 +150,9 @@ def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict, metric
     return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
 
 
-def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) -> bool:
-    """Whether question 4 is answered yes with the inputs held the other way."""
-    if other is None or not other.ok:
-        return False
-    held = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
-    case = Evidence(scene, replace(plan, hold=held), other)
+def _moves_so(scene: Subject, plan: Trajectory, replay: Replay | None) -> bool:
+    """Whether question 4 is answered yes."""
+    case = Evidence(scene, plan, replay)
     of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
     return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
 

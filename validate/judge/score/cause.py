@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,8 @@ _UNSTABLE = 100.0
 _SAFETY = 0.8
 # A number of three digits has nine at most where its limit looks alike.
 _MORE_DIGITS = 7
+# An angle off by whole turns is off by no more than this besides, in one row [rad].
+_NEAR_A_TURN = 0.1
 _ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
 # What a metric says of itself where it fails first.
 _CAUSES = {
@@ -41,7 +43,7 @@ _CAUSES = {
 class ScoredPlan:
     """One plan with its metrics and answers.
 
-    other_hold: whether question 4 is answered yes with the inputs held the other way; own: the plan as one of the scheme that makes its motion, where it declares
+    other_hold, other_velocities: whether question 4 is answered yes with the inputs held the other way, and with the velocities that the positions take; own: the plan as one of the scheme that makes its motion, where it declares
     none; halved: the grid errors [m or rad] with the step halved ever again until they are so small, times_the_law: how many times what contact gives the planned
     forces are, (nc,) [-] (validate.judge.score.measures); both raise Unmeasured.
     """
@@ -54,6 +56,7 @@ class ScoredPlan:
     questions: Mapping[Question, Answer]
     waived: tuple[str, ...] = ()
     other_hold: bool = False
+    other_velocities: bool = False
     own: ScoredPlan | None = None
     halved: Callable[[float], Iterator[float]] = lambda near: iter(())
     times_the_law: Callable[[], np.ndarray] = lambda: np.ones(0)
@@ -247,6 +250,8 @@ _ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", 
 
 def _cause(first: Metric, scored: ScoredPlan) -> str:
     """The cause of what failed first, and the advice."""
+    if (first.name == "start_error" or first.question in (Question.GOAL, Question.FORCES, Question.MOTION)) and _jumps_by_turns(scored):
+        return "; its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)"
     if first.name == "duration_error" and scored.scene.task.horizon is not None:
         return f" (it lasts {scored.trajectory.duration:.6g} s, the task {scored.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
@@ -269,6 +274,17 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
         text = f": discretisation error {number(grid.value or 0.0, grid.unit)}"
         return f"{text}; the contact forces are correct{_unstable(scored)}" if by_the_grid else text
     return ": force at a distance" if first.name == "ghost_impulse" else ""
+
+
+def _jumps_by_turns(scored: ScoredPlan) -> bool:
+    """Whether an angle is whole turns from the task's start, or from where its velocity takes it, in one row."""
+    plan, scene = scored.trajectory, scored.scene
+    if not isinstance(scene, Scene) or not plan.has_states:
+        return False
+    moved = np.diff(plan.q, axis=0) - np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
+    moved = np.vstack([plan.start[: scene.nq] - np.array(scene.task.start[: scene.nq]), moved])
+    turns = np.round(moved / (2.0 * math.pi)) * [item.unit == "rad" for item in scene.coordinates]
+    return bool(((turns != 0.0) & (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN)).any())
 
 
 def _multiple_of_the_law(scored: ScoredPlan) -> str:
@@ -307,11 +323,15 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     if scored.other_hold:
         other = "linear" if plan.hold is Hold.ZERO_ORDER else "zero"
         return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
+    if scored.other_velocities:
+        return "; with the velocities that its positions take it does not: its own are those of another motion, or of other times"
     if not plan.has_states or first.value is None:
         return ""
     if scored.own is not None and scored.own.trajectory.scheme is not None:
-        scheme = scored.own.trajectory.scheme.value
-        return f"; the plan's own motion is that of {scheme} with its steps of {plan.duration / plan.steps:.3g} s{_of_motion(first, scored.own)}"
+        scheme, own, what = scored.own.trajectory.scheme.value, scored.own, "own motion is that"
+        if own.fails("defect"):  # of velocities alone: forces that are wrong were asked before
+            what, own = "positions are those", replace(own, metrics={name: item for name, item in own.metrics.items() if name != "defect"})
+        return f"; the plan's {what} of {scheme} with its steps of {plan.duration / plan.steps:.3g} s{_of_motion(first, own)}"
     unstable = _unstable(scored)
     if plan.scheme is None:
         if scored.fails("unexplained_force") and first.name != "unexplained_force":

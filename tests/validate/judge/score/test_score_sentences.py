@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from wording import unsaid
 
+from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
-from models.scene import Limit
+from models.scene import Limit, Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
+from validate.judge.judgement import judge
 from validate.judge.score import Metric, Question, Verdict, cause, score
 from validate.judge.score.verdict import (
     EFFORT,
@@ -260,9 +262,17 @@ def _pushed(law: ContactLaw = ContactLaw.RELU, eps: float | None = None, **param
     return Trajectory(t=0.01 * np.arange(501), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
+def _without_goal(scene: Scene) -> Scene:
+    waived = tuple(
+        Limit(metric=f"{of}terminal_{what}_error", value=None, reason="no plan here reaches it")
+        for of in ("", "replay_")
+        for what in ("position", "velocity")
+    )
+    return replace(scene, limits=(*(limit for limit in scene.limits if "terminal_" not in limit.metric), *waived))
+
+
 def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
-    anywhere = tuple(Limit(metric=f"terminal_{of}_error", value=None, reason="no plan here has a goal") for of in ("position", "velocity"))
-    scene = replace(SCENE, limits=(*(limit for limit in SCENE.limits if not limit.metric.startswith("terminal_")), *anywhere))
+    scene = _without_goal(SCENE)
     left, right = (item.name for item in SCENE.contacts)
     exact, stiff, soft = _pushed(), _pushed(k=300.0), _pushed(k=3.0)
     one = replace(exact, lam=exact.lam * [1.0, 7.0])
@@ -273,3 +283,32 @@ def test_forces_of_another_stiffness_or_unit_are_not_called_relaxed():
             assert "relaxed" not in why
     for relaxed in (_pushed(ContactLaw.SOFTPLUS, 1e-3), _pushed(ContactLaw.SOFTPLUS, 1e-3, k=300.0), replace(exact, lam=exact.lam + 0.5)):
         assert not unsaid(score(scene, relaxed, None).why, ": a relaxed contact law; tighten eps")
+
+
+@pytest.mark.slow
+def test_velocities_of_another_motion_are_told_from_a_force_that_nobody_gives():
+    plan, scene = replace(_pushed(), scheme=None), _without_goal(SCENE)
+    late = np.vstack([plan.v[:1], plan.v[:-1]])
+    for v in (0.5 * plan.v, 0.0 * plan.v, late):
+        why = judge(scene, replace(plan, v=v)).score.why
+        assert not unsaid(why, "its own motion needs a force … with the velocities that its positions take it does not: its own are"), why
+    kicked = plan.q + 0.002 * (np.arange(501)[:, None] == 250)
+    why = judge(scene, replace(plan, q=kicked)).score.why
+    assert "its own motion needs a force" in why
+    assert "velocities" not in why
+
+
+@pytest.mark.slow
+def test_angles_that_are_wrapped_are_told():
+    scene, turn = _without_goal(load_scene("wall_pendulum")), 2.0 * np.pi
+    steps, step = scene.task.steps, scene.task.step
+    u = np.full((steps, 1), 0.5 * scene.inputs[0].upper)
+    rolled = load_kernel(scene).rollout(np.array(scene.task.start), u, step)
+    plan = Trajectory(t=step * np.arange(steps + 1), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam)
+    after = (np.arange(steps + 1) > steps // 2)[:, None] * turn
+    for wrapped in (plan.q + turn, plan.q - 2.0 * turn, plan.q + after):
+        for missing in (frozenset[str](), frozenset({"v", "lam"})):
+            why = judge(scene, replace(plan, q=wrapped, missing=missing)).score.why
+            assert "its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)" in why, why
+    for right in (plan, replace(plan, u=-plan.u), replace(plan, q=plan.q + 0.2 * turn)):
+        assert "wrapped" not in judge(scene, right).score.why
