@@ -12,7 +12,7 @@ import pytest
 from models.catalog import load_scene
 from models.errors import SceneError, TrajectoryError
 from models.scene import Limit, Scene
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Trajectory
 from validate.judge import score as score_module
 from validate.judge.replay.result import Growth
 from validate.judge.replay.wiring import Effort
@@ -347,16 +347,15 @@ def test_who_claims_nothing_is_not_judged_where_nothing_is_asked(has_states: boo
     )
 
 
-@pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
 @pytest.mark.parametrize("ok", [(True, True), (True, False), (True, None), (None,), ()])
-def test_the_other_hold_passes_where_every_metric_of_the_motion_does(hold, ok, monkeypatch):
-    """Of the plan held the other way, beside the replay made so; what is not judged and what is of other questions is not asked."""
+def test_a_plan_moves_as_it_says_where_every_metric_of_the_motion_is_within_its_limit(ok, monkeypatch):
+    """What is not judged and what is of other questions is not asked."""
     words = iter(ok)
-    holds: list[Any] = []
+    cases: list[Any] = []
 
     def measured(entry: MetricEntry, case: Any) -> Metric:
         assert entry.question is Question.MOTION
-        holds.append((case.trajectory.hold, case._replay))
+        cases.append((case.trajectory, case._replay))
         word = next(words, "shown")
         return Metric(
             name=entry.name, question=entry.question, value=1.0, unit="m", meaning="", limit=None if word == "shown" else 1.0,
@@ -365,13 +364,10 @@ def test_the_other_hold_passes_where_every_metric_of_the_motion_does(hold, ok, m
 
     monkeypatch.setattr(score_module, "_metric", measured)
     states = np.zeros((3, 1))
-    plan = Trajectory(t=np.array([0.0, 0.1, 0.2]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)), hold=hold)
+    plan = Trajectory(t=np.array([0.0, 0.1, 0.2]), q=states, v=states, u=np.zeros((2, 1)), lam=np.zeros((2, 1)))
     scene, other = load_scene("wall_pendulum"), SimpleNamespace(ok=True)
-    assert score_module._passes_otherwise(scene, plan, other) is all(word is True for word in ok)
-    assert {held for held, _ in holds} == {Hold.LINEAR if hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER}
-    assert all(replayed is other for _, replayed in holds)
-    assert not score_module._passes_otherwise(scene, plan, None)
-    assert not score_module._passes_otherwise(scene, plan, SimpleNamespace(ok=False))
+    assert score_module._moves_so(scene, plan, other) is all(word is True for word in ok)
+    assert all(judged is plan and replayed is other for judged, replayed in cases)
 
 
 def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_replays():
