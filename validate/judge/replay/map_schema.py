@@ -235,6 +235,8 @@ def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
 QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N m"), "gap": ("m",)}
 # What forces and gaps of a contact are in without a scale, by what they are called where they belong to an angle too.
 CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
+# What columns of a plan's friction forces begin with, as a scene's plan has them. A map has no place for them: nothing of an FMU is held against them.
+FRICTION = "friction_"
 # What is of mechanics, and what is not: the scale of a sensor only its maker knows.
 _MECHANICAL, _OTHERS = ("kg", "m", "s"), ("A", "K", "mol", "cd")
 
@@ -336,13 +338,15 @@ class Named:
 
 
 def by_equal_names(named: Named, table: Table) -> MapFile:
-    """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; in m/s or rad/s velocities; else positions."""
+    """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; friction_X left out where it is a force; in m/s or rad/s velocities; else positions."""
     by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
     rates = []
     for name in table.names:
         variable = by_name.get(name)
         if name == "t":
+            continue
+        if name.startswith(FRICTION) and (variable is None or (variable.causality != "input" and variable.unit in CONTACT_UNITS["force"])):
             continue
         if variable is None:
             raise MapError(

@@ -18,7 +18,7 @@ from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
 from validate.judge.replay import map_schema
-from validate.judge.replay.map_schema import CONTACT_UNITS, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
+from validate.judge.replay.map_schema import CONTACT_UNITS, FRICTION, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
 from validate.judge.replay.subject import (
     Foreign,
@@ -207,8 +207,9 @@ class _Wiring:
                 raise TrajectoryError(f"{table.where}: {lack_of(table, name)}{near}; it has {', '.join(table.given)}.")
         known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
         known |= {value for value in given.start.values() if isinstance(value, str)}
+        self._frictions = [name for name in table.names if name.startswith(FRICTION) and name not in known]
         for name in table.names:
-            if name not in known:
+            if name not in known and name not in self._frictions:
                 raise TrajectoryError(
                     f"{table.where}: the column {name!r} is unknown{map_schema.hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
                 )
@@ -435,6 +436,8 @@ class _Wiring:
         if scheme is not None:
             said = "which is of a scene's equations; an FMU keeps its own, so nothing is asked of it."
             notes.append(f"The plan declares the scheme {scheme.value}, {said}")
+        if self._frictions:
+            notes.append(f"Nothing is asked of the plan's friction forces ({', '.join(self._frictions)}): an FMU's own are not read.")
         driven = {self._place(signal.variable) for signal in self.map.inputs.values()}
         inputs = [(name, item.type) for name, item in self._by_name.items() if item.causality == "input" and item.type != "Clock"]
         idle = [name for name, kind in inputs if kind not in REAL or self._place(name) not in driven]

@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from edited_fmu import edited
 from foreign_fmu import (
@@ -24,10 +25,12 @@ from foreign_fmu import (
 )
 from wording import unsaid
 
+from models.catalog import load_scene
 from models.errors import TouchstoneError
+from models.fmu import build_fmu
 from models.netcdf import read_columns
 from models.plan_table import PlanTable
-from models.trajectory import Hold, Trajectory
+from models.trajectory import Hold, Trajectory, write_csv
 from validate.execution.isolated import Limits
 from validate.fmi.description import read_package
 from validate.judge.replay import Replay
@@ -409,6 +412,21 @@ def test_any_name_works_without_a_map(folder: Path, wired: Wire, name: str):
     foreign, plan = wired(None, f"t,{quoted},drive.force\n0,100,0\n0.1,100,\n", "equal.fmu")
     assert [item.name for item in foreign.model.coordinates] == [name]
     assert plan.q[0, 0] == 100.0
+
+
+def test_friction_forces_of_a_plan_are_told_and_nothing_is_asked_of_them(folder: Path, wired: Wire):
+    """The CSV of a scene's plan beside the FMU of that scene, without a map; a map has no place for them either. What is no force is a position."""
+    scene = load_scene("transport")
+    q = np.zeros((3, 2))
+    write_csv(folder / "cargo.csv", Trajectory(t=np.arange(3.0), q=q, v=q, u=q[1:, :1], lam=np.ones((2, 3))), scene)
+    foreign, read = wire(read_package(build_fmu(scene)), PlanTable(folder / "cargo.csv"), None, None, "FMU")
+    assert [item.name for item in foreign.model.coordinates] == ["cargo", "cart"]
+    assert read.lam.tolist() == [[1.0, 1.0]] * 2
+    for model in (foreign.model, wired(BARE, "t,F,friction_belt\n0,1,0.5\n0.1,,\n")[0].model):
+        assert not unsaid(model.notes[-1], "friction forces (friction_belt)")
+    renamed(folder / "angle.fmu", {"body.pos": "friction_angle"})
+    angle = wired(None, "t,friction_angle,drive.force\n0,100,0\n0.1,100,\n", "angle.fmu")[0].model
+    assert [item.name for item in angle.coordinates] == ["friction_angle"]
 
 
 def test_umlaut_may_be_written_as_one_sign_or_two(wired: Wire, folder: Path):
