@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from formulations.method import Pipeline
-from formulations.pipelines import parts_of
+from formulations.pipelines import method_names, parts_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.scene import Scene
 from reports.paper import SCENE as PAPER_SCENE
@@ -39,11 +39,17 @@ class NothingSelectedError(CampaignError):
     def __init__(self, expression: str, names: Sequence[str]) -> None:
         self.headline = f"nothing to run: -k {expression!r} selects no run and no check"
         unknown = [word for word in words_of(expression) if not matches(word, names)]
-        self.mistakes = tuple(f"{word!r} is in no name; near are {', '.join(near(word, names))}" for word in unknown[:_UNKNOWN])
+        self.mistakes = tuple(_unknown(word, names) for word in unknown[:_UNKNOWN])
         if not unknown:
             self.mistakes = ("each of its words is in a name, but no scene with its pipeline and methods has all that it asks for",)
         self.mistakes += ("`python -m validate list` has all names; =NAME asks for the whole name",)
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}.")
+
+
+def _unknown(word: str, names: Sequence[str]) -> str:
+    if matches(word, method_names()):
+        return f"{word!r} is a method that no pipeline of these scenes runs; a new one needs a row in formulations/pipelines.py"
+    return f"{word!r} is in no name; near are {', '.join(near(word, names))}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from wording import unsaid
 
 from models.catalog import load_scene
 from validate.plan.runs import CampaignSettings, NothingSelectedError, _scenes, scene_cost
@@ -59,6 +60,8 @@ def test_of_several_words_those_that_are_in_no_name_are_answered():
     assert len(error.mistakes) + 1 == 5, "five lines at most"
     (both, _) = NothingSelectedError("strict and three", NAMES).mistakes
     assert "each of its words is in a name" in both
+    (alone, _) = NothingSelectedError("=free_motion", NAMES).mistakes
+    assert not unsaid(alone, "'=free_motion' is a method that no pipeline … runs; … formulations/pipelines.py")
 
 
 def test_cheap_scenes_come_first_after_that_of_the_paper(tmp_path: Path):
