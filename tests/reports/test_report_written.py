@@ -39,7 +39,8 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
             target = (path.parent / unquote(address)).resolve() if address else path
             assert not anchor or anchor in anchors[target], (path, address, anchor)
             assert target in texts
-    assert len(texts) == 1 + 4 + 1 + 11, "the report, runs, simulators, errata and provenance, a scene, and the runs"
+    names = {path.stem for path in texts}
+    assert {"report", "runs", "simulators", "errata", "provenance", "scene-three_cart", "strict-0123456789abcdef"} <= names
 
 
 @pytest.mark.slow
@@ -59,8 +60,9 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     chain = next(name for name in before if name.startswith("relaxed-strict"))
     write_report(folder)
     again = _written(folder)
-    across = {"scene-three_cart.html", "runs.html", "errata.html", "provenance.html"}
-    assert {name for name in before if again[name] != before[name]} == across
+    of_runs = {name for name in before if (folder / "runs" / name.removesuffix(".html")).exists()}
+    assert {name for name in before if again[name] == before[name]} == of_runs
+    assert len(of_runs) == 3, "one page for both parts"
     os.utime(folder / "runs" / chain.removesuffix(".html") / "record.json")
     os.utime(folder / "runs" / "part-2" / "record.json")
     (folder / PAGES / "strict-0123456789abcdef.html").unlink()
@@ -109,7 +111,7 @@ def test_few_pages_start_no_process(factory, tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.delattr(module.multiprocessing, "get_context")
     write_report(folder, 8)
-    assert len(_written(folder)) == 3 + 1 + 1
+    assert "strict-0123456789abcdef.html" in _written(folder)
 
 
 @pytest.mark.slow
@@ -119,7 +121,7 @@ def test_what_a_process_leaves_undone_is_done_here(factory, tmp_path: Path, monk
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.setattr(module, "_write_some", lambda *_: os._exit(9))
     write_report(folder, 2)
-    assert len(_written(folder)) == 3 + 1 + len(factory.runs())
+    assert {f"{run.key}.html" for run in factory.runs()} < set(_written(folder))
 
 
 def test_a_file_in_the_place_of_the_pages_is_one_sentence(folder: Path):
