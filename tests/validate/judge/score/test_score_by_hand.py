@@ -260,6 +260,16 @@ off("force at a distance", "contact_law_error", 2.0 * H, "N s")(both(put("lam", 
 off("force at a distance", "ghost_impulse", 2.0 * H + 3.0 * H, "N s", 0.01 * 5.0 * H)(
     both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
 )
+# What the replay has while the plan does not counts for nothing, what both have is taken off: 2 N, of which 0.5 N are there.
+off("more force than there is", "ghost_impulse", 1.5 * H, "N s")(
+    both(put("lam", (1, 0), 2.0), put("replay.lam", (slice(None), 0), 0.5), put("replay.lam", (slice(None), 1), 4.0))
+)
+off("less force than there is", "missed_impulse", 3.5 * 4 * H, "N s")(
+    both(
+        put("lam", (slice(None), 1), 0.5), put("lam", (slice(None), 0), 2.0), put("replay.lam", (slice(None), 1), 4.0),
+        put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)),
+    )
+)  # fmt: skip
 off("force that pulls", "force_sign_violation", 0.5, "N", 2e-6)(both(put("lam", (1, 1), -0.5), put("lam", (2, 0), 2.0)))
 off("force not planned", "missed_impulse", 4.0 * 4 * H, "N s", 0.01 * 4.0 * 4 * H)(
     both(put("replay.lam", (slice(None), 1), 4.0), put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)))

@@ -121,23 +121,17 @@ def test_the_replay_checks_itself(scores: dict[str, Score]):
 
 def test_every_metric_has_unit_and_meaning_and_every_limit_a_reason(scene: Scene, scores: dict[str, Score]):
     result = scores["exact"]
-    absent = {
-        "velocity_bound_violation",
-        "replay_velocity_bound_violation",
-        "answer_error",
-    }  # no velocity is bounded, no answer measured on a replay
-    absent |= {"friction_violation", "friction_dissipation_error", "friction_impulse_error"}  # nothing rubs
-    expected = [*(entry.name for entry in TABLE if entry.name not in absent), "amplification", "growth_rate"]
+    expected = [*(entry.name for entry in TABLE if entry.applies(scene)), "amplification", "growth_rate"]
     assert sorted(metric.name for metric in result.metrics) == sorted(expected)
-    of_others = {"contact_law_error", "unexplained_force"}  # of plans that declare no scheme
-    of_costs = {"cost", "replay_cost"}  # the scene asks for a goal, not for a cost
+    of_others = {entry.name for entry in TABLE if {"no scheme", "no defect"} & {*entry.needs}}  # of plans that declare no scheme
+    unlimited = {entry.name for entry in TABLE if entry.default is None and scene.limit(entry.name) is None}  # of costs: it asks for a goal
     for metric in result.metrics:
         assert metric.unit
         assert metric.meaning
         if metric.name != "grid_order":  # of plans whose discretisation error is worth a question
             assert (metric.value is None) is (metric.name in of_others), metric
         assert (metric.limit is None) or metric.reason
-        judged = metric.question is not Question.SHOWN and metric.name not in {*of_others, *of_costs, "energy_residual"}
+        judged = metric.question is not Question.SHOWN and metric.name not in of_others | unlimited
         assert metric.is_judged is judged, metric.name
     # What the scene sets itself is its own, all the rest is the metric's default.
     own = {metric.name for metric in result.metrics if metric.is_judged and not metric.default}
