@@ -141,7 +141,7 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
         data = _FOLDER if path.is_dir() else path.read_bytes()
         for start, what in _OTHERS.items():
             if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(start):
-                known = "a plan is a CSV file, of a scene also a NetCDF file called .nc (docs/replay.md)"
+                known = "a plan is a CSV file; of a scene, but not of an FMU, also a NetCDF file called .nc (docs/replay.md)"
                 raise TrajectoryError(f"plan {path}: it is {what}; {known}.")
         text = data.decode("utf-8-sig")  # Excel writes a byte order mark
     except OSError as error:

@@ -264,7 +264,7 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(TrajectoryError, match="not text in UTF-8"):
         read_csv(path, scene)
-    with pytest.raises(TrajectoryError, match="it is a folder; a plan is a CSV file"):
+    with pytest.raises(TrajectoryError, match="it is a folder; a plan is a CSV file; of a scene"):
         read_csv(tmp_path, scene)
 
 
@@ -279,7 +279,8 @@ def test_a_file_of_another_kind_is_called_what_it_is(tmp_path: Path, scene):
     for data, words in kinds.items():
         path.write_bytes(data)
         with pytest.raises(
-            TrajectoryError, match=saying(f"plan {path}: it is {words} … a plan is a CSV file, of a scene also a NetCDF file called .nc")
+            TrajectoryError,
+            match=saying(f"plan {path}: it is {words} … a plan is a CSV file; … not of an FMU, also … NetCDF file called .nc"),
         ):
             read_csv(path, scene)
 

@@ -15,7 +15,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge import elsewhere as room
 from validate.judge.elsewhere import EngineVerdict, Otherwise, elsewhere
 from validate.judge.judgement import Judgement, judge
-from validate.judge.simulator import Came, Drive, EngineAnswer, describe_engine, load_engine
+from validate.judge.simulator import Came, Drive, EngineAnswer, describe_engine, engine_names, load_engine
 from validate.truth.problems import ground
 
 
@@ -160,7 +160,8 @@ def test_only_a_replay_on_a_scene_has_a_matrix(thrown: Judgement):
 
 
 def test_every_engine_says_how_it_makes_contact():
-    for name in ("mujoco", "drake_continuous", "drake_sap", "drake_cenic"):
-        about = describe_engine(name)
-        assert about.law
-        assert about.adaptive is (name in ("drake_continuous", "drake_cenic"))
+    engines = {name: describe_engine(name) for name in engine_names()}
+    assert all(about.law for about in engines.values())
+    assert {name: engines[name].adaptive for name in ("mujoco", "drake_continuous", "drake_sap", "drake_cenic")} == {
+        "mujoco": False, "drake_continuous": True, "drake_sap": False, "drake_cenic": True,
+    }  # fmt: skip
