@@ -327,5 +327,13 @@ def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) ->
 
 
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
-    """Whether iterates that left for infinity took the objective down with them, along points that are feasible at their own scale."""
-    return problem.objective(x) < -_UNBOUNDED and problem.violation(x) <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
+    """Whether iterates that left for infinity took the objective down with them, along points that are feasible but for rounding.
+
+    Of a row that is the rounding of its terms: where it levels off far out, as exp(-x) >= 1e-3 does, they are small, and it is violated there.
+    """
+    row, column = problem.jacobianstructure()
+    with np.errstate(all="ignore"):  # what is no number, or infinite, is not below
+        g, terms = problem.constraints(x), np.bincount(row, np.abs(problem.jacobian(x) * x[column]), problem.m)
+        rows = np.maximum(problem.constraint_lower - g, g - problem.constraint_upper) < FEASIBILITY * np.maximum(1.0, terms)
+        bounds = np.maximum(problem.lower - x, x - problem.upper) < FEASIBILITY * np.maximum(1.0, np.abs(x))
+    return problem.objective(x) < -_UNBOUNDED and bool(np.all(rows) and np.all(bounds))

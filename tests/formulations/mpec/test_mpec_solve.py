@@ -383,6 +383,20 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
     assert solve_mpec(m).outcome is Outcome.DIVERGED
 
 
+@pytest.mark.parametrize(
+    ("levels_off", "limit", "furthest"),
+    [(lambda x: 1 - pyo.exp(-x), 0.999, math.log(1000)), (lambda x: pyo.tanh(x / 10), 0.999, 10 * math.atanh(0.999))],
+)
+def test_where_a_row_levels_off_far_out_nothing_is_unbounded(levels_off, limit, furthest):
+    """At x = 1e20 the row is violated by 1e-3 only, which is no rounding of terms that are below 1."""
+    m, pull = _with_pair()
+    m.x = pyo.Var(bounds=(0, None), initialize=0.0)
+    m.row = pyo.Constraint(expr=levels_off(m.x) <= limit)
+    m.cost = pyo.Objective(expr=pull - m.x)
+    result = solve_mpec(m)
+    assert (result.solved, result.objective) == (True, pytest.approx(1.0 - furthest, rel=1e-6))
+
+
 # -- what first order does not see -----------------------------------------------------------------------------------------------------------
 def _with_pair():
     """Beside a pair that is (0, 2) at the solution and costs 1."""
