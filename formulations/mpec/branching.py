@@ -53,7 +53,7 @@ _STAYS_FEASIBLE = 1e-9
 _UNREFINED, _TIGHTER, _TIGHTEST = 1e-6, 1e-3, 1e-14
 # The barrier that a solve begins with which goes on from a solution.
 _SMALL_BARRIER = 1e-10
-# A curvature below this, of the largest entry of the Hessian, is more than rounding and the errors of multipliers.
+# A curvature below this, of the sum of what its terms are without their signs, is more than rounding and the errors of multipliers.
 _CURVED = 1e-6
 # Multipliers of a point with a larger error say too little about what is active.
 _EXACT = 1e-9
@@ -214,49 +214,51 @@ def step_aside(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, weak:
     free, rows = np.flatnonzero(~is_held), np.flatnonzero(is_kept)
     hessian = _hessian(problem, x, lagrange)[free][:, free]
     jacobian = sparse.csr_matrix((problem.jacobian(x), problem.jacobianstructure()), shape=(problem.m, problem.n))[rows][:, free]
-    largest = float(np.max(np.abs(hessian.data), initial=0.0))
-    if not 0.0 < largest < np.inf or not np.all(np.isfinite(jacobian.data)):
+    if not np.all(np.isfinite(hessian.data)) or not np.all(np.isfinite(jacobian.data)):
         return None
-    curvature, direction = _least_curved(hessian, jacobian)
-    if not curvature < -_CURVED * largest:
+    ways = _curving_down(hessian, jacobian)
+    if not ways.shape[1]:
         return None
+    direction = ways @ np.random.default_rng(0).normal(size=ways.shape[1])  # along one alone the others would be left at their maximum
     step = np.zeros(problem.n)
     step[free] = direction * (_ASIDE / np.max(np.abs(direction) / np.maximum(1.0, np.abs(x[free]))))
-    gain = -0.5 * curvature * float(step @ step)
+    gain = -0.5 * float(step[free] @ (hessian @ step[free]))
     return step if gain > BETTER * max(1.0, abs(problem.objective(x))) else None
 
 
-def _least_curved(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> tuple[float, np.ndarray]:
-    """(least curvature, its direction of length 1) in the null space of the Jacobian; with many unknowns by Lanczos's method, which tells no lower one."""
+def _curving_down(hessian: sparse.csr_matrix, jacobian: sparse.csr_matrix) -> np.ndarray:
+    """Orthogonal directions (n, k) of length 1, in the null space of the Jacobian, of negative curvature; with many unknowns those that Lanczos's method finds."""
     n, m = hessian.shape[0], jacobian.shape[0]
     length = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=1)).ravel())
     rows = sparse.diags(1.0 / np.where(length > 0.0, length, 1.0)) @ jacobian
-    if n <= _DENSE:
-        basis = null_space(rows.toarray(), rcond=1e-10) if m else np.eye(n)
-        if not basis.shape[1]:
-            return 0.0, np.zeros(n)
-        curvatures, directions = eigh(basis.T @ (hessian @ basis), subset_by_index=[0, 0])
-        return float(curvatures[0]), basis @ directions[:, 0]
+    span = _krylov(hessian, rows) if n > _DENSE else null_space(rows.toarray(), rcond=1e-10) if m else np.eye(n)
+    if not span.shape[1]:
+        return span
+    curvatures, mixed = eigh(span.T @ (hessian @ span))
+    ways = span @ mixed
+    is_down = curvatures < -_CURVED * np.sum(np.abs(ways) * (abs(hessian) @ np.abs(ways)), axis=0)
+    return ways[:, is_down & (np.max(np.abs(rows @ ways), axis=0, initial=0.0) <= _EXHAUSTED)]
+
+
+def _krylov(hessian: sparse.csr_matrix, rows: sparse.csr_matrix) -> np.ndarray:
+    """Orthogonal directions (n, k) of length 1 that keep the rows: a random one, and what the Hessian makes of it again and again."""
+    n, m = hessian.shape[0], rows.shape[0]
     try:
         factors = splu(sparse.bmat([[sparse.eye(n), rows.T], [rows, -_DELTA * sparse.eye(m)]], format="csc"))
     except RuntimeError:  # singular in spite of the regularisation
-        return 0.0, np.zeros(n)
-    span = np.zeros((0, n))
+        return np.zeros((n, 0))
+    span = np.zeros((n, 0))
     vector = np.random.default_rng(0).normal(size=n)
     for _ in range(_LANCZOS):
         size = np.linalg.norm(vector)
         for _ in range(2):  # once leaves of the rows and of the others what the regularisation and rounding do
             vector = factors.solve(np.append(vector, np.zeros(m)))[:n]
-            vector = vector - span.T @ (span @ vector)
+            vector = vector - span @ (span.T @ vector)
         if not np.linalg.norm(vector) > _EXHAUSTED * size:
             break
-        span = np.vstack([span, vector / np.linalg.norm(vector)])
-        vector = hessian @ span[-1]
-    if not len(span):
-        return 0.0, np.zeros(n)
-    curvatures, directions = eigh(span @ (hessian @ span.T))
-    direction = span.T @ directions[:, 0]
-    return (float(curvatures[0]), direction) if np.max(np.abs(rows @ direction), initial=0.0) <= _EXHAUSTED else (0.0, direction)
+        span = np.column_stack([span, vector / np.linalg.norm(vector)])
+        vector = hessian @ span[:, -1]
+    return span
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -287,7 +289,7 @@ class Branch:
 
 
 class Branching:
-    """The branches of one problem: each solved at most once from a point of the relaxation, and improved pair by pair."""
+    """The branches of one problem: each solved once from a point of the relaxation, anew once a saddle is left, and improved pair by pair."""
 
     def __init__(self, work: Workspace, start: np.ndarray) -> None:
         self._work, self._settings, self._budget = work, work.settings, work.budget
@@ -358,9 +360,10 @@ class Branching:
                 return None
             if tried is None or not np.array_equal(step, tried):
                 found = [self._solve_anew(branch.closed, branch.x + sign * step) for sign in (1.0, -1.0) if not self._budget.is_over]
-                better = [self._improve(other) for other in found if other is not None and self._is_better(other, branch)]
+                better = [other for other in found if other is not None and self._is_better(other, branch)]
                 if better:
-                    return min(better, key=self._sense)
+                    self._known.clear()  # solved from the saddle other branches may end at saddles too
+                    return min((self._improve(other) for other in better), key=self._sense)
             tried = step
         self.curves_down = True
         return None
@@ -503,10 +506,14 @@ class Branching:
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
         # Where a branch has a single point, say, its multipliers may not exist: the point counts, and the certificate judges it.
-        usable = result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible)
-        if not usable:
+        if result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible):
+            better = self._refined(problem, result, options)
+        elif result.outcome in (Outcome.ITERATION_LIMIT, Outcome.STALLED) and result.residuals.feasible and not self._budget.is_over:
+            better = refined(problem, result, self._size)  # Ipopt's steps are short near a maximum: a point that Newton's make exact is one
+            if better.error > _EXACT:
+                return None
+        else:
             return None
-        better = self._refined(problem, result, options)
         x = better.x
         first, second = columns.pair_values(x)
         slope = _bound_multipliers(columns, x, better.lagrange)

@@ -68,8 +68,8 @@ _SMALL_WORK, _WORK = 1.0, 3.0
 _ENTRIES = 1e7
 # An attempt is begun where at least this share of the iterations of the first success is left.
 _WORTHWHILE = 0.5
-# So many maxima and saddles are left on the way down.
-_SADDLES = 4
+# So many maxima and saddles are left on the way down, one lower than the other: more than anybody has, so that it ends.
+_SADDLES = 100
 # The first rank of `_rank` without a feasible point.
 _WITHOUT = 3
 # Both parts of an absolute value below this: the answer lies on its kink.

@@ -432,9 +432,48 @@ def _two_wells():
     return m
 
 
+_COUNT, _COUPLING = 6, 0.1
+
+
+def _many_wells(sense=pyo.minimize):
+    """A maximum in as many directions as there are variables, coupled by their squares; what Ipopt does there is slow."""
+    m, pull = _with_pair()
+    m.x = pyo.Var(range(_COUNT), initialize=0.0)
+    wells = sum((k + 1) * (m.x[k] ** 2 - 1) ** 2 for k in m.x) + _COUPLING * sum(m.x[k] ** 2 * m.x[k + 1] ** 2 for k in range(_COUNT - 1))
+    m.cost = pyo.Objective(expr=(pull + wells) if sense == pyo.minimize else -(pull + wells), sense=sense)
+    return m
+
+
+def _lowest_of_many_wells():
+    """A convex quadratic program of the squares, which are positive at its solution."""
+    weights, beside = np.arange(1.0, _COUNT + 1), np.eye(_COUNT, k=1)
+    squares = np.linalg.solve(np.diag(2 * weights) + _COUPLING * (beside + beside.T), 2 * weights)
+    return 1.0 + weights @ (squares - 1) ** 2 + _COUPLING * squares @ beside @ squares
+
+
+def _flat_beside_steep():
+    m, pull = _with_pair()
+    m.x, m.y = pyo.Var(initialize=0.0), pyo.Var(initialize=0.0)
+    m.cost = pyo.Objective(expr=pull + 1e8 * m.y**2 - m.x**2 + m.x**4)
+    return m
+
+
+def _better_branch_beyond():
+    """At x = 0, a maximum of both branches, v = 0 is the better one; at x = 1, where v = 2 costs nothing, w = 0 is."""
+    m, _ = _with_pair()
+    m.x = pyo.Var(initialize=0.0)
+    m.cost = pyo.Objective(expr=(m.x**2 - 1) ** 2 + (m.v - 2 * m.x**2) ** 2 + (m.w - 0.5) ** 2)
+    return m
+
+
 @pytest.mark.parametrize(
-    ("model", "optimum"), [(_hilltop(2), 1.0 - 2.0), (_hilltop(200), 1.0 - 200.0), (_top_of_circle(), 1.0 - 1.0), (_two_wells(), 0.75)]
-)
+    ("model", "optimum"),
+    [
+        (_hilltop(2), 1.0 - 2.0), (_hilltop(200), 1.0 - 200.0), (_top_of_circle(), 1.0 - 1.0), (_two_wells(), 0.75),
+        (_many_wells(), _lowest_of_many_wells()), (_many_wells(pyo.maximize), -_lowest_of_many_wells()),
+        (_flat_beside_steep(), 0.75), (_better_branch_beyond(), 0.25),
+    ],
+)  # fmt: skip
 def test_a_maximum_where_the_search_starts_is_left(model, optimum):
     result = solve_mpec(model)
     assert result.solved
