@@ -398,28 +398,31 @@ class Branching:
             return self._improve(best), Outcome.SOLVED
         return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED
 
-    def nearest_branch(self, start: np.ndarray) -> tuple[Branch | None, Outcome]:
-        """The first branch that has a solution, of the NEAREST to a point; how it ended is told as in `every_branch`.
+    def nearest_branch(self, start: np.ndarray, iterations: float) -> tuple[Branch | None, Outcome, int]:
+        """The first branch that has a solution, of the NEAREST to a point, how it ended, as in `every_branch`, and how many were tried.
 
         Raises what `formulations.ipopt.solve` does.
 
         Parameters
         ----------
         start : (n,) point in the columns of the problem without products [units of the variables]
+        iterations : no branch is begun after so many [-]
         """
         first, second = self._columns.pair_values(start)
         every = np.array(list(itertools.product((True, False), repeat=len(first))))
         distance = np.where(every, first, second).sum(axis=1)
-        outcomes = set[Outcome]()
+        outcomes, tried, most = set[Outcome](), 0, self._budget.iterations + iterations
         for closed in every[np.argsort(distance, kind="stable")[:NEAREST]]:
             if self._budget.is_over:
-                return None, Outcome.TIME_LIMIT
-            branch = self._solve_anew(closed, start)
+                return None, Outcome.TIME_LIMIT, tried
+            if self._budget.iterations > most:
+                break
+            branch, tried = self._solve_anew(closed, start), tried + 1
             if branch is not None:
-                return self._improve(branch), Outcome.SOLVED
+                return self._improve(branch), Outcome.SOLVED, tried
             assert self.last is not None
             outcomes.add(self.last.outcome)
-        return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED
+        return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED, tried
 
     # -- branches -----------------------------------------------------------------------------------------------------------------
 

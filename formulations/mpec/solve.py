@@ -30,7 +30,7 @@ from pyomo.opt import SolverResults
 
 from formulations.ipopt.model import NotSmoothError
 from formulations.ipopt.pyomo_solver import PyomoAnswer, PyomoPlugin, pyomo_multipliers
-from formulations.mpec.branching import BETTER, NEAREST, Branch, Branching
+from formulations.mpec.branching import BETTER, Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget, Workspace, compile_branches, natural_residual
@@ -64,7 +64,7 @@ _WRONG_MULTIPLIERS = 1e-4
 # With more than LARGE it is 1 a further start, and nothing follows where there is one: of 8 problems with 832 to 1748 pairs none had a better answer by
 # another strategy.
 _SMALL_WORK, _WORK = 1.0, 3.0
-# But no more than this, iterations times entries of derivatives: some 8 CPU s.
+# But no more than this, iterations times entries of derivatives: some 8 CPU s. Nor of the nearest branches, where no other was found.
 _ENTRIES = 1e7
 # An attempt is begun where at least this share of the iterations of the first success is left.
 _WORTHWHILE = 0.5
@@ -273,12 +273,14 @@ def _without_branch(
     is_small = pairs <= settings.max_biactive
     if settings.polish and not budget.is_over and (is_small or (is_last and pairs <= settings.search)):
         starts = [work.branch_point(start)] if last is None else [work.branch_point(x) for x in (last.x, start)]
-        branch, outcome = branching.every_branch(starts) if is_small else branching.nearest_branch(starts[0])
+        count = tried = 2**pairs
+        if is_small:
+            branch, outcome = branching.every_branch(starts)
+        else:
+            branch, outcome, tried = branching.nearest_branch(starts[0], _ENTRIES / work.branches.problem.nonzeros)
         reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
-        count = 2**pairs
-        are_all = is_small or count <= NEAREST
-        if outcome is Outcome.INFEASIBLE and (are_all or reason):
-            which = f"the {'' if are_all else f'nearest {NEAREST} of the '}{count} branches"
+        if outcome is Outcome.INFEASIBLE and (tried == count or reason):
+            which = f"the {'' if tried == count else f'nearest {tried} of the '}{count} branches"
             return None, outcome, f"{reason}each of {which} of the problem is infeasible (locally)"
         if branch is not None and outcome is Outcome.SOLVED:
             return _settled(branching, branch, start, [branch] if is_small else []), outcome, ""

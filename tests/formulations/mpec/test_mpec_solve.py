@@ -533,6 +533,13 @@ def test_branches_are_tried_where_nothing_feasible_is_known():
     assert "smoothing refused (more equations than variables, each pair is one)" in result.message
 
 
+@pytest.mark.parametrize(("entries", "tried"), [(1e7, "each of the 128 branches"), (1.0, "each of the nearest 1 of the 128 branches")])
+def test_how_many_branches_are_infeasible_is_told(monkeypatch, entries, tried):
+    """Seven numbers of 1 do not add up to 10; a large problem has no work for all branches."""
+    monkeypatch.setattr("formulations.mpec.solve._ENTRIES", entries)
+    assert tried in solve_mpec(_some_of([1] * 7, 10), MpecSettings(strategy="scholtes")).message
+
+
 def test_what_is_infeasible_near_the_start_is_told_as_that():
     """An odd sum of even numbers; a bound above another needs no search, and is told as it was."""
     result = solve_mpec(_some_of([2 * number for number in (72, 83, 21, 83, 57, 60, 69)], 141))
