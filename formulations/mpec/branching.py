@@ -36,6 +36,9 @@ _BRANCH_ITERATIONS = 200
 # Ipopt's codes for a point that it takes for a solution, in its own scaling.
 _CLAIMS_SUCCESS = (0, 1)
 
+# Where variables are held within 1e-9; refining the solution puts them back.
+_LOOSELY_HELD = {"fixed_variable_treatment": "relax_bounds", "bound_relax_factor": 1e-9}
+
 # Newton's steps of one guess: it converges quadratically or not at all.
 _STEPS = 6
 # Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat directions.
@@ -503,8 +506,11 @@ class Branching:
         result = self._budget.run(problem, options, start)
         if not result.solved and result.status in _CLAIMS_SUCCESS and not self._budget.is_over:
             # Rows that say the same twice (a pair stated twice, held on the same side): multipliers of 1e17 that cancel, and a point off the
-            # solution. With the rows' block always regularised they stay finite.
-            again = self._budget.run(problem, {"perturb_always_cd": "yes", **options}, start)
+            # solution. With the rows' block always regularised they stay finite. Where they make as many equations as free variables, Ipopt
+            # takes the objective for settled; with the held ones a little loose, as it does itself where there are more, it does not.
+            free, equal = problem.lower < problem.upper, problem.constraint_lower == problem.constraint_upper
+            anew = _LOOSELY_HELD if np.count_nonzero(free) == np.count_nonzero(equal) else {"perturb_always_cd": "yes"}
+            again = self._budget.run(problem, {**options, **anew, **self._settings.ipopt}, start)
             result = again if again.solved else result
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED

@@ -383,6 +383,21 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
     assert solve_mpec(m).outcome is Outcome.DIVERGED
 
 
+@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("has_idle", [True, False])
+def test_rows_that_say_nothing_new_do_not_hide_the_objective(times, has_idle):
+    """x - y >= 1/4 holds as an equation, once or more often, beside a pair whose one side is 0: as many equations as variables, and y to choose."""
+    m = pyo.ConcreteModel()
+    m.x, m.y, m.zero = pyo.Var(bounds=(0, 2), initialize=0.0), pyo.Var(bounds=(0, 2), initialize=0.0), pyo.Var(initialize=0.0)
+    m.zero.fix()
+    m.pair = Complementarity(range(times), rule=lambda m, _: complements(m.x - m.y >= 0.25, 3 - m.x >= 0))
+    if has_idle:
+        m.idle = Complementarity(expr=complements(m.zero >= 0, m.x + m.y <= 3))
+    m.cost = pyo.Objective(expr=(m.x + 1) ** 2 + (m.y + 1) ** 2)
+    result = solve_mpec(m)
+    assert (result.solved, result.objective) == (True, pytest.approx(1.25**2 + 1.0, abs=1e-9))
+
+
 @pytest.mark.parametrize(
     ("levels_off", "limit", "furthest"),
     [(lambda x: 1 - pyo.exp(-x), 0.999, math.log(1000)), (lambda x: pyo.tanh(x / 10), 0.999, 10 * math.atanh(0.999))],
