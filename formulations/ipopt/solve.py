@@ -278,7 +278,7 @@ def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any])
     if outcome is Outcome.EVALUATION_ERROR:
         message += _undefined(problem, answer.x)
     if outcome is Outcome.DIVERGED and not (finite and _is_unbounded(problem, answer.x)):
-        return Outcome.STALLED, f"{message}; the objective does not fall without bound there", certificate
+        return Outcome.STALLED, f"{message}; the objective does not fall without end there at feasible points", certificate
     if outcome is not Outcome.SOLVED:
         return outcome, message, certificate
     if not finite or certificate.constraint_violation != certificate.constraint_violation:
