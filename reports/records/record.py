@@ -172,7 +172,7 @@ class TrackedRecord(Model):
     """Facts about the replay with feedback.
 
     rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the
+    half the input's range; plan_share: of all, as a share of what the plan's own inputs do (None: those are 0); saturated: share of the steps at a bound by the
     feedback; the rest as in ReplayRecord.
     """
 

@@ -190,7 +190,7 @@ class _Matrix:
         if drive.feedback is None or motion.applied is None:
             return found
         applied = motion.applied[: len(found.knots) - 1]
-        return replace(found, feedback=drive.feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, drive.feedback))
+        return replace(found, feedback=drive.feedback, applied=applied, effort=measure_effort(plan, applied, drive.feedback))
 
     def _distance(self, q: np.ndarray, times: slice = slice(None)) -> float:
         """The largest distance of a motion (rows, nq) [m, rad] from ours at the plan's nodes, in nominal sizes [-]; infinite where it diverged."""

@@ -95,7 +95,7 @@ def _with_tracked(
             raise
         return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
     tracked, applied = run(feedback)
-    effort = measure_effort(plan.u, applied, plan.t, feedback)
+    effort = measure_effort(plan, applied, feedback)
     return replace(opened, growth=growth, tracked=replace(tracked, feedback=feedback, applied=applied, effort=effort))
 
 

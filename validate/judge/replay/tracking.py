@@ -311,10 +311,14 @@ def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarr
     lower = np.array([item.lower for item in subject.inputs])
     upper = np.array([item.upper for item in subject.inputs])
     scale = input_scale(lower, upper, plan.u)
-    weight = 1.0 / nominals(subject) ** 2
+    sizes = nominals(subject)
+    weight = 1.0 / sizes**2
     free = np.isnan(goal_state(subject.task))  # type: ignore[arg-type] - a foreign task has a goal of the same form
     gains = lqr_gains(A, B, weight, 1.0 / scale**2, np.where(free, weight, plan.steps * weight))
-    return Feedback(gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper, scale=scale)
+    return Feedback(
+        gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper, scale=scale,
+        loop=(A - B @ gains) * (sizes / sizes[:, None]), push=B * (scale / sizes[:, None]),
+    )  # fmt: skip
 
 
 def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarray:

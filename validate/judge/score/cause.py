@@ -239,7 +239,7 @@ def _holds_with_feedback(scored: ScoredPlan) -> str:
         text += f", unstable in the open loop (amplification {rounded(growth)})"
     effort, share = scored.value(EFFORT), scored.value(SHARE)
     took = [] if effort is None else [f"{percent(effort)} of the half-range"]
-    took += [] if share is None else [f"{percent(share)} of the plan's own inputs"]
+    took += [] if share is None else [f"{percent(share)} of what the plan's own inputs do"]
     text += f"; with LQR feedback, RMS effort {' and '.join(took)}, it holds"
     end = next((scored.metrics[name] for name in _ENDS if name in scored.metrics and scored.metrics[name].value is not None), None)
     return text + ("." if end is None else f": {_quote(end)}.")

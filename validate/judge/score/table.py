@@ -315,7 +315,10 @@ TABLE = (
 # Exact plans whose step is coarse for the contact (h w = 0.9) need up to 0.23 to be followed through an impact, others some hundredths; plans with
 # force from a distance need 0.65 to 1.1 where that force matters.
 _MOST_EFFORT = (0.25, "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one")
-_MOST_SHARE = (0.5, "half of what the plan itself gives, in the root mean square, corrects a plan; more makes another one")
+_MOST_SHARE = (
+    0.5,
+    "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one",
+)
 
 
 def _twin(entry: MetricEntry) -> MetricEntry:
@@ -354,8 +357,8 @@ FEEDBACK = (
     ),
     MetricEntry(
         name=SHARE, question=Question.MOTION, units=_unit("1"), measure=_plan_share, default=_MOST_SHARE,
-        meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges",
-        quoted="the RMS effort of the feedback is {} of that of the plan's own inputs",
+        meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges; or, where that is more, its part of the motion that both make",
+        quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),
     MetricEntry(
         name="feedback_peak", question=Question.SHOWN, units=_unit("1"), measure=lambda case: _effort(case).peak_share,

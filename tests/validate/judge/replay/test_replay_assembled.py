@@ -171,7 +171,7 @@ def test_local_errors_are_those_of_a_run_that_recorded_one_a_step():
 
 def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):
     """F of the FMU is 10 times the plan's, and 1 more; it applies 31 and 41, which are 3 and 4."""
-    law = Feedback(gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=np.array([[1.0], [2.0]]), lower=np.array([-9.0]), upper=np.array([9.0]), scale=np.array([9.0]))  # fmt: skip
+    law = Feedback(gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=np.array([[1.0], [2.0]]), lower=np.array([-9.0]), upper=np.array([9.0]), scale=np.array([9.0]), loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 1)))  # fmt: skip
     jobs: list[Any] = []
 
     def simulate(job: Job, feedback: Feedback | None = None) -> Simulated:
@@ -255,7 +255,7 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
     plan = Trajectory(t=scene.task.step * np.arange(3), q=states, v=states, u=np.array([[1.0], [2.0]]), lam=np.zeros((2, 1)))
     law = Feedback(
         gains=np.zeros((2, 1, 2)), reference=np.zeros((3, 2)), u=plan.u, lower=np.array([-9.0]), upper=np.array([9.0]),
-        scale=np.array([9.0]),
+        scale=np.array([9.0]), loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 1)),
     )  # fmt: skip
     jobs: list[Any] = []
 

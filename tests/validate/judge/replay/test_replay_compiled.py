@@ -330,7 +330,7 @@ def test_what_no_fmu_may_do_is_raised_and_nothing_is_freed_after_a_fatal_status(
 def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypatch: pytest.MonkeyPatch):
     law = Feedback(
         gains=np.ones((3, 1, 2)), reference=np.zeros((4, 2)), u=np.ones((3, 1)), lower=np.array([-100.0]), upper=np.array([100.0]),
-        scale=np.array([1.0]),
+        scale=np.array([1.0]), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
     )  # fmt: skip
     run, answering, _ = stepped(everyday.Reason.DONE, 3, monkeypatch, feedback=law)
     assert answering.calls == [(0, 1), (1, 2), (2, 3)]

@@ -108,7 +108,7 @@ def test_lines_that_go_on_are_no_jump_and_those_that_turn_are():
 
 LAW = Feedback(
     gains=np.array([[[2.0, -1.0]], [[3.0, 0.5]]]), reference=np.array([[1.0, 0.0], [2.0, 1.0], [0.0, 0.0]]), u=np.array([[0.5], [-0.5]]),
-    lower=np.array([-4.0]), upper=np.array([3.0]), scale=np.array([3.5]),
+    lower=np.array([-4.0]), upper=np.array([3.0]), scale=np.array([3.5]), loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 1)),
 )  # fmt: skip
 
 
@@ -140,12 +140,19 @@ def test_the_law_in_other_units_turns_its_bounds_where_the_scale_does():
     assert (other.reference.tolist(), other.u.tolist()) == ([[0.0, 0.25], [0.5, 0.5], [-0.5, 0.25]], [[0.0], [10.0]])
 
 
+def asking(u: list[list[float]], hold: Hold = Hold.ZERO_ORDER, end: list[float] | None = None) -> Trajectory:
+    """A plan at rest at 0, 1 and 3 s."""
+    still = np.zeros((3, 1))
+    return Trajectory(t=np.array([0.0, 1.0, 3.0]), q=still, v=still, u=np.array(u), lam=np.zeros((2, 0)), hold=hold, u_end=end)
+
+
 def test_an_effort_is_weighed_by_time_scale_and_what_the_plan_asks_itself():
     """Added 1 of 2 for 1 s and -3 of 2 for 2 s; the other input 0.5 of 4 throughout. The plan itself: 2 and 0, and -4 throughout."""
-    law: Any = SimpleNamespace(scale=np.array([2.0, 4.0]), lower=np.array([-3.0, -9.0]), upper=np.array([3.0, 9.0]))
-    plan_u = np.array([[2.0, -4.0], [0.0, -4.0]])
-    applied = np.array([[3.0, -3.5], [-3.0, -3.5]])
-    effort = measure_effort(plan_u, applied, np.array([0.0, 1.0, 3.0]), law)
+    law: Any = SimpleNamespace(
+        scale=np.array([2.0, 4.0]), lower=np.array([-3.0, -9.0]), upper=np.array([3.0, 9.0]), loop=np.zeros((2, 2, 2)), push=np.zeros((2, 2, 2))
+    )  # fmt: skip
+    plan, applied = asking([[2.0, -4.0], [0.0, -4.0]]), np.array([[3.0, -3.5], [-3.0, -3.5]])
+    effort = measure_effort(plan, applied, law)
     rms = np.sqrt((1.0 + 2 * 9.0) / 3), 0.5
     own = np.sqrt(4.0 / 3), 4.0
     assert effort.rms == pytest.approx(rms)
@@ -154,16 +161,42 @@ def test_an_effort_is_weighed_by_time_scale_and_what_the_plan_asks_itself():
     assert effort.plan_share == pytest.approx(np.hypot(rms[0] / 2, rms[1] / 4) / np.hypot(own[0] / 2, own[1] / 4))
     assert effort.saturated == 1.0
     law.upper = np.array([3.1, 9.0])
-    assert measure_effort(plan_u, applied, np.array([0.0, 1.0, 3.0]), law).saturated == 0.5
-    early = measure_effort(plan_u, applied[:1], np.array([0.0, 1.0, 3.0]), law)
+    assert measure_effort(plan, applied, law).saturated == 0.5
+    early = measure_effort(plan, applied[:1], law)
     assert (early.peak, early.rms) == ((1.0, 0.5), pytest.approx((1.0, 0.5)))
-    nothing = measure_effort(plan_u, applied[:0], np.array([0.0, 1.0, 3.0]), law)
+    nothing = measure_effort(plan, applied[:0], law)
     assert nothing == Effort(rms=(0.0, 0.0), peak=(0.0, 0.0), rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0)
     none = np.zeros((2, 2))
-    assert measure_effort(none, applied, np.array([0.0, 1.0, 3.0]), law).plan_share is None
+    assert measure_effort(asking(none.tolist()), applied, law).plan_share is None
     law.lower = law.upper = np.zeros(2)
-    still = measure_effort(none, none, np.array([0.0, 1.0, 3.0]), law)
+    still = measure_effort(asking(none.tolist()), none, law)
     assert (still.plan_share, still.saturated) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "hold", "end", "share"),
+    [
+        # Behind by 2 of what is missing in the first step, of which a half stays, and by 4 of the second: added 3 and 3, in scales of 2.
+        ([[10.0], [-2.0]], Hold.ZERO_ORDER, None, [(3.0, 7.5), (10.0, 1.0)]),
+        ([[10.0], [-10.0]], Hold.LINEAR, [4.0], [(3.0, 7.5), (0.0, -6.0)]),
+        ([[10.0], [10.0]], Hold.ZERO_ORDER, None, None),
+    ],
+)  # fmt: skip
+def test_inputs_that_move_little_are_told_by_the_motion_they_make(
+    asked: list[list[float]], hold: Hold, end: list[float] | None, share: Any
+):
+    """For 1 s and 2 s, of positions alone; the last plan's inputs move more than what is added, so that its inputs tell."""
+    law: Any = SimpleNamespace(
+        scale=np.array([2.0]), lower=np.full(1, -np.inf), upper=np.full(1, np.inf),
+        loop=np.array([np.eye(2), [[0.5, 0.0], [0.0, 1.0]]]), push=np.array([[[2.0], [90.0]], [[4.0], [90.0]]]),
+    )  # fmt: skip
+    plan = asking(asked, hold, None if end is None else np.array(end))  # type: ignore[arg-type]
+    found = measure_effort(plan, plan.u + 3.0, law).plan_share
+    if share is None:
+        assert found == pytest.approx(0.3)
+        return
+    added, own = (np.sqrt(1.0 * first**2 + 2.0 * second**2) for first, second in share)
+    assert found == pytest.approx(added / (added + own))
 
 
 def test_references_reach_a_child_as_they_are():

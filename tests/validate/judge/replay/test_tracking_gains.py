@@ -208,6 +208,7 @@ def _law() -> Feedback:
     return Feedback(
         gains=random.normal(size=(3, 2, 4)), reference=random.normal(size=(4, 4)), u=random.normal(size=(3, 2)),
         lower=np.array([-1.0, -np.inf]), upper=np.array([0.5, np.inf]), scale=np.array([0.75, 3.0]),
+        loop=random.normal(size=(3, 4, 4)), push=random.normal(size=(3, 4, 2)),
     )  # fmt: skip
 
 
@@ -221,10 +222,10 @@ def test_the_law_is_the_same_in_other_units():
 
 
 def test_the_effort_is_weighed_with_the_length_of_the_steps():
-    law, t = _law(), np.array([0.0, 1.0, 4.0, 5.0])
-    plan_u = np.zeros((3, 2))
+    law, still = _law(), np.zeros((4, 2))
+    plan = Trajectory(t=np.array([0.0, 1.0, 4.0, 5.0]), q=still, v=still, u=np.zeros((3, 2)), lam=np.zeros((3, 0)))
     applied = np.array([[0.3, 0.0], [0.0, 3.0], [0.5, 0.0]])
-    effort = measure_effort(plan_u, applied, t, law)
+    effort = measure_effort(plan, applied, law)
     assert effort.rms == pytest.approx((np.sqrt((0.09 + 0.25) / 5), np.sqrt(9.0 * 3 / 5)))
     assert effort.peak == (0.5, 3.0)
     assert effort.rms_share == pytest.approx(np.sqrt(27 / 5) / 3)
@@ -252,15 +253,20 @@ def subject(goal: tuple[float | None, ...]) -> Any:
 
 def test_weights_are_nominals_scales_and_at_the_end_all_steps_but_for_what_is_free(monkeypatch: pytest.MonkeyPatch):
     asked: list[Any] = []
-    monkeypatch.setattr(module, "lqr_gains", lambda *given: asked.append([np.asarray(part).tolist() for part in given]) or "gains")
+    gains = np.full((3, 2, 4), 0.25)
+    monkeypatch.setattr(module, "lqr_gains", lambda *given: asked.append([np.asarray(part).tolist() for part in given]) or gains)
     states = np.arange(8.0).reshape(4, 2)
     plan = Trajectory(t=uniform_grid(0.1, 3), q=states, v=-states, u=np.array([[1.0, -7.0], [2.0, 3.0], [0.0, 0.0]]), lam=np.zeros((3, 0)))
     law = module.feedback_from(subject((1.0, None, None, 0.0)), plan, np.ones((3, 4, 4)), np.ones((3, 4, 2)))
     weight = [0.25, 4.0, 0.25, 4.0]
     assert asked[0][2:] == [weight, [1 / 16, 1 / 49], [3 * 0.25, 4.0, 0.25, 3 * 4.0]]
-    assert (law.gains, law.lower.tolist(), law.upper.tolist(), law.scale.tolist()) == ("gains", [-3.0, -np.inf], [5.0, np.inf], [4.0, 7.0])
+    assert law.gains is gains
+    assert (law.lower.tolist(), law.upper.tolist(), law.scale.tolist()) == ([-3.0, -np.inf], [5.0, np.inf], [4.0, 7.0])
     assert law.reference[1].tolist() == [2.0, 3.0, -2.0, -3.0]
     assert law.u is plan.u
+    # 1 - 2/4 of each state, and the first is 2 m of 0.5 rad; a whole input, 4 N or 7 N, is as many nominals.
+    assert law.loop[0].tolist() == [[0.5, 0.125, 0.5, 0.125], [2.0, 0.5, 2.0, 0.5], [0.5, 0.125, 0.5, 0.125], [2.0, 0.5, 2.0, 0.5]]
+    assert law.push[0].tolist() == [[2.0, 3.5], [8.0, 14.0], [2.0, 3.5], [8.0, 14.0]]
 
 
 def test_an_fmu_is_linearised_in_its_units_and_told_in_the_plans(monkeypatch: pytest.MonkeyPatch):

@@ -137,7 +137,7 @@ def test_feedback_commands_at_the_nodes_and_is_heard_later(delay: float, applied
     given = plan([1, 2, 4])
     feedback = Feedback(
         gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([4.6]),
-        scale=np.ones(1),
+        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
     )  # fmt: skip
     found = WorldInputs(given, world(delay), feedback)
     # The state is one behind the plan's at every node: each command is one more, the last within its bound.
