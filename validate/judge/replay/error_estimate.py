@@ -103,8 +103,12 @@ def with_lag_error(scene: Scene, job: Job, feedback: Feedback | None, replayed: 
     if run.outcome is not ReplayOutcome.OK:
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return without_estimate(replayed, note)
-    lag = difference(recorded(scene, twice, run, run.knots), replayed.rows(replayed.knots))
-    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=by_entry(operator.add, replayed.error.estimate, lag)))
+    lagging = replace(
+        replayed, **vars(recorded(scene, twice, run)), t=np.array(run.t), knots=np.array(run.knots, dtype=np.int64), events=()
+    )
+    lag = difference(lagging.rows(lagging.knots), replayed.rows(replayed.knots))
+    error = replace(replayed.error, lag=lag, estimate=by_entry(operator.add, replayed.error.estimate, lag))
+    return replace(replayed, error=error, lagging=lagging)
 
 
 def without_estimate(replayed: Replay, note: str) -> Replay:

@@ -178,6 +178,7 @@ class Replay(Recorded):
 
     growth: of an error in the open loop (None: not measured). tracked: the replay with feedback around the plan, where there is one; it has feedback
     (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that it made, and effort, which an open one has not.
+    lagging: the motion at twice the relaxation time, of scenes without inertia (`ReplayError.lag`).
     """
 
     scene: str
@@ -197,6 +198,7 @@ class Replay(Recorded):
     applied: np.ndarray | None = None
     effort: Effort | None = None
     tracked: Replay | None = None
+    lagging: Replay | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

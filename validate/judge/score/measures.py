@@ -13,7 +13,7 @@ from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Hold
-from validate.judge.replay.result import Event
+from validate.judge.replay.result import Difference, Event
 from validate.judge.replay.subject import Subject
 from validate.judge.score import equations as eq
 from validate.judge.score.depths import deepest
@@ -313,31 +313,40 @@ def _check_gaps(case: Evidence) -> None:
 
 def ghost_impulse(case: Evidence) -> Measured:
     """Planned contact impulse where the replay has none within a step [N s]."""
-    return _of_impulses(case, eq.excess_impulse(case.lam, case.force_window[1], case.h))
+    return _of_impulses(case, lambda of: of.force_window[1], lambda most: eq.excess_impulse(case.lam, most, case.h))
 
 
 def missed_impulse(case: Evidence) -> Measured:
     """Contact impulse of the replay where the plan has none within a step [N s]."""
-    return _of_impulses(case, eq.excess_impulse(case.force_window[0], case.lam, case.h))
+    return _of_impulses(case, lambda of: of.force_window[0], lambda least: eq.excess_impulse(least, case.lam, case.h))
 
 
-def _of_impulses(case: Evidence, value: float) -> Measured:
-    """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all."""
+def _of_impulses(case: Evidence, window: Callable[[Evidence], np.ndarray], excess: Callable[[np.ndarray], float]) -> Measured:
+    """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all.
+
+    excess: the impulse [N s], by one end of the window of the replay's forces, (steps, nc) [N].
+    """
     lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
     replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
     printed = float(case.h.sum()) * case.scene.nc * case.printing["lam"]
-    return Measured(values=value, error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case))
+    forces, lagging = window(case), case.replay.lagging
+    value, error = excess(forces), _impulse_error(case)
+    if lagging is not None:  # both ways by twice what the lag changes, which is right to first order
+        off = 2.0 * np.abs(forces - window(Evidence(case.scene, case.trajectory, lagging)))
+        error += max(abs(excess(np.maximum(moved, 0.0)) - value) for moved in (forces + off, forces - off))
+    return Measured(values=value, error=error, scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case))
 
 
 def _impulse_error(case: Evidence) -> float:
-    """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities."""
+    """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities; but for the lag's."""
     touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
     if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
         pressed = case.replay_gap < 0.0
         stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
         return float(stiffness) * touching * case.error.gap if touching else 0.0
-    error = float(case.slopes[0].max(initial=0.0)) * touching * case.error.gap
-    return error + (float(case.slopes[1].max(initial=0.0)) * touching * case.error.state if case.scene.damped else 0.0)
+    lag = case.replay.error.lag or Difference(position=0.0, state=0.0, gap=0.0)
+    error = float(case.slopes[0].max(initial=0.0)) * touching * (case.error.gap - lag.gap)
+    return error + (float(case.slopes[1].max(initial=0.0)) * touching * (case.error.state - lag.state) if case.scene.damped else 0.0)
 
 
 def replay_velocity_bound_violation(case: Evidence) -> Measured:

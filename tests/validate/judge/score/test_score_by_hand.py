@@ -457,6 +457,24 @@ def test_a_damped_contact_is_wrong_by_its_velocities_too():
     assert measures._impulse_error(found) == pytest.approx(touching * (300.0 * 3e-3 + 7.0 * 2e-2))
 
 
+def test_a_lag_moves_contact_impulses_where_its_forces_do_and_by_twice_as_much():
+    """0.2 N more at the row in the middle of a step, of the one contact: of the other, and of what plan and replay agree on, nothing is in doubt."""
+    case = Case(1.0)
+    both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))(case)
+    lagging = Case(1.0)
+    lagging.replay["lam"][3, 0] = 0.2
+    small, lag = (Difference(position=0.0, state=size, gap=size) for size in (3e-3, 1e-3))
+    case.replay |= {"error": ReplayError(estimate=small, lag=lag), "lagging": lagging.replayed()}
+    ghost = case.metric("ghost_impulse")
+    assert (ghost.value, ghost.error) == (pytest.approx(5.0 * H), pytest.approx(0.4 * H))
+    assert case.metric("missed_impulse").error == 0.0
+    case.replay["lam"][:, 1] = lagging.replay["lam"][:, 1] = (
+        4.0  # touches, and lags by nothing: what is left of the gap's error counts as ever
+    )
+    case.replay["lagging"] = lagging.replayed()
+    assert case.metric("missed_impulse").error == pytest.approx(100.0 * (3e-3 - 1e-3) * 4 * H)
+
+
 def test_energy_of_a_body_at_rest_is_measured_by_what_moving_would_take():
     """A thousandth of 2/2 0.5^2 + 0.5/2 2^2 J at nominal speeds."""
     case = Case(1.0)

@@ -5,16 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
-from models.scene import Scene
+from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.run import replay
-from validate.judge.score import Score, Verdict, score
+from validate.judge.score import Score, Verdict, equations, score
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import MEASURES
+from validate.judge.score.measures import MEASURES, ghost_impulse, missed_impulse
+from validate.judge.score.own_steps import force_window
 
 
 def judged(scene: Scene, *others: Scene) -> list[Score]:
@@ -67,3 +69,65 @@ def test_contact_forces_change_by_penetration_and_by_its_rate():
     assert Evidence.slopes.func(case)[0] == pytest.approx([k, b])
     case = SimpleNamespace(equations=load_scene("three_cart"), k=np.array([30.0, 31.0]))
     assert [part.tolist() for part in Evidence.slopes.func(case)] == [[30.0, 31.0], [0.0, 0.0]]
+
+
+# A finger and a box in honey, on a line: the gap between them is one equation of the first order.
+DRAG, STIFFNESS, APART, STEP, STEPS = 10.0, 300.0, 0.2, 0.02, 60
+
+
+def pusher() -> Scene:
+    f, b, v, w, u, d, k, tau = sp.symbols("f b v w u d k tau", real=True)
+    return Scene(
+        name="pusher", title="A finger pushes a box in honey", source="drag", relaxation_time=tau,
+        coordinates=(Coordinate(symbol=f, velocity=v, unit="m"), Coordinate(symbol=b, velocity=w, unit="m")),
+        inputs=(Input(symbol=u, unit="N", lower=-20.0, upper=20.0),),
+        parameters=(Parameter(symbol=d, value=DRAG, unit="N s/m"), Parameter(symbol=k, value=STIFFNESS, unit="N/m")),
+        kinetic_energy=tau * d * (v**2 + w**2) / 2, potential_energy=sp.Integer(0), forces=(u - d * v, -d * w),
+        contacts=(Contact(name="tip", bodies=("finger", "box"), penetration=f - b, stiffness=k, depth=0.1, depth_reason="the box"),),
+        task=Task(start=(0.0, APART, 0.0, 0.0), goal=(None,) * 4, running_cost=u**2, step=STEP, steps=STEPS),
+    )  # fmt: skip
+
+
+def pressed(depth: float, u: float, time: float) -> tuple[float, float]:
+    """Depth [m] after a time [s] under an input [N], by depth' = (u - 2 k max(depth, 0)) / d, and the contact impulse until then [N s]."""
+    if depth < 0.0 or (depth == 0.0 and u <= 0.0):
+        wait = -depth * DRAG / u if u > 0.0 else np.inf
+        return pressed(0.0, u, time - wait) if wait < time else (depth + u * time / DRAG, 0.0)
+    rest, rate = u / (2 * STIFFNESS), 2 * STIFFNESS / DRAG
+    closed = min(time, np.log1p(-depth / rest) / rate) if u < 0.0 else time
+    moved = (depth - rest) * -np.expm1(-rate * closed)
+    impulse = STIFFNESS * (rest * closed + moved / rate)
+    return pressed(0.0, u, time - closed)[0] if closed < time else depth - moved, impulse
+
+
+@pytest.mark.slow
+def test_contact_impulses_without_inertia_are_as_wrong_as_their_error_says_and_it_says_little_more():
+    """Against the first-order model: forces by k times the largest error of any gap, for as long as anything touches, would be 50 times as wrong and more."""
+    scene, random = pusher(), np.random.default_rng(4)
+    fmu, t, found = build_fmu(scene), uniform_grid(STEP, STEPS), []
+    for _ in range(4):
+        u = np.repeat(random.uniform(-6.0, 12.0, STEPS // 5), 5)
+        states = [(-APART, 0.0)]
+        for one in u:
+            states.append(pressed(states[-1][0], one, STEP))
+        force = STIFFNESS * np.maximum([depth for depth, _ in states[:-1]], 0.0)[:, None]
+        still = Trajectory(t=t, q=np.tile([0.0, APART], (STEPS + 1, 1)), v=np.zeros((STEPS + 1, 2)), u=u[:, None], lam=force)
+        replayed = replay(scene, fmu, still)
+        steps = np.clip(np.searchsorted(t, replayed.t, side="right") - 1, 0, STEPS - 1)
+        depths = [pressed(states[step][0], u[step], time - t[step])[0] for step, time in zip(steps, replayed.t, strict=True)]
+        rows = STIFFNESS * np.maximum(depths, 0.0)[:, None]
+        mean = np.array([impulse for _, impulse in states[1:]])[:, None] / STEP
+        for planned in (force, 1.05 * force, 0.95 * force, 0.0 * force, force + 0.3 * (force == 0.0), np.roll(force, 3)):
+            case = Evidence(scene, replace(still, lam=planned), replayed)
+            least, most = force_window(rows, case.step_of, STEPS, mean)
+            for measure, true in (
+                (ghost_impulse, equations.excess_impulse(planned, most, case.h)),
+                (missed_impulse, equations.excess_impulse(least, planned, case.h)),
+            ):
+                measured = measure(case)
+                found.append((abs(measured.values - true), measured.error, measured.scales))
+    off, error, scale = np.array(found).T
+    assert (off <= error + 1e-12).all()
+    assert error.sum() <= 5.0 * off.sum()  # of a single plan those of two steps may cancel
+    assert (10.0 * error <= 0.5 * 0.01 * scale).all()  # what ten times it has to fit in
+    assert off.max() > 1e-5
