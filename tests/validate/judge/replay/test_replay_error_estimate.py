@@ -214,13 +214,26 @@ def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():
 # Contacts that were stepped over
 
 
-def stepped_over(gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5)) -> float | None:
-    """What a replay of two contacts makes of its gaps; rates are those of gaps."""
-    rows = len(t)
+def stepped_over(gap: Any, rate: Any, t: Any = (0.0, 0.5, 1.5), lag: float | None = None) -> float | None:
+    """What a replay of two contacts makes of its gaps; rates are those of gaps; lag: of a scene without inertia."""
+    rows, kernel = len(t), SimpleNamespace(scene=SimpleNamespace(lag=lag))
     replayed: Any = SimpleNamespace(t=np.array(t), gap=np.array(gap), q=np.zeros((rows, 1)), v=np.zeros((rows, 1)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "penetration_rates", lambda kernel, q, v: -np.array(rate))
-        return overlooked(None, replayed)  # type: ignore[arg-type]
+        return overlooked(kernel, replayed)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("gap", "rate", "inert", "lagging"),
+    [
+        ((0.01, 0.26), (-1.0, 0.5), True, None),  # opens at 0.5 m/s throughout: the rate from before does not go on
+        ((0.1, 0.1), (5.0, 0.88), False, 2.0 * math.sqrt(0.02 / 3.52) / 8),  # a parabola, 0.01 m deep, whatever the rate was before
+    ],
+)
+def test_without_inertia_a_gap_has_the_rate_that_it_leaves_a_row_with(gap: Any, rate: Any, inert: bool, lagging: float | None):
+    gaps, rates = (np.tile([[value] for value in pair], 2) for pair in (gap, rate))
+    assert (stepped_over(gaps, rates, (0.0, 0.5)) is not None) is inert
+    assert stepped_over(gaps, rates, (0.0, 0.5), lag=1e-5) == (None if lagging is None else pytest.approx(lagging))
 
 
 def parabola(lowest: float, bend: float, place: float, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

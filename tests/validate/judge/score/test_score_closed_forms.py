@@ -11,7 +11,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, Verdict, equations, score
 from validate.judge.score.evidence import Evidence
@@ -131,3 +131,19 @@ def test_contact_impulses_without_inertia_are_as_wrong_as_their_error_says_and_i
     assert error.sum() <= 5.0 * off.sum()  # of a single plan those of two steps may cancel
     assert (10.0 * error <= 0.5 * 0.01 * scale).all()  # what ten times it has to fit in
     assert off.max() > 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hold", "spare", "touches"), [(Hold.ZERO_ORDER, 1e-4, []), (Hold.LINEAR, -1e-6, [True, False])])
+def test_a_finger_without_inertia_turns_back_before_the_box_or_touches_it_between_two_rows(hold: Hold, spare: float, touches: list[bool]):
+    """Where its input jumps its velocity does, which is no dip of the gap; under a line from 5 to -5 N it makes a parabola, a quarter of 5 N h/d high."""
+    u, v = np.full((STEPS, 1), -5.0), np.zeros((STEPS + 1, 2))
+    u[0] = (APART - spare) * DRAG / STEP if hold is Hold.ZERO_ORDER else 5.0
+    start = 0.0 if hold is Hold.ZERO_ORDER else APART - spare - 5.0 * STEP / 4 / DRAG
+    still = Trajectory(
+        t=uniform_grid(STEP, STEPS), q=np.tile([start, APART], (STEPS + 1, 1)), v=v, u=u, lam=v[1:, :1], hold=hold, u_end=u[-1]
+    )
+    found = replay(pusher(), build_fmu(pusher()), still)
+    assert [event.closes for event in found.events] == touches
+    assert found.error.estimate is not None
+    assert found.error.estimate.gap < 1e-3
