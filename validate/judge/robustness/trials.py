@@ -154,12 +154,14 @@ def asked_limits(score: Score) -> dict[str, float]:
 class WorldTrial:
     """One world: states (nodes, 2*nq) [m or rad, then per second] and gaps (nodes, nc) [m] at the plan's nodes, fewer where the motion ended early.
 
-    lowest: the least gaps (nc,) [m], of a scene between its rows too; cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
+    lowest: the least gaps (nc,) [m], of a scene between its rows too; closed (points, nc): which contacts are, wherever the run showed it, by the reference of a scene after each of its events;
+    cost: the task's, of this motion and its commands, NaN where it ended early; shares: what is asked as shares of its limits; empty where the motion did not come to its end.
     """
 
     states: np.ndarray
     gaps: np.ndarray
     lowest: np.ndarray
+    closed: np.ndarray
     cost: float
     shares: dict[str, float]
     outcome: ReplayOutcome
@@ -181,8 +183,8 @@ class WorldTrial:
 
     @property
     def modes(self) -> tuple[tuple[int, ...], ...]:
-        """Which contacts are closed at the nodes, one after the other, without how long."""
-        closed = [tuple(np.flatnonzero(row < 0.0).tolist()) for row in self.gaps]
+        """Which contacts are closed, one after the other, without how long."""
+        closed = [tuple(np.flatnonzero(row).tolist()) for row in self.closed]
         return tuple(now for before, now in zip([None, *closed], closed, strict=False) if now != before)
 
 
@@ -190,13 +192,14 @@ class WorldTrial:
 class _Ran:
     """How a run ended; states (nodes, 2*nq) and gaps (nodes, nc) at the plan's nodes, fewer where it ended early; commands (steps, nu).
 
-    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m].
+    lowest: the least gaps (nc,) [m], rightly so where a contact may be as deep as given (nc,) [m]; closed: as of a WorldTrial.
     """
 
     outcome: ReplayOutcome
     states: np.ndarray
     gaps: np.ndarray
     lowest: Callable[[np.ndarray], np.ndarray]
+    closed: np.ndarray
     commands: np.ndarray
 
 
@@ -249,7 +252,7 @@ class Arena(ABC):
         ran = self._run(world, fineness, self.feedback if feedback else None)
         states, gaps, lowest, outcome = ran.states, ran.gaps, ran.gaps.min(axis=0, initial=math.inf), ran.outcome
         if outcome is not ReplayOutcome.OK:
-            return WorldTrial(states=states, gaps=gaps, lowest=lowest, cost=math.nan, shares={}, outcome=outcome)
+            return WorldTrial(states=states, gaps=gaps, lowest=lowest, closed=ran.closed, cost=math.nan, shares={}, outcome=outcome)
         q, v = np.hsplit(states, 2)
         cost = self._cost(self.plan.t, q, v, ran.commands) if _COST in self.asked.limits else 0.0
         shares = self.asked.shares(states, gaps, cost)
@@ -258,7 +261,7 @@ class Arena(ABC):
             others = max(shares.values(), default=0.0)
             lowest = ran.lowest(self.asked.depths * (others if others > 1.0 else _SHALLOW))
             shares[_DEPTH] = self.asked.depth_share(lowest)
-        return WorldTrial(states=states, gaps=gaps, lowest=lowest, cost=cost, shares=shares, outcome=outcome)
+        return WorldTrial(states=states, gaps=gaps, lowest=lowest, closed=ran.closed, cost=cost, shares=shares, outcome=outcome)
 
     def _fine_enough(self) -> int:
         exact = [self.checked(world, feedback=self.followed) for world in self.probes]
@@ -335,7 +338,15 @@ class SceneArena(Arena):
         motion = _Motion(t=np.array(run.t), values=values, inputs=inputs, variables=variables, kernel=kernel)
         nodes = values[run.knots]
         states, gaps = np.split(nodes[inputs.rows[inputs.rows < len(nodes)]], [2 * self.scene.nq], axis=1)
-        return _Ran(outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion), commands=inputs.commands)
+        closed = list(values[:, 2 * self.scene.nq :] < 0.0)
+        if fineness == REFERENCE:  # its events tell of contacts between rows
+            closed = closed[:1]
+            for contact, closes in ((contact, closes) for _, contact, closes in run.events if contact < self.scene.nc):
+                closed.append(closed[-1].copy())
+                closed[-1][contact] = closes
+        return _Ran(
+            outcome=run.outcome, states=states, gaps=gaps, lowest=partial(self._lowest, motion), closed=np.array(closed), commands=inputs.commands
+        )  # fmt: skip
 
     def _lowest(self, motion: _Motion, reach: np.ndarray) -> np.ndarray:
         """Least gaps (nc,) [m] of a motion at its rows and between them: what may be lower than any, and as deep as `reach` (nc,) [m], is run again."""
@@ -471,7 +482,7 @@ class FmuArena(Arena):
     def _told(outcome: ReplayOutcome, states: np.ndarray, gaps: np.ndarray, every: np.ndarray, inputs: WorldInputs) -> _Ran:
         """every: gaps (points, nc) [m] at all points that the FMU showed."""
         lowest = every.min(axis=0, initial=math.inf)
-        return _Ran(outcome=outcome, states=states, gaps=gaps, lowest=lambda _: lowest, commands=inputs.commands)
+        return _Ran(outcome=outcome, states=states, gaps=gaps, lowest=lambda _: lowest, closed=every < 0.0, commands=inputs.commands)
 
     def _moved(self, world: World) -> Job:
         """The job in a world, in the FMU's units; what is as the FMU has it is not set."""

@@ -155,6 +155,8 @@ def test_a_scene_that_asks_for_nothing_is_refused():
 )
 def test_a_trial_is_as_good_as_the_worst_of_what_is_asked(shares, outcome, ratio, arrives, by):
     gaps = np.array([[0.1, 0.1], [-0.1, 0.1], [-0.2, 0.0], [-0.2, -0.1], [0.1, 0.1]])
-    trial = WorldTrial(states=np.zeros((5, 2)), gaps=gaps, lowest=gaps.min(axis=0), cost=0.0, shares=shares, outcome=outcome)
+    trial = WorldTrial(
+        states=np.zeros((5, 2)), gaps=gaps, lowest=gaps.min(axis=0), closed=gaps < 0.0, cost=0.0, shares=shares, outcome=outcome
+    )
     assert (trial.ratio, trial.arrives, trial.fails_by) == (ratio, arrives, by)
     assert trial.modes == ((), (0,), (0, 1), ())
