@@ -20,7 +20,7 @@ from validate.judge.replay.job import Job, Simulated
 from validate.judge.replay.result import Event, Growth, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Foreign, ForeignModel, Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
-from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort
+from validate.judge.replay.wiring import Feedback, HeldInputs, measure_effort, with_times_between
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
@@ -135,7 +135,7 @@ def replay_foreign(
     Raises TrackingError if track is True and cannot be, FmuError for own_step without Co-Simulation.
     """
     job = foreign_job(foreign, package, trajectory, limits, own_step)
-    plan = trajectory if own_step or package.exchange is not None else _with_rows(trajectory, trajectory.duration / LOOKS)
+    plan = trajectory if own_step or package.exchange is not None else with_rows(trajectory, trajectory.duration / LOOKS)
     looked_at = job if plan is trajectory else foreign_job(foreign, package, plan, limits, own_step)
 
     def run(feedback: Feedback | None) -> tuple[Replay, np.ndarray]:
@@ -172,14 +172,12 @@ def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simula
     return first
 
 
-def _with_rows(plan: Trajectory, longest: float) -> Trajectory:
+def with_rows(plan: Trajectory, longest: float) -> Trajectory:
     """The plan with the same inputs and more rows, none longer than `longest` [s]; itself where there is none."""
-    counts = np.ceil(np.diff(plan.t) / longest - 1e-6).astype(int)
-    if (counts <= 1).all():
+    t = with_times_between(plan.t, longest)
+    if len(t) == len(plan.t):
         return plan
-    step = np.repeat(np.arange(plan.steps), counts)
-    part = np.concatenate([np.arange(count) / count for count in counts])
-    t = np.append(plan.t[step] + part * np.diff(plan.t)[step], plan.t[-1])
+    step = np.searchsorted(plan.t, t[:-1], side="right") - 1
     held = HeldInputs(plan)
     u = held.values[step] + held.slopes[step] * (t[:-1] - plan.t[step])[:, None]
     q, v = (np.array([np.interp(t, plan.t, column) for column in group.T]).reshape(group.shape[1], len(t)).T for group in (plan.q, plan.v))

@@ -7,6 +7,7 @@ over a step, or a line to the next node's value; with `Feedback` a constant is a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -234,6 +235,7 @@ class World:
     """A perturbed world: parameters (np,) and start (2*nq,) [units of the scene], gain (nu,) [-], noise (steps, nu) [unit of each input], delay [s].
 
     whole: inputs change at the plan's nodes alone, as some FMUs take no other steps: over each step they are the mean of what they would be.
+    longest: steps of the plan are made in equal parts that are no longer [s], as Co-Simulation shows its motion at their ends alone.
     """
 
     parameters: np.ndarray
@@ -242,13 +244,22 @@ class World:
     noise: np.ndarray
     delay: float = 0.0
     whole: bool = False
+    longest: float = math.inf
+
+
+def with_times_between(t: np.ndarray, longest: float) -> np.ndarray:
+    """Times (n,) [s], and between them as many more, evenly, as leave no two further apart than `longest` [s]. Raises nothing."""
+    counts = np.maximum(np.ceil(np.diff(t) / longest - 1e-6), 1.0).astype(int)
+    step = np.repeat(np.arange(len(counts)), counts)
+    part = (np.arange(len(step)) - (np.cumsum(counts) - counts)[step]) / counts[step]
+    return np.append(t[step] + part * np.diff(t)[step], t[-1])
 
 
 class WorldInputs(HeldInputs):
     """What a plan's inputs become in a world: later, by another gain, with noise; with feedback, its commands do.
 
-    A command given at a node arrives `delay` later; until the first arrives it is that of the start. rows (nodes,): where the plan's nodes are among the times.
-    With feedback a world is never `whole`. What worlds there are, validate.judge.robustness.worlds says.
+    A command given at a node arrives `delay` later; until the first arrives it is that of the start. rows (nodes,): where the plan's nodes are among the times;
+    grid: these nodes and the ends of the parts between them. With feedback a world is never `whole`. What worlds there are, validate.judge.robustness.worlds says.
     """
 
     def __init__(self, plan: Trajectory, world: World, feedback: Feedback | None = None) -> None:
@@ -256,8 +267,9 @@ class WorldInputs(HeldInputs):
         super().__init__(plan, feedback)
         self._commands, self._world = HeldInputs(plan, feedback), world
         arrivals, shortest = plan.t[:-1] + world.delay, _SAME * float(np.diff(plan.t).min())
-        between = arrivals[(arrivals < plan.t[-1] - shortest) & (_to_nearest(arrivals, plan.t) > shortest)]
-        self.times = np.union1d(plan.t, between)
+        self.grid = with_times_between(plan.t, world.longest)
+        between = arrivals[(arrivals < plan.t[-1] - shortest) & (_to_nearest(arrivals, self.grid) > shortest)]
+        self.times = np.union1d(self.grid, between)
         self.rows = np.searchsorted(self.times, plan.t)
         begins = self.times[:-1]
         # Of each step of these times: the plan's step in which it lies, that whose command is in force, and since when it is [s].
@@ -271,11 +283,12 @@ class WorldInputs(HeldInputs):
         self.values = self._commands.values[self._command] * world.gain + self._added
         if world.whole:
             lengths, h = np.diff(self.times)[:, None], np.diff(plan.t)[:, None]
-            means, self.slopes = (
+            means, slopes = (
                 np.add.reduceat(part * lengths, self.rows[:-1]) / h for part in (self.values + self.slopes * lengths / 2.0, self.slopes)
             )
-            self.times, self.values, self.rows = plan.t, means - self.slopes * h / 2.0, np.arange(len(plan.t))
-            begins = plan.t[:-1]
+            self.times, self.rows = self.grid, np.searchsorted(self.grid, plan.t)
+            begins, step = self.grid[:-1], np.repeat(np.arange(plan.steps), np.diff(self.rows))
+            self.slopes, self.values = slopes[step], means[step] + slopes[step] * ((begins - plan.t[step])[:, None] - h[step] / 2.0)
         self.breaks, self.stops = np.full(len(begins), True), list(range(1, len(self.times)))
 
     @property

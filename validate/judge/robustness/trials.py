@@ -40,7 +40,7 @@ from validate.judge.replay.everyday import simulate
 from validate.judge.replay.job import Job
 from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome, Run
-from validate.judge.replay.run import EVENT_BUDGET, OWN_STEP, foreign_job, in_plan_units
+from validate.judge.replay.run import EVENT_BUDGET, LOOKS, OWN_STEP, foreign_job, in_plan_units, with_rows
 from validate.judge.replay.run import FINENESS as JUDGED
 from validate.judge.replay.subject import Subject, find_variables, recorded
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign
@@ -446,8 +446,13 @@ class FmuArena(Arena):
         whole = not uneven and not exchange
         super().__init__(foreign.model, plan, asked, followed, None if whole else _feedback(wired))
         self.nominal = replace(self.nominal, whole=whole)
-        self._job = replace(foreign_job(foreign, package, plan, wired.limits, wired.own_step), child=self._child, rolls_back=False)
-        factor = max(self._job.fineness) // max(JUDGED)
+        # As often as a replay looks at it; but for what is judged by its own step.
+        self._longest = math.inf if wired.own_step else plan.duration / LOOKS
+        plans = with_rows(plan, self._longest), plan
+        looked_at, job = (foreign_job(foreign, package, one, wired.limits, wired.own_step) for one in plans)
+        parts = max(job.parts, math.ceil(float(np.diff(plan.t).max()) / self._longest))
+        self._job = replace(job, child=self._child, rolls_back=False, parts=parts)
+        factor = max(looked_at.fineness) // max(JUDGED)
         steady = JUDGED if foreign.variables.internal_step is None else FINENESS
         self.levels = OWN_STEP[1:] if wired.own_step else tuple(factor * fineness for fineness in steady) if whole or uneven else ()
         finest = OWN_STEP[0] if wired.own_step else 2 * max(self.levels, default=0)
@@ -464,10 +469,12 @@ class FmuArena(Arena):
             yield arena.settle()
 
     def _run(self, world: World, fineness: int, feedback: Feedback | None) -> _Ran:
-        foreign, inputs, nx = self._foreign, WorldInputs(self.plan, world, feedback), 2 * self.scene.nq
         level = {"tolerances": (_LOOSE,), "fineness": ()} if fineness == _LOOSELY else {"tolerances": (), "fineness": (fineness,)}
+        level = self._exact if fineness == REFERENCE else level
+        world = world if level["tolerances"] else replace(world, longest=self._longest)  # Model Exchange shows parts of a step as it is
+        foreign, inputs, nx = self._foreign, WorldInputs(self.plan, world, feedback), 2 * self.scene.nq
         try:
-            job = replace(self._moved(world), **(self._exact if fineness == REFERENCE else level))
+            job = replace(self._moved(world), **level)
             simulated = in_plan_units(foreign, job.run(None if feedback is None else feedback.in_units(*foreign.units)))
         except FmuError:  # what it does in this world alone is no mistake of the user's
             nothing = np.empty((0, nx + self.scene.nc))

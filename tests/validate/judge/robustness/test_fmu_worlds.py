@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_fmu import COSIMULATION, EXCHANGE, build_foreign, foreign_plan, write_plan
+from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, STIFFNESS, STOP, build_foreign, foreign_plan, write_plan
 from wording import unsaid
 
 from models.catalog import load_scene
@@ -153,6 +153,28 @@ def test_a_world_that_hangs_is_ended_at_the_limit_of_time(free: Callable[..., Wi
         trials = [arena.trial(moved(arena.nominal, mass, np.array([size]))) for size in (-0.5, 0.5, -0.5)]
     assert [trial.fails_by for trial in trials[1:2]] == ["time_limit"]
     assert trials[0].ratio == trials[2].ratio < 1.0
+
+
+@pytest.mark.parametrize("kinds", [COSIMULATION, EXCHANGE + COSIMULATION, EXCHANGE, '<CoSimulation modelIdentifier="cart"/>'])
+def test_a_contact_between_two_rows_is_seen_and_as_deep_as_the_closed_form_says(tmp_path: Path, kinds: str):
+    """A plan of one step: before it the cart is thrown, behind it it comes back from the stop."""
+    build_foreign(tmp_path / "cart.fmu", kinds=kinds)
+    limit = 0.103
+    (tmp_path / "map.toml").write_text(FULL_MAP.replace("[goal]", f"depth = {limit}\n[goal]"), encoding="utf-8")
+    plan = write_plan(tmp_path / "plan.csv", "t,x,v_x,F", foreign_plan(1, 0.4))
+    wired, found, expected = wire_fmu(tmp_path / "cart.fmu", plan, map_path=tmp_path / "map.toml"), [], []
+    causes = perturbations(wired.foreign.model, wired.plan, ["body.mass", "gain", "delay"])
+    with FmuArena.of(wired, {"replay_terminal_position_error": 1.0}) as arena:
+        for sizes in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (-1.0, 1.0, 0.7), (0.5, -2.0, 0.0)):
+            world = moved(arena.nominal, causes, np.array(sizes))
+            mass, force = float(world.parameters[0]), FORCE * float(world.gain[0])
+            meets_with = math.sqrt(4.0 + 2.0 * force / mass * (STOP - 0.3))
+            expected.append((force / STIFFNESS + math.hypot(force / STIFFNESS, meets_with * math.sqrt(mass / STIFFNESS))) / limit)
+            for trial in (arena.trial(world), arena.checked(world)):
+                assert trial.modes == ((), (0,), ())
+                found.append(trial.shares["max_penetration"])
+    assert found == pytest.approx(np.repeat(expected, 2).tolist(), abs=1e-4)
+    assert min(expected) < 1.0 < max(expected)
 
 
 def test_who_takes_no_uneven_steps_gets_a_delay_as_the_mean_of_a_step(free: Callable[..., WiredFmu]):

@@ -167,3 +167,27 @@ def test_who_takes_whole_steps_alone_gets_their_means(hold: Hold, delay: float, 
     assert found.slopes[:, 0] == pytest.approx(slopes)
     assert found.rows.tolist() == [0, 1, 2, 3]
     assert found.stops == [1, 2, 3]
+
+
+def test_what_happens_within_a_step_is_shown_at_the_ends_of_its_parts_and_stays_what_it_is():
+    halves = np.arange(7) / 2
+    later = WorldInputs(plan([1, 2, 4]), replace(world(0.25, gain=3.0, noise=[0.1, 0.2, 0.3]), longest=0.5))
+    assert later.times.tolist() == [0, 0.25, 0.5, 1, 1.25, 1.5, 2, 2.25, 2.5, 3]
+    assert later.values[:, 0] == pytest.approx([3.1, 3.1, 3.1, 3.2, 6.2, 6.2, 6.3, 12.3, 12.3])
+    assert (later.times[later.rows].tolist(), later.grid.tolist()) == ([0, 1, 2, 3], halves.tolist())
+    means = WorldInputs(plan([1, 2, 4], Hold.LINEAR, 8), replace(world(0.25), whole=True, longest=0.5))
+    assert means.times.tolist() == halves.tolist()
+    assert means.values[:, 0] == pytest.approx([0.90625, 1.28125, 1.65625, 2.53125, 3.3125, 5.0625])
+    assert means.slopes[:, 0] == pytest.approx([0.75, 0.75, 1.75, 1.75, 3.5, 3.5])
+    assert (means.rows.tolist(), means.stops) == ([0, 2, 4, 6], [1, 2, 3, 4, 5, 6])
+    given = plan([1, 2, 4])
+    feedback = Feedback(
+        gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([9.0]),
+        scale=np.ones(1),
+    )  # fmt: skip
+    fed = WorldInputs(given, replace(world(), longest=0.5), feedback)
+    applied = [fed.begin(step, np.array([-1.0, 0.0]))[0] for step in range(6)]
+    assert applied == [2, 2, 4, 4, 7, 7], "it commands at the plan's nodes alone"
+    assert WorldInputs(given, replace(world(0.5), longest=0.5)).times.tolist() == halves.tolist(), (
+        "what arrives at the end of a part makes no other"
+    )
