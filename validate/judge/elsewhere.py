@@ -31,6 +31,7 @@ from validate.judge.replay.result import Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.tracking import TrackingError, design_feedback, nominals
 from validate.judge.replay.wiring import Feedback, measure_effort
 from validate.judge.score import Score, score, wants_feedback
+from validate.judge.score.unexplained import with_velocities
 from validate.judge.simulator import LIMITS, Came, Drive, EngineAnswer, SimulatedMotion, describe_engine, run_engine
 
 # Rows a step of the plan at which an engine's motion is looked at, and its steps in each: a quarter of the one before at each level.
@@ -103,7 +104,7 @@ class _Matrix:
         self.feedback: Feedback | None = None
         if self.plan.has_states and scene.nu:
             with suppress(TrackingError):
-                self.feedback = design_feedback(load_kernel(scene), scene, self.plan)
+                self.feedback = design_feedback(load_kernel(scene), scene, with_velocities(scene, self.plan, judgement.replay))
 
     def row(self, engine: str) -> EngineVerdict:
         """Ask one engine. Raises UnknownNameError, MachineError."""

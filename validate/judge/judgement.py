@@ -32,6 +32,7 @@ from validate.judge.replay import Replay
 from validate.judge.replay.run import Track, replay, replay_foreign
 from validate.judge.replay.subject import Foreign, Subject
 from validate.judge.score import Score, metric_names, score, wants_feedback
+from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Question, Verdict
 
 # A plan so many times as long as the task of its scene has its times in another unit.
@@ -107,11 +108,13 @@ def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: boo
 
     scored: list[tuple[Replay, Score]] = []  # what is not followed up is what comes back, and need not be scored twice
 
-    def follow(opened: Replay) -> bool:
+    def follow(opened: Replay) -> Trajectory | None:
         scored.append((opened, score(scene, plan, opened)))
-        return wants_feedback(scored[-1][1].metrics)
+        return with_velocities(scene, plan, opened) if feedback or wants_feedback(scored[-1][1].metrics) else None
 
-    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), True if feedback else follow, scored)
+    says_all = "v" not in plan.missing or not plan.has_states
+    track = True if feedback and says_all else follow
+    return _judged(scene, plan, partial(replay, scene, fmu, limits=limits), track, scored)
 
 
 def _judged(

@@ -390,13 +390,13 @@ def test_a_scenes_plan_is_followed_where_its_score_wants_it(feedback: bool, monk
     tracks: list[Any] = []
     monkeypatch.setattr(module, "replay", lambda *given, **named: tracks.append((given, named)) or "replay")
     monkeypatch.setattr(module, "score", lambda *given, **named: SimpleNamespace(questions=(), verdict=Verdict.HOLDS, metrics=given[2]))
-    monkeypatch.setattr(module, "wants_feedback", lambda metrics: f"wanted of {metrics}")
+    monkeypatch.setattr(module, "wants_feedback", lambda metrics: metrics == "wanted")
     found = module.judge_trajectory(scene, Path("a.fmu"), plan, feedback=feedback, limits=None)
     assert (found.plan.t.tolist(), found.replay) == ([0.0, 0.5, 1.0], "replay")
     track = tracks[0][1]["track"]
     assert (track is True) is feedback
     if not feedback:
-        assert track("opened") == "wanted of opened"
+        assert (track("wanted"), track("opened")) == (found.plan, None)
 
 
 @pytest.mark.parametrize("followed", [True, False])
@@ -464,3 +464,15 @@ def test_a_plan_of_a_coarse_grid_that_declares_no_scheme_is_told_its_step_and_on
     step = float(told.score.why.partition("Try h = ")[2].split()[0])
     finer = coarse(50, int(np.ceil(0.1 / step)))
     assert np.abs(finer.q - told.replay.q[told.replay.knots]).max() < metric.limit < np.abs(plan.q - told.replay.q[told.replay.knots]).max()
+
+
+def test_feedback_follows_the_velocities_that_explain_the_positions():
+    """Of a plan that says none: those of the exact motion, or backward differences, which are the velocities of semi-implicit Euler."""
+    scene, exact = made(Hold.ZERO_ORDER)
+    coarse = load_kernel(scene).rollout(exact.start, exact.u, H)
+    euler = replace(exact, q=coarse.q, v=coarse.v)
+    off = np.abs(np.diff(exact.q, axis=0) / H - exact.v[1:]).max()
+    for plan, near in ((exact, 0.02 * off), (euler, 1e-9)):
+        told = replace(plan, v=np.vstack([plan.v[:1], np.diff(plan.q, axis=0) / H]), missing=frozenset({"v", "lam"}))
+        followed = judge(scene, told, feedback=True).replay.tracked.feedback.reference
+        assert np.abs(followed[:, 3:] - plan.v).max() < near

@@ -34,8 +34,8 @@ OWN_STEP = (4 * FINENESS_OF_A_CALL, FINENESS_OF_A_CALL)
 _SHORTER, _MOST_CALLS = 8, 200_000
 # How often a replay that steps over a contact is made again, each time with steps that would have seen it.
 _CLOSER_LOOKS = 6
-# Whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
-Track = bool | Callable[[Replay], bool]
+# Whether to replay once more with feedback around the plan, or a function that gives the plan that feedback is to follow, if any, by the replay of the inputs alone.
+Track = bool | Callable[[Replay], Trajectory | None]
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -54,7 +54,7 @@ def replay(
     """Apply the plan's inputs from its start to the FMU of the scene.
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
-    track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+    track: whether to replay once more with feedback around the plan, or a function that gives the plan that feedback is to follow, if any, by the replay of the inputs alone.
     Raises ArchiveError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
     how the simulation went is `Replay.outcome`.
     """
@@ -75,21 +75,22 @@ def replay(
             return with_lag_error(scene, job, feedback, found), applied
 
         opened = replace(run(None)[0], growth=growth)
-        return _with_tracked(opened, track, lambda: (design_feedback(kernel, scene, trajectory), growth), run, trajectory)
+        return _with_tracked(opened, track, lambda followed: (design_feedback(kernel, scene, followed), growth), run, trajectory)
 
 
 def _with_tracked(
     opened: Replay,
     track: Track,
-    design: Callable[[], tuple[Feedback, Growth | None]],
+    design: Callable[[Trajectory], tuple[Feedback, Growth | None]],
     run: Callable[[Feedback], tuple[Replay, np.ndarray]],
     plan: Trajectory,
 ) -> Replay:
     """The replay of the inputs alone, and where `track` asks for it with one with feedback beside it, which `design` makes and `run` replays."""
-    if not (track(opened) if callable(track) else track):
+    followed = track(opened) if callable(track) else plan if track else None
+    if followed is None:
         return opened
     try:
-        feedback, growth = design()
+        feedback, growth = design(followed)
     except TrackingError as error:
         if track is True:
             raise
@@ -148,7 +149,7 @@ def replay_foreign(
             found = replace(found, knots=np.flatnonzero(np.isin(found.t, trajectory.t)))
         return found, applied
 
-    return _with_tracked(run(None)[0], track, lambda: design_foreign(foreign, package, trajectory, limits), run, trajectory)
+    return _with_tracked(run(None)[0], track, lambda followed: design_foreign(foreign, package, followed, limits), run, trajectory)
 
 
 def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simulated:

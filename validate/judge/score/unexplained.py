@@ -15,10 +15,16 @@ as semi-implicit Euler does.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.judge.replay.result import Replay
 from validate.judge.score.evidence import Evidence, sizes
 from validate.judge.score.own_steps import ROUNDED
+from validate.judge.score.verdict import Unmeasured
 
 # What the metric is limited by where a scene sets nothing.
 LIMIT = 0.1
@@ -68,11 +74,27 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
         return _by_velocities(case, h, plan.v, _off(case, "v"))
     if case.equations.relaxation_index is not None:
         return _without_inertia(case, h, case.departures.v)
+    return _of_positions(case, h, enough)[1]
+
+
+def _of_positions(case: Evidence, h: np.ndarray, enough: float) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (nodes, nq) that explain the positions better, and what they leave (steps,)."""
     backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
     found = _by_velocities(case, h, backward, 2.0 * case.printing["q"] / float(h.min()))
-    if found.max() <= enough:
-        return found
-    return min(found, _by_departures(case, h), key=lambda forces: forces.max())
+    if found.max() > enough and (departing := _by_departures(case, h)).max() < found.max():
+        return case.own_velocities, departing
+    return backward, found
+
+
+def with_velocities(scene: Scene, plan: Trajectory, replayed: Replay) -> Trajectory:
+    """A plan of positions alone beside the velocities that explain its motion, for feedback to follow; any other plan, and one without inertia, as it is."""
+    if "v" not in plan.missing or not plan.has_states or scene.relaxation_index is not None:
+        return plan
+    case = Evidence(scene, plan, replayed)
+    try:
+        return replace(plan, v=_of_positions(case, np.diff(plan.t), LIMIT * case.reference_force)[0])
+    except Unmeasured:
+        return plan
 
 
 def _off(case: Evidence, group: str) -> float:

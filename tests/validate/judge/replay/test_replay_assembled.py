@@ -189,7 +189,7 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
     opened = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits)
     assert (opened.tracked, opened.growth, jobs) == (None, None, [([[11.0], [21.0]], START, limits, None)])
     assert opened.q[-1].tolist() == [2.0 * 1.0 + 0.1]
-    for track in (True, lambda replay: True):
+    for track in (True, lambda replay: plan):
         found = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=track)  # type: ignore[arg-type]
         assert (found.growth, found.tracked.feedback, found.tracked.applied.tolist()) == ("growth", law, [[3.0], [4.0]])
         assert found.tracked.effort.peak == (2.0,)
@@ -197,13 +197,13 @@ def test_feedback_on_somebodys_fmu_is_in_its_units_and_told_in_the_plans(monkeyp
     (wired, _, given, _) = designed[0]
     assert (wired.model, wired.variables, given, wired.start) == (MODEL, VARIABLES, plan, START)
     assert [[part.tolist() for part in pair] for pair in wired.units] == [[[2.0, 3.0], [0.1, 0.2]], [[10.0], [1.0]]]
-    assert run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: False).tracked is None
+    assert run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: None).tracked is None
 
     def refuses(*given: Any) -> Any:
         raise run_module.TrackingError("no inputs")
 
     monkeypatch.setattr(run_module, "design_foreign", refuses)
-    refused = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: True)
+    refused = run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=lambda replay: plan)
     assert refused.message.endswith("No tracked replay: no inputs")
     with pytest.raises(run_module.TrackingError):
         run_module.replay_foreign(foreign(), NO_FMU, plan, limits=limits, track=True)
@@ -277,19 +277,19 @@ def test_a_scene_is_replayed_with_feedback_where_its_replay_asks_for_it(monkeypa
         (1e-11, 1e-13), (50, 100, 200), 10_000, 3, math.inf,
     )  # fmt: skip
     assert (job.limits, feedback) == (None, None)
-    for track in (True, lambda replay: replay.growth == "growth"):
+    for track in (True, lambda replay: plan if replay.growth == "growth" else None):
         found = run_module.replay(scene, Path("a.fmu"), plan, track=track, limits=Limits(seconds=3.0))  # type: ignore[arg-type]
         assert (found.tracked.applied.tolist(), found.tracked.feedback) == ([[3.0], [4.0]], law)
         assert [(job.limits, feedback) for job, feedback in jobs[-2:]] == [(Limits(seconds=3.0), None), (Limits(seconds=3.0), law)]
         assert found.tracked.effort.peak == (2.0,)
-    blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: False)
+    blind = run_module.replay(scene, Path("a.fmu"), replace(plan, missing=frozenset({"q", "v"})), track=lambda replay: None)
     assert blind.growth is None
 
     def refuses(*given: Any) -> Any:
         raise run_module.TrackingError("it overflows")
 
     monkeypatch.setattr(run_module, "design_feedback", refuses)
-    refused = run_module.replay(scene, Path("a.fmu"), plan, track=lambda replay: True)
+    refused = run_module.replay(scene, Path("a.fmu"), plan, track=lambda replay: plan)
     assert (refused.tracked, refused.message.endswith("No tracked replay: it overflows")) == (None, True)
     with pytest.raises(run_module.TrackingError):
         run_module.replay(scene, Path("a.fmu"), plan, track=True)

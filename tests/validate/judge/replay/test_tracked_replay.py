@@ -187,15 +187,15 @@ def test_growth_explains_and_decides_nothing(scene: Scene, still: Trajectory, ca
 def test_whether_to_follow_is_asked_of_the_replay_of_the_inputs_alone(scene: Scene, still: Trajectory):
     seen = []
 
-    def never(opened: Replay) -> bool:
+    def never(opened: Replay) -> Trajectory | None:
         seen.append(opened)
-        return False
+        return None
 
     alone = replay(scene, build_fmu(scene), still, track=never)
     assert alone.tracked is None
     assert alone.growth is not None
     assert seen[0].q.tobytes() == alone.q.tobytes()
-    followed = replay(scene, build_fmu(scene), still, track=lambda opened: opened.ok)
+    followed = replay(scene, build_fmu(scene), still, track=lambda opened: still if opened.ok else None)
     assert followed.tracked is not None
     assert replay(scene, build_fmu(scene), still).tracked is None
 

@@ -384,11 +384,15 @@ def test_velocities_that_are_not_said_are_those_that_explain_more(monkeypatch: p
     monkeypatch.setattr(module, "_by_departures", lambda case, h: departures)
     monkeypatch.setattr(module, "_without_inertia", lambda case, h, v: (h.tolist(), v))
     t = np.array([0.0, 0.5, 0.75])
-    case = by_hand(np.zeros((2, 4)), start_velocity=np.array([9.0, 8.0]), departures=SimpleNamespace(v="departing"))
+    case = by_hand(
+        np.zeros((2, 4)), start_velocity=np.array([9.0, 8.0]), departures=SimpleNamespace(v="departing"), own_velocities="of departures"
+    )
     case.trajectory = SimpleNamespace(missing=frozenset({"v"}), t=t, v=np.ones((3, 2)))
     departures = np.array([3.0, 3.5])
     assert module._of_motion(case, 3.9).tolist() == [3.0, 3.5]
+    assert module._of_positions(case, np.diff(t), 3.9)[0] == "of departures"
     assert module._of_motion(case, 4.0).tolist() == [1.0, 4.0]
+    assert module._of_positions(case, np.diff(t), 4.0)[0].tolist() == [[9.0, 8.0], [2.0, -2.0], [4.0, 6.0]]
     departures = np.array([4.5, 0.0])
     assert module._of_motion(case, 3.9).tolist() == [1.0, 4.0]
     assert asked[0] == ([[9.0, 8.0], [2.0, -2.0], [4.0, 6.0]], pytest.approx(2 * 0.01 / 0.25))
