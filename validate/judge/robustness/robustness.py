@@ -30,6 +30,7 @@ from models.trajectory import Trajectory
 from validate.judge.judgement import Judgement, WiredFmu, as_trajectory, judge
 from validate.judge.robustness.trials import Arena, Asked, FmuArena, SceneArena, WorldTrial, asked_limits
 from validate.judge.robustness.worlds import Draw, Perturbation, PerturbationKind, draw, moved, perturbations
+from validate.judge.score.unexplained import with_velocities
 from validate.judge.score.verdict import Verdict
 
 SAMPLES, MOST = 1000, 1_000_000
@@ -235,7 +236,8 @@ def robustness(
             raise TrajectoryError("plan: this solution has none, so there is nothing to try.")
         trajectory = trajectory.from_zero()
         causes, judgement = perturbations(subject, trajectory, kinds), judge(subject, trajectory)
-        arena_of = partial(SceneArena.of, subject, trajectory)
+        assert judgement.replay is not None  # of a plan
+        arena_of = partial(SceneArena.of, subject, with_velocities(subject, trajectory, judgement.replay))
     # The plan of an FMU without a goal is consistent at best: then its own motion is what is asked.
     holds = judgement.holds or (isinstance(scene, WiredFmu) and judgement.verdict is Verdict.CONSISTENT)
     if not holds and not anyway:

@@ -92,9 +92,10 @@ def with_velocities(scene: Scene, plan: Trajectory, replayed: Replay) -> Traject
         return plan
     case = Evidence(scene, plan, replayed)
     try:
-        return replace(plan, v=_of_positions(case, np.diff(plan.t), LIMIT * case.reference_force)[0])
+        v = _of_positions(case, np.diff(plan.t), LIMIT * case.reference_force)[0]
     except Unmeasured:
         return plan
+    return replace(plan, v=np.vstack([case.start_velocity, v[1:]]))
 
 
 def _off(case: Evidence, group: str) -> float:
