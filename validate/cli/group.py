@@ -5,6 +5,7 @@ A command is imported when it is used: `--help` and `list` cost neither SymPy no
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
 import io
@@ -163,7 +164,11 @@ def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
             )
         if isinstance(error, OSError) and error.errno in _FULL:
             why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
-            return _say(why, MachineError.exit_code)
+            _leave_unwritten()
+            with contextlib.suppress(OSError):  # where stderr is full too, nothing can be told
+                _say(why, MachineError.exit_code)
+            _leave_unwritten()
+            return MachineError.exit_code
         if (missing := touchstone.not_installed(error)) is not None:
             return _say(missing, MachineError.exit_code)
         return _say(_unexpected(error), 1)
@@ -178,16 +183,21 @@ def _open_closed_streams() -> None:
 
 
 def _reader_gone() -> int:
-    """Whoever read our output has enough of it; what is written from now on, as the interpreter ends too, goes nowhere."""
+    """Whoever read our output has enough of it."""
+    _leave_unwritten()
+    return READER_GONE
+
+
+def _leave_unwritten() -> None:
+    """What a stream holds that it cannot write, or is given from now on, as the interpreter ends too, goes nowhere."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.__stdout__, sys.__stderr__):
         if stream is None:
             continue
         try:
             stream.flush()
-        except BrokenPipeError:
+        except OSError:
             os.dup2(nowhere, stream.fileno())
-    return READER_GONE
 
 
 def _say(sentence: str, code: int) -> int:

@@ -45,15 +45,20 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("command", ["list", "help", "a campaign"])
-def test_an_output_that_cannot_be_written_is_one_sentence(command: str, cli_environment, tmp_path):
+def test_an_output_that_cannot_be_written_is_one_sentence(command: str, unbuffered: str, cli_environment, tmp_path):
+    """Whether Python learns of it as it writes, or as it ends; where stderr is full too only the exit code can tell it."""
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
+    words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
+    environment = {**cli_environment, "PYTHONUNBUFFERED": unbuffered}
     with open("/dev/full", "w") as full:
-        words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=cli_environment, check=False)
-    assert done.returncode == 3
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+        mute = subprocess.run(words, stdout=full, stderr=full, env=environment, check=False)
+    assert (done.returncode, mute.returncode) == (3, 3)
     assert not unsaid(done.stderr.splitlines()[-1], "error: ", "cannot be written (No space left on device)", "make room")
     assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
 
 
 @pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])

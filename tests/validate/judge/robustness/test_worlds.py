@@ -183,7 +183,7 @@ def test_what_happens_within_a_step_is_shown_at_the_ends_of_its_parts_and_stays_
     given = plan([1, 2, 4])
     feedback = Feedback(
         gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([9.0]),
-        scale=np.ones(1),
+        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
     )  # fmt: skip
     fed = WorldInputs(given, replace(world(), longest=0.5), feedback)
     applied = [fed.begin(step, np.array([-1.0, 0.0]))[0] for step in range(6)]

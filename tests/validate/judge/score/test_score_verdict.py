@@ -291,7 +291,7 @@ def test_what_holds_shows_the_metric_closest_to_its_limit():
 def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took():
     why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
     assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m, unstable")
-    assert not unsaid(why, "RMS effort 7 % … and 7 % of the plan's own")
+    assert not unsaid(why, "RMS effort 7 % … and 7 % of what the plan's own inputs do")
     assert "it holds: with feedback" in why
 
 
