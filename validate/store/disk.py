@@ -98,10 +98,12 @@ def write_durably(path: Path, content: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
-    except OSError as error:
+    except BaseException as error:  # Ctrl-C too leaves nothing
         with contextlib.suppress(OSError):
             unfinished.unlink()
-        raise disk_error(path, error) from error
+        if isinstance(error, OSError):
+            raise disk_error(path, error) from error
+        raise
 
 
 def fsync(path: Path) -> None:

@@ -85,7 +85,7 @@ class Store:
                 if left.name.endswith(_OLD):
                     self._put_back(left)
                 shutil.rmtree(left, ignore_errors=True)
-        for aside in (*self.folder.glob(f"{PARTIAL}*"), *self.folder.glob(f"report/{PARTIAL}*")):
+        for aside in (*self.folder.glob(f"{PARTIAL}*"), *self.surveys.glob(f"{PARTIAL}*")):
             if not _owner_lives(aside.name):
                 with contextlib.suppress(OSError):
                     aside.unlink()

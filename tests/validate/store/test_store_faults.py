@@ -351,3 +351,17 @@ def test_what_is_aside_says_whose_it_is(tmp_path: Path, monkeypatch: pytest.Monk
     assert replaced[0].parent == tmp_path
     assert replaced[0].name.startswith(".partial-file-")
     assert aside_name("what", "token") == f".partial-what-token-{os.getpid()}-{socket.gethostname()}"
+
+
+def test_ctrl_c_in_the_middle_of_a_write_leaves_the_old_text_and_nothing_else(tmp_path, monkeypatch):
+    write_durably(tmp_path / "file", "old")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for stage in ("fsync", "replace"):
+        with monkeypatch.context() as patch:
+            patch.setattr(disk_module.os, stage, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                write_durably(tmp_path / "file", "new")
+        assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]

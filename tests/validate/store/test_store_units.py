@@ -195,15 +195,15 @@ def test_an_older_run_that_cannot_be_put_back_stays_aside(store: Store, monkeypa
 
 
 def test_preparing_removes_what_the_dead_left_and_nothing_else(store: Store, dead: int):
-    """Unfinished runs, and files that were being written in the folder or its report; a run that was to be replaced is put back."""
+    """Unfinished runs, and files that were being written in the folder or its surveys; a run that was to be replaced is put back."""
     run = factory.runs()[0]
     mine = put(store, f".partial-a-token-{os.getpid()}-{HOST}")
     put(store, f".partial-b-token-{dead}-{HOST}")
     put(store, f".partial-c-token-{dead}-{HOST}-old", run)
     put(store, f".partial-d-token-{dead}-{HOST}", factory.runs()[1])
-    (store.folder / "report").mkdir()
-    kept = [store.folder / "results.csv", store.folder / "report" / f".partial-file-token-{os.getpid()}-{HOST}"]
-    gone = [store.folder / f".partial-file-token-{dead}-{HOST}", store.folder / "report" / f".partial-file-token-{dead}-{HOST}"]
+    (store.folder / "surveys").mkdir()
+    kept = [store.folder / "results.csv", store.folder / "surveys" / f".partial-file-token-{os.getpid()}-{HOST}"]
+    gone = [store.folder / f".partial-file-token-{dead}-{HOST}", store.folder / "surveys" / f".partial-file-token-{dead}-{HOST}"]
     for path in (*kept, *gone):
         path.write_text("x")
     store.prepare()
