@@ -29,10 +29,11 @@ pytestmark = [
 
 Start: TypeAlias = Callable[[Preloaded | None, str], tuple[Child, Path]]
 
+_SECONDS = 1000 + os.getpid()  # that what is left sleeps: by these it is known as ours, not that of a test in another process
 # A child's function: it tells what it is in its log, and does what the folder says.
 _TOLD = """
 import json, os, resource, signal, subprocess, sys, tempfile, time
-SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(1000)"]
+SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(SECONDS)"]
 
 def main(folder):
     from validate.execution.isolated import limit_resources
@@ -74,7 +75,7 @@ def main(folder):
         print(max(map(int, middle.stdout.split())), "is left", flush=True)
         time.sleep(1000)
     return 7 if act.startswith("seven") else 0
-"""
+""".replace("SECONDS", str(_SECONDS))
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def _begun(folder: Path) -> bool:
 def _sleepers() -> set[int]:
     """Processes that sleep as those of _TOLD do."""
     commands = ((item.pid, item.info["cmdline"] or ["", ""]) for item in psutil.process_iter(["cmdline"]))
-    return {number for number, words in commands if words[-1:] == ["import time; time.sleep(1000)"]}
+    return {number for number, words in commands if words[-1:] == [f"import time; time.sleep({_SECONDS})"]}
 
 
 @pytest.mark.slow
