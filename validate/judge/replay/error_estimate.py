@@ -42,9 +42,8 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
     h = np.diff(replayed.t)[:, None]
     rate = -penetration_rates(kernel, replayed.q, replayed.v)
     (first, last), begins, ends = (replayed.gap[:-1], replayed.gap[1:]), rate[:-1], rate[1:]
-    if (
-        kernel.scene.lag is not None
-    ):  # without inertia velocities jump where inputs do: at the start of a piece those of the one before still stand
+    # Without inertia velocities jump where inputs do: at the start of a piece those of the one before still stand.
+    if kernel.scene.lag is not None:
         begins = 2.0 * np.divide(last - first, h, out=np.zeros_like(first), where=h > 0.0) - ends
     rows = np.repeat(np.arange(len(h) + 1), 2)[1:-1]  # both of each piece
     lowest = lowest_between(replayed.t[rows], replayed.gap[rows], np.stack([begins, ends], axis=1).reshape(len(rows), -1))[0][::2]
