@@ -44,7 +44,7 @@ _OWN = {
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read."""
+    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 for an answer that nobody can be told."""
     given = list(sys.argv[1:] if words is None else words)
     flags, rest = [word for word in given if word.startswith("-")], [word for word in given if not word.startswith("-")]
     if "-v" in flags or "--version" in flags:
@@ -64,8 +64,14 @@ def main(words: Sequence[str] | None = None) -> int:
     except _RefusedError as refused:
         print(f"{NAME}: {refused}", file=sys.stderr)
         return 2
-    if message:
-        print(message)
+    if not message:
+        return 0
+    try:
+        print(message, flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what the stream still holds is not tried again as Python ends
+        print(f"{NAME}: the answer cannot be written: {error.strerror}.", file=sys.stderr)
+        return 3
     return 0
 
 

@@ -56,7 +56,7 @@ from formulations.transcription.contact import (
     rows_by_time,
     settle_separation,
 )
-from models.catalog import load_scene
+from models.catalog import as_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
 from models.errors import TrajectoryError
@@ -105,7 +105,7 @@ def build_model(
     >>> pyo.value(model.mpec_bound)
     0.0001
     """
-    chosen = load_scene(scene) if isinstance(scene, str) else scene
+    chosen = as_scene(scene)
     model = pyo.ConcreteModel(name=chosen.name)
     build_block(model, chosen, contact, eps=eps, steps=steps, step=step, scheme=scheme, integrate_cost=integrate_cost)
     model.objective_cost = pyo.Objective(expr=model.expression_cost, sense=pyo.minimize)
@@ -134,7 +134,7 @@ def build_block(
     >>> model.same_force = pyo.Constraint(model.soft.set_steps, rule=lambda m, t: m.soft.variable_u[t, "u1"] == m.stiff.variable_u[t, "u1"])
     >>> model.cost = pyo.Objective(expr=model.soft.expression_cost + model.stiff.expression_cost)
     """
-    chosen = load_scene(scene) if isinstance(scene, str) else scene
+    chosen = as_scene(scene)
     if hasattr(block, "set_nodes"):
         raise ModelError(f"{block.name} holds a plan already; build each plan into a Block of its own.")
     if not isinstance(contact, ContactFormulation):
@@ -317,6 +317,10 @@ def load_plan(block: Any, plan: Trajectory) -> None:
         for a model of something else
     """
     steps, h = _steps_of(block), pyo.value(block.parameter_step)
+    if not isinstance(plan, Trajectory):
+        raise TrajectoryError(
+            f"warm start: a {type(plan).__name__} is no plan; give a Trajectory, as `solution.trajectory` or `read_plan` gives one."
+        )
     check_grid(plan, steps, h, f"model {block.name}")
     friction = block.component("variable_friction")
     nf = 0 if friction is None else len(friction) // steps

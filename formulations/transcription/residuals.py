@@ -8,11 +8,13 @@ residuals.of(plan, law=ContactLaw.SOFTPLUS, eps=1e-3)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import sympy as sp
 
 from formulations.grids import bound_excess
+from models.catalog import as_scene
 from models.codegen.kernel import load_kernel
 from models.collocation import defect
 from models.contact_law import ContactLaw, contact_force, sharpness
@@ -27,8 +29,8 @@ from models.trajectory import Trajectory
 class PlanResiduals:
     """Residual functions of one scene, compiled once for numpy; all arrays have the steps as first axis."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    def __init__(self, scene: Scene | str | Path) -> None:
+        self._scene = scene = as_scene(scene)
         d = derive(scene)
         self._mass = _function(scene, d.mass_matrix, d.q)
         self._force = _function(scene, d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))

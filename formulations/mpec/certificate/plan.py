@@ -16,7 +16,7 @@ from formulations.grids import scene_of
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
 from formulations.transcription.build import build_model, load_plan, move_ball, open_goal
-from models.catalog import load_scene
+from models.catalog import as_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -28,7 +28,7 @@ class PlanJudge:
     """Judges plans of one scene; its strict model is built once for a goal that is a point, once for one that is a ball, and for each grid."""
 
     def __init__(self, scene: Scene | str) -> None:
-        self._scene = load_scene(scene) if isinstance(scene, str) else scene
+        self._scene = as_scene(scene)
         self._models: dict[tuple[bool, int], Any] = {}
 
     def certify(self, plan: Trajectory, *, goal_tolerance: float) -> Certificate:

@@ -3,6 +3,7 @@
 import math
 import os
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -323,6 +324,15 @@ def stub(tmp_path):
         return path.with_suffix("")
 
     return write
+
+
+def test_an_answer_that_a_full_disk_does_not_take_ends_with_3(stub):
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-c", "from formulations.ampl.command import main; raise SystemExit(main())", str(stub())],
+            stdout=full, stderr=subprocess.PIPE, text=True, env={key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"},
+        )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (3, "touchstone-mpec: the answer cannot be written: No space left on device.\n")
 
 
 def read_sol(stub: Path) -> tuple[str, list[float], list[float], int]:

@@ -29,8 +29,9 @@ from formulations import (
     set_relaxation,
 )
 from formulations.ipopt import compile_model
+from formulations.mpec.certificate.plan import certify_plan
 from formulations.pipelines import load_method
-from formulations.solution import ModelSize
+from formulations.solution import ModelSize, Outcome, Solution
 from formulations.transcription.build import load_first_guess
 from formulations.transcription.compiled import size_on_paper
 from formulations.transcription.contact import hold_modes, release_modes
@@ -203,6 +204,14 @@ def test_what_is_no_scheme_and_a_model_without_a_plan_are_refused():
     for use in (read_plan, lambda model: load_plan(model, plan)):
         with pytest.raises(ModelError, match="model unknown holds no plan: it must come from build_model or build_block"):
             use(pyo.ConcreteModel())
+    solution: Any = Solution(method="mpcc", outcome=Outcome.SOLVED)
+    with pytest.raises(TrajectoryError, match="a Solution is no plan; give a Trajectory"):
+        load_plan(build_model("three_cart", steps=5), solution)
+    no_scene: Any = build_model("three_cart", steps=5)
+    for use in (PlanResiduals, lambda scene: build_model(scene), lambda scene: certify_plan(scene, plan)):
+        with pytest.raises(SceneError, match="a ConcreteModel is no scene; give the name of one, the path of its file or a Scene"):
+            use(no_scene)
+    assert PlanResiduals("three_cart").of(plan)["start_error"] == 0.0
 
 
 def test_a_function_that_pyomo_does_not_have_is_refused_by_name() -> None:
