@@ -51,7 +51,7 @@ FMU_OPTIONS = options(
 def read_fmu_options(
     scene: str | None, fmu: Path | None, *, map_path: Path | None, hold: str | None, time_limit: float, memory_limit: float, own_step: bool
 ) -> dict[str, Any]:
-    """What `judge_fmu` and `wire_fmu` ask beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
+    """What `wire_fmu` asks beside FMU and plan, of these options. Raises click.UsageError for what belongs to the other of scene and FMU."""
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
     if map_path is not None and fmu is None:
@@ -140,11 +140,13 @@ def command(
     # NumPy's OpenBLAS starts a thread for each core as it is imported, and a process with threads is not forked (validate.execution.process).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if fmu is not None:
-        from validate.judge.judgement import judge_fmu
+        from validate.judge.judgement import wire_fmu
 
-        judge = partial(judge_fmu, fmu, plan, feedback=track, **wired)
-        judgement, warnings = judge(), []
-        changes = [_change(judgement, judge(factors={name: factor}), name, factor) for name, factor in factors.items()]
+        wire = partial(wire_fmu, fmu, plan, **wired)
+        # All of them first: what cannot be varied is refused before anything is replayed.
+        others = [(wire(factors={name: factor}), name, factor) for name, factor in factors.items()]
+        judgement, warnings = wire().judge(track), []
+        changes = [_change(judgement, other.judge(track), name, factor) for other, name, factor in others]
     else:
         judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)
         changes = []

@@ -148,16 +148,6 @@ class WiredFmu:
         return _judged(self.foreign.model, self.plan, run, feedback)
 
 
-def judge_fmu(fmu: Path, plan: Any, *, feedback: bool = False, **how: Any) -> Judgement:
-    """Replay a plan on somebody's FMU, in a child process, and judge it. feedback: replay with feedback too; all else as `wire_fmu` takes it.
-
-    Raises
-    ------
-    FmuError, MapError, TrajectoryError, MachineError : in one sentence.
-    """
-    return wire_fmu(fmu, plan, **how).judge(feedback)
-
-
 def wire_fmu(
     fmu: Path,
     plan: Mapping[str, Any] | str | Path | Any,

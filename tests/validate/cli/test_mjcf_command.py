@@ -1,7 +1,9 @@
 """`fmu --mjcf`: an FMU and its map, or a sentence and nothing; a recorded plan comes back to the bit."""
 
 import json
+import shutil
 import signal
+from contextlib import chdir, contextmanager
 from pathlib import Path
 
 import pytest
@@ -25,15 +27,39 @@ ROBOT = """
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Where robot.xml lies; signal handlers are put back."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "robot.xml").write_text(ROBOT, encoding="utf-8")
+@contextmanager
+def within(place: Path):
+    """In a folder with robot.xml; signal handlers are put back."""
+    (place / "robot.xml").write_text(ROBOT, encoding="utf-8")
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    yield tmp_path
+    with chdir(place):
+        yield place
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture
+def folder(tmp_path: Path):
+    with within(tmp_path):
+        yield tmp_path
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """robot.fmu, robot.toml and a recorded plan.csv, made once."""
+    with within(tmp_path_factory.mktemp("exported")) as made:
+        assert run(["fmu", "--mjcf", "robot.xml", "--contact", "ball:floor", "-o", "robot.fmu"]) == 0
+        record(made / "plan.csv")
+    return made
+
+
+@pytest.fixture
+def robot(folder: Path, exported: Path, capfd: pytest.CaptureFixture[str]) -> Path:
+    """A folder of one's own with what was exported."""
+    for name in ("robot.fmu", "robot.toml", "plan.csv"):
+        shutil.copy(exported / name, folder)
+    capfd.readouterr()
+    return folder
 
 
 def record(path: Path) -> None:
@@ -49,11 +75,7 @@ def record(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(folder: Path, capfd: pytest.CaptureFixture[str]):
-    assert run(["fmu", "--mjcf", "robot.xml", "--contact", "ball:floor", "-o", "robot.fmu"]) == 0
-    assert capfd.readouterr().out.splitlines() == ["robot.fmu", "robot.toml"]
-    record(folder / "plan.csv")
-
+def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(robot: Path, capfd: pytest.CaptureFixture[str]):
     def replayed(*options: str) -> dict:
         run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--json", *options])
         told = json.loads(capfd.readouterr().out)
@@ -69,10 +91,7 @@ def test_a_recorded_plan_comes_back_to_the_bit_by_its_own_step_alone(folder: Pat
 
 
 @pytest.mark.slow
-def test_another_parameter_is_told_in_a_sentence(folder: Path, capfd: pytest.CaptureFixture[str]):
-    assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
-    record(folder / "plan.csv")
-    capfd.readouterr()
+def test_another_parameter_is_told_in_a_sentence(robot: Path, capfd: pytest.CaptureFixture[str]):
     replay = ["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml"]
 
     def varied(*options: str) -> list[dict]:
@@ -106,20 +125,17 @@ def test_another_parameter_is_told_in_a_sentence(folder: Path, capfd: pytest.Cap
         ("mass_ball=inf", ("--vary", "finite")),
     ],
 )
-def test_what_cannot_be_varied_is_refused(folder: Path, given: str, said: tuple[str, ...], capfd: pytest.CaptureFixture[str]):
-    assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
-    record(folder / "plan.csv")
-    capfd.readouterr()
+def test_what_cannot_be_varied_is_refused_before_anything_is_replayed(
+    robot: Path, given: str, said: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.delattr("validate.judge.judgement.replay_foreign")
     assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", given]) == 2
     told = capfd.readouterr().err
     assert all(part in told for part in said), told
 
 
 @pytest.mark.slow
-def test_own_step_is_for_fmus_and_for_inputs_that_are_held(folder: Path, capfd: pytest.CaptureFixture[str]):
-    assert run(["fmu", "--mjcf", "robot.xml", "-o", "robot.fmu"]) == 0
-    record(folder / "plan.csv")
-    capfd.readouterr()
+def test_own_step_is_for_fmus_and_for_inputs_that_are_held(robot: Path, capfd: pytest.CaptureFixture[str]):
     assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--own-step", "--hold", "linear"]) == 2
     said = capfd.readouterr().err
     assert all(part in said for part in ("plan.csv", "--own-step", "held"))
@@ -178,7 +194,7 @@ def test_every_check_of_what_is_offered_passes(folder: Path, name: str, version:
     text = (folder / "swing.xml").read_text().replace('type="box" size', 'type="box" contype="0" conaffinity="0" size')
     (folder / "swing.xml").write_text(text)
     assert run(["fmu", "--mjcf", f"{name}.xml", "--contact", "ball:floor", "--fmi", version, "-o", f"{name}.fmu"]) == 0
-    capfd.readouterr()
+    assert capfd.readouterr().out.splitlines() == [f"{name}.fmu", f"{name}.toml"]
     code = run(["check", f"{name}.fmu", "--json"])
     told = json.loads(capfd.readouterr().out)
     assert code == 0, [row for row in told["rows"] if row["status"] == "failed"]

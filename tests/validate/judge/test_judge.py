@@ -20,7 +20,7 @@ from models.trajectory import Hold, Trajectory, column_names, uniform_grid, writ
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.replay import exit_code
 from validate.judge import judgement as module
-from validate.judge.judgement import as_trajectory, judge, judge_fmu
+from validate.judge.judgement import as_trajectory, judge, wire_fmu
 from validate.judge.replay.wiring import HeldInputs
 from validate.judge.score import Question, Verdict
 
@@ -341,7 +341,7 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
     foreign: Any = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))
-    found = judge_fmu(Path("a.fmu"), {"t": plan.t}, feedback=True, limits="limits")  # type: ignore[arg-type]
+    found = wire_fmu(Path("a.fmu"), {"t": plan.t}, limits="limits").judge(True)  # type: ignore[arg-type]
     assert (found.scene, found.plan, found.replay) == ("model", plan, "replay 1")
     assert replays[0] == ((foreign, "package", plan), {"limits": "limits", "own_step": False, "track": True})
     assert scores[0] == (("model", plan, "replay 1"), {})
@@ -364,7 +364,7 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
     (tmp_path / "plan.csv").write_text("t,u\n0,1\n1,\n")
     columns = {"t": np.array([0.0, 1.0]), "u": np.array([1.0])}
     for plan in (tmp_path / "plan.csv", str(tmp_path / "plan.csv"), columns):
-        subject, trajectory, run, feedback = judge_fmu(Path("a.fmu"), plan, hold="linear", feedback=True)  # type: ignore[misc]
+        subject, trajectory, run, feedback = wire_fmu(Path("a.fmu"), plan, hold="linear").judge(True)  # type: ignore[misc]
         assert (subject, trajectory, feedback) == ("model", "trajectory", True)
         assert (run.func, run.args, run.keywords) == (
             module.replay_foreign, (foreign, "package of a.fmu"), {"limits": module.Limits(), "own_step": False},
@@ -372,14 +372,14 @@ def test_a_plan_on_somebodys_fmu_is_wired_in_whatever_form_it_comes(tmp_path: Pa
         package, table, map_file, hold, where, factors = asked[-1]
         assert (package, table.names[0], map_file, hold, where, factors) == ("package of a.fmu", "t", None, "linear", "FMU a.fmu", None)
     (tmp_path / "map.toml").write_text("[limits]\nreplay_error = 0.5\n")
-    run = judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0))[2]  # type: ignore[index]
+    run = wire_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml", limits=module.Limits(seconds=2.0)).judge()[2]  # type: ignore[index]
     assert run.keywords == {"limits": module.Limits(seconds=2.0), "own_step": False}
     assert (asked[-1][2].limits["replay_error"].value, asked[-1][4]) == (0.5, f"map {tmp_path / 'map.toml'}")
     (tmp_path / "map.toml").write_text("[limits]\nreplay_eror = 0.5\n")
     with pytest.raises(TouchstoneError, match=r"limits\.replay_eror: .*no metric.*\(near it: replay_error"):
-        judge_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml")
+        wire_fmu(Path("a.fmu"), columns, map_path=tmp_path / "map.toml")
     with pytest.raises(TrajectoryError, match="plan: a int has no names"):
-        judge_fmu(Path("a.fmu"), 7)
+        wire_fmu(Path("a.fmu"), 7)
 
 
 @pytest.mark.parametrize("feedback", [True, False])
