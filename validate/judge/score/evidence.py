@@ -37,6 +37,9 @@ class Evidence:
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
         self._own_steps: dict[bytes, OwnSteps] = {}  # by velocities: three metrics ask for the same ones
+        self._own_motions: dict[
+            int, tuple[np.ndarray, np.ndarray]
+        ] = {}  # by parts: a metric and the sentence ask for the same, 7 s each by collocation
 
     @property
     def equations(self) -> Scene:
@@ -381,7 +384,7 @@ class Evidence:
         """
         return collocation.defect(self.kernel, self.trajectory)
 
-    @cached_property
+    @property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m or rad] and velocities [m/s or rad/s], (nodes, nq) each, of the plan's inputs through its own time step with the true contact law.
 
@@ -391,6 +394,8 @@ class Evidence:
 
     def own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
         """`true_motion` with each step of the plan in so many parts: q, v (nodes, nq) [m or rad], [m/s or rad/s]. Raises Unmeasured, LeavesBounds."""
+        if parts in self._own_motions:
+            return self._own_motions[parts]
         plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
@@ -407,7 +412,7 @@ class Evidence:
                 q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
         if reached < len(steps):
             raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}.")
-        return q[::parts], v[::parts]
+        return self._own_motions.setdefault(parts, (q[::parts], v[::parts]))
 
     @property
     def true_end(self) -> np.ndarray:

@@ -22,6 +22,8 @@ from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
+# A halving that moves the motion by less than this share of what is missing does not bring it nearer: the rest is no error of the grid.
+_IDLE = 0.01
 # Below this share of the largest a force or a gap is nothing.
 _CLEARLY = 1e-2
 # Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
@@ -265,12 +267,16 @@ def grid_order(case: Evidence) -> float:
 
 
 def halved(case: Evidence, near: float) -> Iterator[float]:
-    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad], until it is at most `near`, or seven times. Raises Unmeasured."""
+    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad]: until it is at most `near`, two halvings in a row changed next to nothing of what is left, or seven times. Raises Unmeasured."""
+    before, idle = case.true_motion[0], 0
     for halvings in range(1, _HALVINGS + 1):
-        error, _ = eq.largest_difference(case.own_motion(2**halvings)[0], case.replay_q)
+        q = case.own_motion(2**halvings)[0]
+        error, _ = eq.largest_difference(q, case.replay_q)
         yield error
-        if error <= near:
+        idle = idle + 1 if eq.largest_difference(q, before)[0] < _IDLE * (error - near) else 0
+        if error <= near or idle == 2:
             return
+        before = q
 
 
 def replay_limits(scene: Subject) -> np.ndarray:

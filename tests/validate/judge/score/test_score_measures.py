@@ -106,7 +106,9 @@ def test_the_order_of_a_grid_is_that_of_its_last_halving():
     assert refined([0.8, 0.101, 0.0505]) == (pytest.approx(1.0), [2, 4])
     assert refined([0.8, 0.1]) == (pytest.approx(3.0), [2])
     assert refined([0.8, 0.0]) == (7, [2])
-    assert refined([1.0] * 8) == (0.0, [2, 4, 8, 16, 32, 64, 128])
+    assert refined([1.0, 1.5] * 4) == (pytest.approx(math.log2(1 / 1.5)), [2, 4, 8, 16, 32, 64, 128])
+    for idle, parts in ((1.003, [2, 4, 8]), (1.011, [2, 4, 8, 16, 32, 64, 128])):  # a hundredth of the 0.9 that are missing
+        assert refined([1.0, *[idle, 1.0] * 4][:8])[1] == parts
     with pytest.raises(Unmeasured, match="far below the limit"):
         refined([0.1])
     for options in ({"limit": None}, {"waived": True}):  # a hundredth of the smaller nominal
