@@ -354,7 +354,7 @@ class _Wiring:
             task=ForeignTask(
                 start=self._start(),
                 goal=tuple(goal),
-                step=float(np.diff(times).min(initial=math.inf)) if given.task.duration is None else given.task.duration / _STEPS,
+                step=(float(np.ptp(times)) if given.task.duration is None else given.task.duration) / _STEPS,
                 horizon=given.task.duration,
             ),
             limits=self._limits(),

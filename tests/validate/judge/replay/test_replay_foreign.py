@@ -15,6 +15,7 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.description import FmuError
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
 from validate.judge.replay.subject import find_variables
@@ -208,3 +209,18 @@ def test_what_an_fmu_lacks_of_a_group_leaves_the_group_out_or_is_refused(scene: 
         find_variables(described(whole, "Integer"), scene)
     first = scene.parameters[0].name
     assert len(find_variables(described(whole | {first: (1, "local")}), scene).parameters) == len(scene.parameters) - 1
+
+
+@pytest.mark.parametrize("task", ["", "[task]\nduration = 1.0\n"])
+def test_a_plan_of_few_rows_is_seen_as_often_as_any_other(tmp_path: Path, task: str):
+    """A mass of 1 kg that falls 0.5 m turns at a depth d between two of six rows: m g (0.5 + d) = k d^2 / 2."""
+    dropped = load_scene("bouncing_mass")
+    m, g, k = ({item.name: item.value for item in dropped.parameters}[name] for name in ("m", "g", "k"))
+    names = '[positions]\nq = "q"\n[contacts.floor]\nforce = "lam_floor"\ngap = "gap_floor"\ndepth = 0.5\n'
+    (tmp_path / "map.toml").write_text(names + task, encoding="utf-8")
+    t = np.linspace(0.0, 1.0, 6)
+    judged = wire_fmu(build_fmu(dropped), {"t": t, "q": np.full(6, 0.5)}, map_path=tmp_path / "map.toml").judge()
+    metric = judged.score.metric("max_penetration")
+    assert metric is not None
+    assert metric.value == pytest.approx((m * g + np.sqrt((m * g) ** 2 + 2.0 * k * m * g * 0.5)) / k, abs=metric.error)
+    assert metric.error < 1e-4

@@ -155,7 +155,7 @@ def test_what_a_map_leaves_out_is_left_out_of_all(whole):
     assert set(model.lacks) == {"v", "gap", "lam"}
     assert (model.task.horizon, model.task.step, model.coordinates[0].velocity_name, model.coordinates[0].velocity_unit) == (
         None,
-        1.0,
+        0.006,
         "v_x",
         "1/s",
     )
