@@ -22,6 +22,8 @@ _ITERATIONS = 40
 # A Newton step of the accelerations below this, relative to the largest of them, is rounding.
 _TOLERANCE = 1e-13
 _DIFFERENCE = 1e-7
+# Accelerations from which on a step has no solution: what they make of positions and velocities is a number still [m/s^2, rad/s^2].
+_LARGEST = 1e100
 
 
 def advance(
@@ -81,22 +83,31 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
     n, shape = len(a), a.shape
     size = a[0].size
     columns = np.arange(size)
+    lost = ~(np.abs(a).max(axis=(1, 2)) < _LARGEST)
     for _ in range(_ITERATIONS):
+        a[lost] = 0.0  # which has a mass matrix
         # All columns of the Jacobian at once: a call of the kernel takes 40 us, a row of it 1.
         moved = np.repeat(a.reshape(1, n, size), size + 1, axis=0)
         delta = _DIFFERENCE * (1.0 + np.abs(moved[0].T))
         moved[columns + 1, :, columns] += delta
         values = residual(moved.reshape(-1, *shape)).reshape(moved.shape)
         value, jacobian = values[0], np.moveaxis((values[1:] - values[0]) / delta[..., None], 0, -1)
-        broken = ~(np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(value).all(axis=1))
-        jacobian[broken], value[broken] = np.eye(size), np.nan
-        step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
+        lost |= ~(np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(value).all(axis=1))
+        jacobian[lost] = np.eye(size)
+        try:
+            step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
+        except np.linalg.LinAlgError:  # the differences of some row are lost in the size of its values
+            lost |= np.linalg.slogdet(jacobian)[0] == 0.0
+            jacobian[lost] = np.eye(size)
+            step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
         a = a - step
+        lost |= ~(np.abs(a).max(axis=(1, 2)) < _LARGEST)
         open_rows = np.abs(step).max(axis=(1, 2)) > _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
-        if not open_rows.any():  # NaN is not open
-            return a
-    # Rounding of large accelerations keeps a row open; only a step that means something is no solution.
-    a[np.abs(step).max(axis=(1, 2)) > 1e-9 * (1.0 + np.abs(a).max(axis=(1, 2)))] = np.nan
+        if not open_rows[~lost].any():
+            break
+    else:  # Rounding of large accelerations keeps a row open; only a step that means something is no solution.
+        lost |= np.abs(step).max(axis=(1, 2)) > 1e-9 * (1.0 + np.abs(a).max(axis=(1, 2)))
+    a[lost] = np.nan
     return a
 
 

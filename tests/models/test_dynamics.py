@@ -264,6 +264,18 @@ def test_a_step_across_a_kink_is_wrong_by_no_more_than_its_bound(scheme: Scheme)
     assert 0.9 * bound < max(errors) < 1.01 * bound
 
 
+@pytest.mark.parametrize("far", [1e20, 1e60, 1e100, 1e150, 1e160])
+@pytest.mark.parametrize("scheme", COLLOCATIONS)
+def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(scheme: Scheme, far: float) -> None:
+    """Of a diverging motion differences are lost in its size, or its squares have no number: once a singular matrix, or a mass matrix of nothing."""
+    kernel, u = load_kernel(load_scene("cart_pole_walls")), np.zeros((2, 1))
+    q, v = np.array([[0.0, 0.1], [far, 1.0]]), np.array([[0.0, 0.0], [far, far]])
+    both, alone = advance(kernel, scheme, q, v, u, 0.2), advance(kernel, scheme, q[:1], v[:1], u[:1], 0.2)
+    for found, own in zip(both, alone, strict=True):
+        assert found[0].tobytes() == own[0].tobytes()
+        assert np.isnan(found[1]).all()
+
+
 def test_the_defect_is_that_of_the_plans_own_step() -> None:
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
