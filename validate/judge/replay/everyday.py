@@ -70,11 +70,6 @@ def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
     return None
 
 
-def _takes_slopes(package: Package) -> bool:
-    """Whether inputs may be lines within a communication step. FMI 3.0 has no call for that."""
-    return not package.is_three and package.cosimulation is not None and package.cosimulation.canInterpolateInputs
-
-
 def offers_rollback(package: Package, variables: Variables) -> bool:
     """Whether the Co-Simulation saves and restores its state - and takes half a step in the middle of a run."""
     interface = package.cosimulation
@@ -145,7 +140,9 @@ def simulate(
             settings += [(reference, own_step) for reference in own]
             fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
-            slopes = inputs.linear and _takes_slopes(package)
+            # FMI 3.0 has no call for inputs that are lines within a communication step.
+            interpolates = package.cosimulation is not None and package.cosimulation.canInterpolateInputs
+            slopes = inputs.linear and interpolates and not package.is_three
             parts = 1 if own else max(1, fineness // FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
             parts = 2 * ((parts + 1) // 2) if rolls_back and not own else parts

@@ -17,18 +17,9 @@ from models.plan_table import Table, lack_of
 from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
-from validate.judge.replay import map_schema
+from validate.judge.replay import map_schema, subject
 from validate.judge.replay.map_schema import CONTACT_UNITS, FRICTION, QUANTITIES, Dimensions, InputSignal, MapError, MapFile, Named, Signal
 from validate.judge.replay.result import Difference
-from validate.judge.replay.subject import (
-    Foreign,
-    ForeignContact,
-    ForeignCoordinate,
-    ForeignInput,
-    ForeignModel,
-    ForeignParameter,
-    ForeignTask,
-)
 from validate.judge.replay.wiring import INTERNAL_STEP, Variables
 
 # Steps that the task of an FMU counts as.
@@ -39,7 +30,7 @@ _ROUNDING = 1e-9
 
 def wire(
     package: Package, table: Table, given: MapFile | None, hold: str | None, where: str, factors: Mapping[str, float] | None = None
-) -> tuple[Foreign, Trajectory]:
+) -> tuple[subject.Foreign, Trajectory]:
     """where: what a mistake is said about, "map FILE" or "FMU FILE"; factors: of parameters. Raises MapError, TrajectoryError."""
     named = Named(package)
     whole = map_schema.multiplied(given or map_schema.by_equal_names(named, table), named, factors, where)
@@ -245,7 +236,7 @@ class _Wiring:
 
     # What comes of it
 
-    def foreign(self) -> Foreign:
+    def foreign(self) -> subject.Foreign:
         given, lacks = self.map, self.lacks
         read: dict[str, list[Signal]] = {
             "q": list(given.positions.values()),
@@ -259,14 +250,11 @@ class _Wiring:
         }
         settings, internal = self._settings(), given.internal_step or (INTERNAL_STEP if INTERNAL_STEP in self._by_name else None)
         parameters, begin = self._uncertain(internal), self._begin(dict(settings), [*read["q"], *read["v"]])
-        return Foreign(
+        return subject.Foreign(
             model=self._model(parameters, begin),
             parameters=tuple(self._place(item.name) for item in parameters),
             variables=Variables(
                 **references,
-                energies={},
-                powers={},
-                zero=frozenset(),
                 parameters=tuple((self._parameter(f"parameters.{name}", name, value), value) for name, value in given.parameters.items()),
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
@@ -300,7 +288,7 @@ class _Wiring:
                 found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
         return list(found.items())
 
-    def _uncertain(self, internal: str | None) -> tuple[ForeignParameter, ...]:
+    def _uncertain(self, internal: str | None) -> tuple[subject.ForeignParameter, ...]:
         """The parameters that may be otherwise: all with a value but `internal`, the FMU's own step."""
         given, found = self.map, []
         for name in given.uncertainty:
@@ -316,7 +304,7 @@ class _Wiring:
             for end in (float(value) - size, float(value) + size) if size else ():
                 self._parameter(f"uncertainty.{name}", name, end)
             told = {"unit": item.unit or "1", "lower": lower, "upper": upper, "uncertainty": size, "uncertainty_reason": reason}
-            found.append(ForeignParameter(name=name, value=float(value), **told))
+            found.append(subject.ForeignParameter(name=name, value=float(value), **told))
         return tuple(found)
 
     def _begin(self, settings: Mapping[int, float], signals: list[Signal]) -> dict[int, float]:
@@ -328,10 +316,10 @@ class _Wiring:
                 found[place] = signal.scale * settings.get(int(variable.valueReference), float(variable.start)) + signal.offset
         return found
 
-    def _model(self, parameters: tuple[ForeignParameter, ...], begin: Mapping[int, float]) -> ForeignModel:
+    def _model(self, parameters: tuple[subject.ForeignParameter, ...], begin: Mapping[int, float]) -> subject.ForeignModel:
         given = self.map
         coordinates = tuple(
-            ForeignCoordinate(
+            subject.ForeignCoordinate(
                 name=name,
                 velocity_name=self._velocity_column(name) if name in given.velocities else f"v_{name}",
                 unit=self._unit(name, signal),
@@ -343,15 +331,15 @@ class _Wiring:
         goal = [given.goal.get(item.name) for item in coordinates]
         goal += [given.goal.get(item.velocity_name) if item.name in given.velocities else None for item in coordinates]
         times = self._table.column(given.plan.time, False)
-        return ForeignModel(
+        return subject.ForeignModel(
             name=Path(self._package.path).stem,
             coordinates=coordinates,
             inputs=tuple(self._input(name, signal) for name, signal in given.inputs.items()),
             contacts=tuple(
-                ForeignContact(name=name, force_name=self._force_column(name), gap_name=f"gap_{name}", depth=entry.depth)
+                subject.ForeignContact(name=name, force_name=self._force_column(name), gap_name=f"gap_{name}", depth=entry.depth)
                 for name, entry in given.contacts.items()
             ),
-            task=ForeignTask(
+            task=subject.ForeignTask(
                 start=self._start(),
                 goal=tuple(goal),
                 step=(float(np.ptp(times)) if given.task.duration is None else given.task.duration) / _STEPS,
@@ -450,7 +438,7 @@ class _Wiring:
         own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
         return signal.unit or self._table.units.get(column) or own or "1"
 
-    def _input(self, name: str, signal: InputSignal) -> ForeignInput:
+    def _input(self, name: str, signal: InputSignal) -> subject.ForeignInput:
         """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
         variable = self._by_name[signal.variable]
         least, most = -math.inf if variable.min is None else float(variable.min), math.inf if variable.max is None else float(variable.max)
@@ -463,7 +451,7 @@ class _Wiring:
         lower, upper = (lower if signal.lower is None else signal.lower), (upper if signal.upper is None else signal.upper)
         if lower >= upper:
             raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
-        return ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
+        return subject.ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
 
     def trajectory(self, hold: str | None) -> Trajectory:
         """The plan; what it does not say is in `missing`, with zeros in its place."""

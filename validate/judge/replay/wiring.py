@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,9 +35,9 @@ class Variables:
     u: tuple[int, ...]
     lam: tuple[int, ...]
     gap: tuple[int, ...]
-    energies: Mapping[str, int]
-    powers: Mapping[str, int]
-    zero: frozenset[str]
+    energies: Mapping[str, int] = field(default_factory=dict)
+    powers: Mapping[str, int] = field(default_factory=dict)
+    zero: frozenset[str] = frozenset()
     parameters: tuple[tuple[int, float], ...]
     start: tuple[int, ...]
     internal_step: int | None

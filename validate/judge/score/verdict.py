@@ -236,10 +236,8 @@ def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> V
     with_feedback = verdict_of(followed)
     if with_feedback is Verdict.HOLDS:
         return Verdict.HOLDS_WITH_FEEDBACK
-    if with_feedback is alone:
-        return alone
-    # One of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
-    return Verdict.UNDECIDED
+    # Else one of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
+    return alone if with_feedback is alone else Verdict.UNDECIDED
 
 
 def decide(metrics: Sequence[Metric], has_feedback: bool) -> tuple[Verdict, dict[Question, Answer], Literal["open", "feedback"]]:

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi import loops
 from validate.fmi.description import FmuError, Package, read_package, unpacked
-from validate.fmi.instance import Misbehaviour, References, TerminationRequested
+from validate.fmi.instance import Misbehaviour, References
 from validate.judge.replay import everyday
 from validate.judge.replay import reference as exchange
 from validate.judge.replay.result import ReplayOutcome, Run
@@ -55,25 +56,12 @@ def same(one: Run, other: Run) -> None:
 
 
 def reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, *, compiled: bool = True) -> Run:
-    model = python_loops.PythonModel(package, variables)
-    try:
+    with closing(python_loops.PythonModel(package, variables)) as model:
         return (exchange if compiled else python_loops).integrate(model, start, inputs, 1e-10, 1000)
-    finally:
-        model.close()
 
 
-def simulate(
-    package: Package,
-    variables: Variables,
-    start: np.ndarray,
-    inputs: HeldInputs,
-    fineness: int,
-    *,
-    rolls_back: bool = False,
-    compiled: bool = True,
-) -> Run:
-    loop = everyday.simulate if compiled else python_loops.simulate
-    return loop(package, variables, start, inputs, fineness, rolls_back=rolls_back)
+def simulate(*given: Any, compiled: bool = True, **how: Any) -> Run:
+    return (everyday if compiled else python_loops).simulate(*given, **how)
 
 
 def tracked(name: str, plan: Trajectory) -> Feedback:
@@ -236,13 +224,6 @@ def test_an_fmu_is_described_by_its_counts_addresses_and_the_calls_that_are_need
     assert instance.refused == [("NewDiscreteStates" if major == 2 else "UpdateDiscreteStates", 3)]
 
 
-def test_an_event_that_does_not_end_is_a_request_or_a_misbehaviour():
-    with pytest.raises(TerminationRequested, match=r"t = 2\.5 s"):
-        loops.unsettled(loops.Reason.WANTS_END, 2.5)
-    with pytest.raises(Misbehaviour, match="did not end after"):
-        loops.unsettled(loops.Reason.NEVER_SETTLES, 2.5)
-
-
 class Loops:
     """Loops that come back for a reason, with the first `done` of their steps made."""
 
@@ -344,18 +325,11 @@ def test_with_feedback_each_step_is_asked_for_with_the_state_before_it(monkeypat
     [
         (False, False, None, 200, False, 4, False), (False, False, None, 49, False, 1, False), (False, False, 9, 200, False, 1, False), (True, True, None, 200, False, 4, True),
         (True, False, None, 200, False, 200, False), (True, False, 9, 200, False, 200, False), (False, False, None, 150, True, 4, False), (False, False, None, 50, True, 2, False),
-        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False),
+        (False, False, 9, 200, True, 1, False), (False, True, None, 200, False, 4, False), (True, "by FMI 3.0", None, 200, False, 200, False),
     ],
 )  # fmt: skip
-def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
-    linear: bool,
-    interpolates: bool,
-    internal: int | None,
-    fineness: int,
-    rolls_back: bool,
-    parts: int,
-    slopes: bool,
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_step_is_cut_as_its_fineness_and_its_inputs_need(
+    linear, interpolates, internal, fineness, rolls_back, parts, slopes, monkeypatch
 ):
     found: list[Any] = []
     log: list[Any] = []
@@ -371,7 +345,9 @@ def test_a_step_is_cut_into_as_many_calls_as_its_fineness_and_its_inputs_need(
         hold=Hold.LINEAR if linear else Hold.ZERO_ORDER,
     )  # fmt: skip
     variables = Variables(q=(1,), v=(2,), u=(5,), lam=(), gap=(), energies={}, powers={}, zero=frozenset(), parameters=((6, 0.5),), start=(7,), internal_step=internal, choices=((8, 1),))  # fmt: skip
-    package: Any = SimpleNamespace(is_three=False, cosimulation=SimpleNamespace(canInterpolateInputs=interpolates))
+    package: Any = SimpleNamespace(
+        is_three=interpolates == "by FMI 3.0", cosimulation=SimpleNamespace(canInterpolateInputs=bool(interpolates))
+    )
     run = everyday.simulate(package, variables, np.array([9.0]), HeldInputs(plan), fineness, rolls_back=rolls_back)
     (stepping,) = found
     own = 0.5 / fineness

@@ -15,7 +15,6 @@ from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, unpacked_from
 from validate.fmi.archive import FmuError
 from validate.judge.replay import ReplayOutcome
-from validate.judge.replay import everyday as everyday_module
 from validate.judge.replay import job as module
 from validate.judge.replay.everyday import RollbackError, base_step, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.job import Job, Simulations
@@ -231,12 +230,6 @@ def test_an_everyday_replay_is_refused_where_steps_must_be_equal():
     require_some_method(package(exchange=False), None)
     with pytest.raises(FmuError, match=r"some\.fmu: it offers no Model Exchange, and no; .*cannot"):
         require_some_method(package(exchange=False), "no")
-
-
-@pytest.mark.parametrize(("three", "interpolates", "takes"), [(False, True, True), (False, False, False), (True, True, False)])
-def test_slopes_are_taken_by_fmi_2_alone_where_it_interpolates(three: bool, interpolates: bool, takes: bool):
-    fmu: Any = SimpleNamespace(is_three=three, cosimulation=SimpleNamespace(canInterpolateInputs=interpolates))
-    assert everyday_module._takes_slopes(fmu) is takes
 
 
 @pytest.mark.parametrize(("times", "expected"), [([0.0, 0.5, 1.5], 0.5), ([0.0, 1e-6, 2.0], 0.1), ([0.0, 1.5, 2.0], 0.5)])
