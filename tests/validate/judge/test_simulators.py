@@ -139,14 +139,6 @@ def test_friction_on_a_band_follows_what_presses_it():
     assert fine < coarse / 10.0
 
 
-@pytest.mark.slow
-def test_mujoco_says_what_it_cannot_express():
-    pytest.importorskip("mujoco")
-    answer = run_engine("mujoco", [drive("damped_collision", 1)])
-    assert answer.came is Came.CANNOT
-    assert not unsaid(answer.why, "contact bumper: MuJoCo has no damping")
-
-
 def test_a_motion_that_diverges_is_told_as_such():
     pytest.importorskip("mujoco")
     asked = drive("bouncing_mass", 1)

@@ -6,24 +6,19 @@ import numpy as np
 import pytest
 from foreign_fmu import EXCHANGE, FULL_MAP, MASS, build_foreign, write_plan
 
-from models.plan_table import PlanTable
-from validate.execution.isolated import Limits
-from validate.fmi.description import read_package
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay
-from validate.judge.replay.map_schema import read_map
-from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay_foreign
 
 
 def moved(folder: Path, define: str, t: np.ndarray, force: np.ndarray, hold: str) -> Replay:
     """The replay of forces (nodes,) [N] at t (nodes,) [s] on a cart at rest 0.3 m, without contact."""
-    package = read_package(build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)))
     still = np.column_stack([t, np.full_like(t, 0.3), np.zeros_like(t), force, np.zeros_like(t)])
     plan = write_plan(folder / "plan.csv", plan=still)
     plan.write_text(f"# hold: {hold}\n" + plan.read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "cart.toml").write_text(FULL_MAP, encoding="utf-8")
-    foreign, told = wire(package, PlanTable(plan), read_map(folder / "cart.toml"), None, "map")
-    found = replay_foreign(foreign, package, told, limits=Limits(seconds=60.0))
+    wired = wire_fmu(build_foreign(folder / "cart.fmu", kinds=EXCHANGE, defines=(define,)), plan, map_path=folder / "cart.toml")
+    found = replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits)
     assert found.ok
     return found
 

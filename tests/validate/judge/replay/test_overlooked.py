@@ -93,19 +93,15 @@ def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
 
 
 def test_the_least_value_of_a_cubic_between_two_rows():
-    """Of cubics and parabolas drawn at random, against ten thousand points of each."""
-    random = np.random.default_rng(4)
-    s = np.linspace(0.0, 1.0, 10_001)
-    for degree in (3, 2, 1, 0):
-        b = np.zeros(4)
-        b[: degree + 1] = random.normal(size=degree + 1)
-        h = 0.25
-        polynomial = np.polynomial.Polynomial(b)
-        gap = polynomial(np.array([0.0, 1.0]))[:, None]
-        rate = polynomial.deriv()(np.array([0.0, 1.0]))[:, None] / h
-        lowest, place = lowest_between(np.array([1.0, 1.0 + h]), gap, rate)
-        assert lowest[0, 0] == pytest.approx(polynomial(s).min(), abs=1e-7)
-        assert polynomial(place[0, 0]) == pytest.approx(lowest[0, 0], abs=1e-12)
+    """Of two cubics or parabolas at once, drawn at random, against ten thousand points of each."""
+    random, s, h = np.random.default_rng(4), np.linspace(0.0, 1.0, 10_001), 0.25
+    for degree in (3, 2, 1, 0) * 10:
+        pair = [np.polynomial.Polynomial(random.normal(size=degree + 1)) for _ in range(2)]
+        gap, rate = (np.column_stack([of(s[[0, -1]]) for of in part]) for part in (pair, [of.deriv() for of in pair]))
+        lowest, place = lowest_between(np.array([1.0, 1.0 + h]), gap, rate / h)
+        for column, polynomial in enumerate(pair):
+            assert lowest[0, column] == pytest.approx(polynomial(s).min(), abs=1e-7)
+            assert polynomial(place[0, column]) == pytest.approx(lowest[0, column], abs=1e-12)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 7, 20, 400])

@@ -52,7 +52,6 @@ def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: P
     t, u = bang_bang(100)
     result = replayed(fmu, t, u, Hold.ZERO_ORDER, COLLIDING, fineness=(2, 4, 8))
     assert len(result.events) >= 4
-    assert result.error.step_ratio is not None
     assert np.log2(result.error.step_ratio) == pytest.approx(ORDER, abs=0.5)
     assert result.error.everyday.position < 10 * result.error.step.position
 
@@ -70,7 +69,6 @@ def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, t
     only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
     scene, plan = short_contacts(1e6)
     result, reference = replay(scene, only, plan, fineness=(1, 2, 4)), replay(scene, fmu, plan)
-    assert result.error.estimate is not None
     assert len(reference.events) > 0
     assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2
 
@@ -121,12 +119,3 @@ def _end(fmu: Path, t: np.ndarray, hold: Hold) -> np.ndarray:
     result = replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING, fineness=(2, 4, 8))
     assert result.outcome is ReplayOutcome.OK
     return result.end
-
-
-def test_the_two_holds_are_told_apart(fmu: Path):
-    """The same numbers held and as lines are two plans; their difference is far above what either replay may be wrong."""
-    t = uneven(50)
-    held, lines = (replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING) for hold in (Hold.ZERO_ORDER, Hold.LINEAR))
-    apart = np.abs(held.end - lines.end).max()
-    for result in (held, lines):
-        assert apart > 1e4 * result.error.estimate.state

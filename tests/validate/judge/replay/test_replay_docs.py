@@ -8,11 +8,7 @@ from pathlib import Path
 import pytest
 from foreign_fmu import build_foreign
 
-from models.plan_table import PlanTable
-from validate.execution.isolated import Limits
-from validate.fmi.description import read_package
-from validate.judge.replay.map_schema import read_map
-from validate.judge.replay.mapping import wire
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay.run import replay_foreign
 
 TEXT = (Path(__file__).parents[4] / "docs" / "replay.md").read_text(encoding="utf-8")
@@ -32,10 +28,9 @@ def test_a_snippet_writes_a_plan_that_is_replayed(library: str, fmu: Path, tmp_p
     monkeypatch.chdir(tmp_path)
     exec(compile(PLANS[library], f"docs/replay.md ({library})", "exec"), {})
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
-    package = read_package(fmu)
-    foreign, plan = wire(package, PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
-    assert (plan.steps, plan.missing) == (100, {"lam"})
-    result = replay_foreign(foreign, package, plan, limits=Limits(seconds=100.0))
+    wired = wire_fmu(fmu, tmp_path / "plan.csv", map_path=tmp_path / "map.toml")
+    assert (wired.plan.steps, wired.plan.missing) == (100, {"lam"})
+    result = replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits)
     assert result.ok, result.message
     assert result.q[0, 0] == pytest.approx(0.3)
     assert len(result.events) >= 2  # 4 N push it into the stop

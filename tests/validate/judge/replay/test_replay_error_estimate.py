@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from wording import unsaid
 
-from models.catalog import load_scene
-from models.trajectory import Trajectory
 from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay import error_estimate as module
 from validate.judge.replay.error_estimate import (
@@ -195,22 +193,6 @@ def test_a_stated_accuracy_counts_where_it_is_stated_and_larger():
     ), "an accuracy stated of Co-Simulation explains how far it is from Model Exchange"
 
 
-def test_a_coarse_plan_is_simulated_as_finely_as_one_on_the_tasks_own_grid():
-    """Steps of 0.05 s where the task has 0.01 s: five times the points and internal steps; at most 0.1 ms asks for ten times the latter."""
-    scene, t = load_scene("three_cart"), 0.05 * np.arange(5)
-    plan = Trajectory(t=t, q=np.zeros((5, 3)), v=np.zeros((5, 3)), u=np.zeros((4, 2)), lam=np.zeros((4, 2)))
-    nothing: Any = None
-    job = Job(
-        package=nothing, variables=nothing, plan=plan, start=plan.start, limits=None, tolerances=(1e-9,), fineness=(50, 100), event_budget=1
-    )
-    found, own = with_steps_of(scene, job), with_steps_of(scene, replace(job, plan=replace(plan, t=t / 5.0)))
-    assert (found.fineness, found.parts) == ((250, 500), 5 * job.parts)
-    assert (own.fineness, own.parts) == (job.fineness, job.parts)
-    finer = with_max_step(job, 1e-4)
-    assert (finer.max_step, finer.fineness) == (1e-4, (500, 1000))
-    assert with_max_step(job, 1e-8) is None, "more than a million steps"
-
-
 # Contacts that were stepped over
 
 
@@ -268,26 +250,6 @@ def test_what_is_no_contact_between_two_rows(change: str):
     else:
         t = np.zeros(2)
     assert stepped_over(gap, rate, t) is None
-
-
-@pytest.mark.parametrize("side", [0, 1])
-def test_the_lowest_of_a_piece_is_where_its_cubic_is(side: int):
-    """Parabolas with a valley within, before and behind the piece from 2 to 4 s; lines; and a hill."""
-    t = np.array([2.0, 4.0])
-    for bend, place, lowest, where in (
-        (8.0, 2.5, -0.01, 0.25),
-        (8.0, 1.0, None, 0.0),
-        (8.0, 5.0, None, 1.0),
-        (-8.0, 2.5, None, 1.0),
-        (-8.0, 3.5, None, 0.0),
-    ):
-        gap, rate = parabola(-0.01, bend, place, t)
-        others = np.array([5.0, 5.0]), np.zeros(2)
-        gaps, rates = (np.column_stack([one, other] if side == 0 else [other, one]) for one, other in zip((gap, rate), others, strict=True))
-        value, share = module.lowest_between(t, gaps, rates)
-        assert value[0, side] == pytest.approx(gap.min() if lowest is None else lowest, abs=1e-12)
-        assert share[0, side] == pytest.approx(where, abs=1e-12)
-        assert value[0, 1 - side] == 5.0
 
 
 # A job made finer

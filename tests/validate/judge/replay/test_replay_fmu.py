@@ -15,7 +15,7 @@ from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
 from models.scene.parts import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.description import FmuError
-from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 
 SCENES = Path(__file__).parents[3] / "scenes"
@@ -43,14 +43,14 @@ def pushes(steps: int = 500) -> np.ndarray:
     return np.column_stack([1.5 * np.sin(1.3 * t) + 0.6, -1.2 * np.cos(0.9 * t) * np.exp(-0.1 * t)])
 
 
-def mass_on_a_line(growth: float = 0.0) -> Scene:
-    """One mass, one input, force growth*q: a double integrator, or unstable."""
-    q, v, u, m, g = *sp.symbols("q v u", real=True), sp.Symbol("m", positive=True), sp.Symbol("g", real=True)
+def mass_on_a_line() -> Scene:
+    """One mass, one input: a double integrator."""
+    q, v, u, m = *sp.symbols("q v u", real=True), sp.Symbol("m", positive=True)
     return Scene(
         name="mass_on_a_line", title="One driven mass", source="made up for this test",
         coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),), inputs=(Input(symbol=u, unit="N"),),
-        parameters=(Parameter(symbol=m, value=2.0, unit="kg", lower=1e-6), Parameter(symbol=g, value=growth, unit="N/m")),
-        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=(u + g * q,), contacts=(),
+        parameters=(Parameter(symbol=m, value=2.0, unit="kg", lower=1e-6),),
+        kinetic_energy=m * v**2 / 2, potential_energy=sp.Integer(0), forces=(u,), contacts=(),
         task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=u**2, step=0.2, steps=6),
         limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )  # fmt: skip
@@ -100,8 +100,6 @@ def test_a_collision_keeps_momentum_and_energy_and_swaps_speeds():
 def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
     assert carts_replay.ok, carts_replay.message
     error = carts_replay.error
-    assert error.tolerance is not None
-    assert error.everyday is not None
     assert error.estimate == error.tolerance
     assert 0 < error.tolerance.position <= 1e-8
     assert error.everyday.position <= error.tolerance.position  # an independent integrator agrees with the tighter run
@@ -110,7 +108,6 @@ def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
 
 def test_the_estimate_bounds_the_error_of_a_loose_replay(carts: Scene, carts_replay: Replay):
     loose = replay(carts, build_fmu(carts), driven(carts, pushes()), tolerances=(1e-6, 1e-8))
-    assert loose.error.estimate is not None
     true = np.abs(loose.q[loose.knots] - carts_replay.q[carts_replay.knots]).max()
     assert 1e-10 < true <= loose.error.estimate.position
 
@@ -125,39 +122,14 @@ def test_grid_holds_every_node_and_points_between(carts: Scene, carts_replay: Re
     assert carts_replay.lam == pytest.approx(30.0 * np.maximum(-carts_replay.gap, 0.0), abs=1e-9)
 
 
-def test_energy_balances(carts_replay: Replay):
-    assert carts_replay.input_work is not None
-    assert carts_replay.dissipated_work is not None
-    residual = carts_replay.energy - carts_replay.energy[0] - carts_replay.input_work + carts_replay.dissipated_work
-    assert np.abs(residual).max() < 1e-10
-    assert carts_replay.dissipated_work[-1] > 0.1
-
-
 def test_everyday_error_falls_with_the_fourth_power_of_its_step(carts: Scene, carts_replay: Replay):
     """Co-Simulation is Runge-Kutta of order 4 with located events; slope of log error over log step."""
     errors = []
     for fineness in ((1, 2), (2, 4)):
         result = replay(carts, build_fmu(carts), driven(carts, pushes()), fineness=fineness, tolerances=(1e-12, 1e-13))
         errors.append(result.error.everyday.position)
-    assert carts_replay.error.step is not None
     assert 3.5 < math.log2(errors[0] / errors[1]) < 4.8
     assert carts_replay.error.step.position < errors[1]
-
-
-@pytest.mark.slow
-def test_ramped_inputs_reach_both_integrators():
-    """u = t: q = t^3/12 with 2 kg until the last step, which is held."""
-    scene = mass_on_a_line()
-    u = uniform_grid(0.2, 5)[:, None]
-    ramped = replay(scene, build_fmu(scene), driven(scene, u, Hold.LINEAR))
-    node = ramped.knots[5]
-    assert ramped.q[node, 0] == pytest.approx(1 / 12, abs=1e-11)
-    assert ramped.v[node, 0] == pytest.approx(1 / 4, abs=1e-11)
-    assert ramped.error.everyday.position < 1e-11
-    held = replay(scene, build_fmu(scene), driven(scene, u))
-    assert abs(held.q[node, 0] - ramped.q[node, 0]) > 1e-2
-    assert held.input_work is not None
-    assert held.input_work == pytest.approx(held.kinetic_energy, abs=1e-10)
 
 
 def test_a_grid_of_unequal_steps_is_followed():
@@ -204,27 +176,6 @@ def test_what_is_no_fmu_is_refused(tmp_path: Path):
     garbled.write_bytes(b"PK\x03\x04 no zip")
     with pytest.raises(FmuError, match="not a zip file"):
         replay(scene, garbled, passive(scene))
-
-
-@pytest.mark.slow
-def test_an_unstable_scene_diverges_as_an_outcome_with_finite_numbers():
-    scene = mass_on_a_line(growth=800.0)
-    plan = Trajectory(t=uniform_grid(0.2, 6), q=np.ones((7, 1)), v=np.ones((7, 1)), u=np.zeros((6, 1)), lam=np.zeros((6, 0)))
-    result = replay(scene, build_fmu(scene), plan)
-    assert result.outcome is ReplayOutcome.DIVERGED
-    assert "left every bound" in result.message
-    assert result.error.estimate is None
-    assert 0 < len(result.t) < 19
-    assert result.t[-1] == pytest.approx(math.log(1e9) / 20, abs=0.2)
-
-
-def test_a_chattering_contact_ends_with_its_event_budget():
-    scene = load_scene("bouncing_mass")
-    result = replay(scene, build_fmu(scene), passive(scene), event_budget=1)
-    assert result.outcome is ReplayOutcome.EVENT_BUDGET
-    assert len(result.events) == 2
-    assert result.event_budget == 1
-    assert result.error.tolerance is None
 
 
 @pytest.mark.slow

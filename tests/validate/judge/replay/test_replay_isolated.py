@@ -13,13 +13,10 @@ import numpy as np
 import pytest
 from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, left, write_plan
 
-from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
 from validate.fmi.archive import ArchiveError
-from validate.fmi.description import read_package
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay, ReplayOutcome
-from validate.judge.replay.map_schema import read_map
-from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay_foreign
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
@@ -45,9 +42,8 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 def run(folder: Path, fmu: Path, limits: Limits | None = None) -> Replay:
-    package = read_package(fmu)
-    foreign, plan = wire(package, PlanTable(folder / "plan.csv"), read_map(folder / "map.toml"), None, "map")
-    return replay_foreign(foreign, package, plan, limits=limits or Limits(seconds=60.0, memory=2 * 1024**3))
+    wired = wire_fmu(fmu, folder / "plan.csv", map_path=folder / "map.toml", limits=limits or Limits(seconds=60.0, memory=2 * 1024**3))
+    return replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits)
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import pytest
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE
 from wording import unsaid
 
-from models.errors import TouchstoneError
 from models.plan_table import PlanTable
 from models.trajectory import Trajectory
+from tests.validate.judge.replay.test_replay_map import refusal
 from validate.fmi.description import read_package
 from validate.judge.replay.map_schema import Dimensions, MapError, Named, by_equal_names, hint, may_be_rate, read_map
 from validate.judge.replay.mapping import wire
@@ -87,13 +87,6 @@ def whole(tmp_path: Path) -> Callable[..., tuple[Foreign, Trajectory]]:
         return wire(read_package(tmp_path / "whole.fmu"), PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
 
     return call
-
-
-def refusal(call: Callable[[], object]) -> str:
-    with pytest.raises(TouchstoneError) as caught:
-        call()
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def test_each_number_of_a_map_stands_in_its_place(whole):

@@ -84,7 +84,6 @@ def test_a_replay_is_written_bit_for_bit(tmp_path: Path, scene: Scene, replayed:
     }
     for group, names in {"q": "q1 q2 q3", "v": "v1 v2 v3", "lam": "lam_left lam_right", "gap": "gap_left gap_right"}.items():
         arrays |= dict(zip(names.split(), getattr(replayed, group).T, strict=True))
-    assert replayed.contact_impulse is not None
     arrays |= dict(zip(("impulse_left", "impulse_right"), replayed.contact_impulse.T, strict=True))
     for name, array in arrays.items():
         assert columns[name].values.dtype == array.dtype
@@ -97,25 +96,11 @@ def test_a_replay_is_written_bit_for_bit(tmp_path: Path, scene: Scene, replayed:
     assert (attributes["scene"], attributes["fmu_sha256"]) == ("three_cart", replayed.fmu)
 
 
-def test_a_replay_without_work_is_written_without(tmp_path: Path, scene: Scene, replayed: Replay):
-    path = tmp_path / "replay.nc"
-    write_replay(path, replace(replayed, input_work=None, dissipated_work=None, contact_impulse=None), scene)
-    assert not {"input_work", "dissipated_work", "impulse_left", "impulse_right"} & read_columns(path)[0].keys()
-
-
 @pytest.mark.parametrize("content", [b"", b"no netcdf at all", b"\x89HDF\r\n\x1a\n" + bytes(100)])
 def test_a_garbled_file_is_named(tmp_path: Path, scene: Scene, content: bytes):
     path = tmp_path / "garbled.nc"
     path.write_bytes(content)
     with pytest.raises(TrajectoryError, match=r"garbled\.nc: it cannot be read as NetCDF-4"):
-        read_netcdf(path, scene)
-
-
-def test_a_file_cut_short_is_named(tmp_path: Path, scene: Scene, plan: Trajectory):
-    path = tmp_path / "cut.nc"
-    write_netcdf(path, plan, scene)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(TrajectoryError, match=r"cut\.nc"):
         read_netcdf(path, scene)
 
 

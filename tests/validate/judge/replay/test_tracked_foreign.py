@@ -4,16 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_fmu import build_foreign, write_plan
+from foreign_fmu import FULL_MAP, build_foreign, write_plan
 from scipy.linalg import expm
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from models.plan_table import PlanTable
-from validate.execution.isolated import Limits
-from validate.fmi.description import read_package
-from validate.judge.replay.map_schema import read_map
-from validate.judge.replay.mapping import wire
+from validate.judge.judgement import wire_fmu
 from validate.judge.replay.run import replay_foreign
 from validate.judge.replay.tracking import TrackingError, linearised
 
@@ -43,13 +39,9 @@ def test_a_stranger_is_caught_in_its_own_units(fmu: Path, tmp_path: Path):
     rows = [f"{H * node!r},{3.0 + (0.1 * degrees if node == 0 else 0.0)!r},0.0,0.5" for node in range(STEPS + 1)]
     (tmp_path / "plan.csv").write_text("t,angle,speed,torque\n" + "\n".join(rows) + "\n", encoding="utf-8")
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
-    package = read_package(fmu)
-    foreign, plan = wire(package, PlanTable(tmp_path / "plan.csv"), read_map(tmp_path / "map.toml"), None, "map")
-    found = replay_foreign(foreign, package, plan, limits=Limits(seconds=100.0), track=True)
+    wired = wire_fmu(fmu, tmp_path / "plan.csv", map_path=tmp_path / "map.toml")
+    found = replay_foreign(wired.foreign, wired.package, wired.plan, limits=wired.limits, track=True)
     tracked = found.tracked
-    assert tracked is not None
-    assert tracked.feedback is not None
-    assert tracked.applied is not None
     # theta'' = 10 theta + u with u = -0.5 torque + 0.25, in radians; 0.5 is the torque that holds.
     whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
     x = np.array([0.1, 0.0])
@@ -73,9 +65,8 @@ def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
     states = np.array([[0.0, 0.5], [0.05, 0.5], [0.2, 0.1], [0.25, 0.0]])
     rows = [f"{H * node!r},{angle!r},{speed!r},0.0" for node, (angle, speed) in enumerate(states.tolist())]
     (tmp_path / "plan.csv").write_text("t,theta,omega,u\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    package = read_package(fmu)
-    foreign, plan = wire(package, PlanTable(tmp_path / "plan.csv"), None, None, "plan")
-    A, B = linearised(package, foreign.variables, plan, foreign.start, states, Limits(seconds=100.0))
+    wired = wire_fmu(fmu, tmp_path / "plan.csv")
+    A, B = linearised(wired.package, wired.foreign.variables, wired.plan, wired.foreign.start, states, wired.limits)
     for step, stiffness in enumerate((0.0, 50.0, 100.0)):  # the second step touches at its end only
         whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0 - stiffness, 0.0, 1.0], [0.0, 0.0, 0.0]]))
         assert A[step] == pytest.approx(whole[:2, :2], abs=1e-12)
@@ -83,10 +74,7 @@ def test_an_fmu_is_linearised_as_it_is(fmu: Path, tmp_path: Path):
 
 
 def test_an_fmu_without_derivatives_is_refused_in_a_sentence(tmp_path: Path):
-    from foreign_fmu import FULL_MAP
-
-    package = read_package(build_foreign(tmp_path / "cart.fmu"))
     (tmp_path / "map.toml").write_text(FULL_MAP, encoding="utf-8")
-    foreign, plan = wire(package, PlanTable(write_plan(tmp_path / "plan.csv")), read_map(tmp_path / "map.toml"), None, "map")
+    wired = wire_fmu(build_foreign(tmp_path / "cart.fmu"), write_plan(tmp_path / "plan.csv"), map_path=tmp_path / "map.toml")
     with pytest.raises(TrackingError, match="it provides no directional derivatives"):
-        replay_foreign(foreign, package, plan, limits=Limits(seconds=100.0), track=True)
+        wired.judge(feedback=True)

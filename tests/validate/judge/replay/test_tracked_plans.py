@@ -48,11 +48,9 @@ def plans(scene: Scene) -> dict[str, Trajectory]:
     with load_method("softplus_dc").open(scene, {}) as session:
         for eps in (1e-3, 1e-5, 1e-7):
             plan = session.solve(eps=eps, warm_start=plan, time_limit=60.0).trajectory
-            assert plan is not None
             found.setdefault("cheat", plan)
     with load_method("strict_lcp").open(scene, {}) as session:
         exact = session.solve(eps=None, warm_start=plan, time_limit=60.0).trajectory
-    assert exact is not None
     return found | {"exact": exact}
 
 
@@ -75,8 +73,6 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     assert (told.value("feedback_effort") or 1.0) < 0.25
     assert (told.value("feedback_share") or 1.0) < 0.5
     assert (told.value("tracked_energy_residual") or 1.0) < 1e-9
-    assert exact.tracked is not None
-    assert exact.tracked.contact_impulse is not None
     planned = scene.task.step * plans["exact"].lam.sum()
     assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(planned, rel=0.1)  # by the wall, as planned
     assert planned > 0.5
@@ -86,7 +82,6 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
 def test_feedback_is_tried_by_the_judge_itself(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
     told = judge(scene, plans["exact"])
     assert told.verdict is Verdict.HOLDS_WITH_FEEDBACK
-    assert told.replay is not None
     assert told.replay.tracked.q.tobytes() == exact.tracked.q.tobytes()
 
 
@@ -97,7 +92,6 @@ def test_only_a_consistent_motion_is_followed(scene: Scene, plans: dict[str, Tra
     told = judge(strict, replace(plans["exact"], scheme=None))
     assert told.score.value("unexplained_force") == pytest.approx(0.143, abs=0.02)
     assert told.verdict is verdict
-    assert told.replay is not None
     assert (told.replay.tracked is not None) is (verdict is Verdict.HOLDS_WITH_FEEDBACK)
 
 
@@ -115,16 +109,6 @@ def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene, p
     assert named in above(told.score)
     forced = score(scene, plan, replay(scene, build_fmu(scene), plan, track=True))
     assert (forced.verdict, forced.judged) == (Verdict.VIOLATES, "open")
-
-
-@pytest.mark.parametrize(("field", "name"), [("rms_share", "feedback_effort"), ("plan_share", "feedback_share")])
-def test_feedback_that_arrives_by_planning_anew_does_not_hold(scene, plans, exact, field, name):
-    """The exact plan's replay with feedback, with the effort that a plan of force from a distance needs."""
-    assert exact.tracked.effort is not None
-    strained = replace(exact.tracked, effort=replace(exact.tracked.effort, **{field: 0.9}))
-    told = score(scene, plans["exact"], replace(exact, tracked=strained))
-    assert told.verdict is Verdict.VIOLATES
-    assert {metric for metric in above(told) if metric.startswith(("feedback", "tracked"))} == {name}
 
 
 def test_the_command_shows_both_and_keeps_the_gains(scene, plans, tmp_path, capsys):
@@ -155,10 +139,6 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
         scene, planned, Solution(method="strict_lcp", outcome=Outcome.SOLVED, trajectory=plan, cost=0.2), 0, wall=1.0, cpu=1.0, before=0.0,
         judged=Judged(replay=exact, score=told),
     )  # fmt: skip
-    assert record.replay is not None
-    assert record.replay.tracked is not None
-    assert exact.tracked is not None
-    assert exact.tracked.applied is not None
     assert (record.replay.judged, record.replay.growth_rate) == ("feedback", exact.growth.rate if exact.growth else None)
     assert record.replay.tracked.rms_share == told.value("feedback_effort")
     run = RunRecord.model_construct(scene=scene_record(scene), stages=(record,))

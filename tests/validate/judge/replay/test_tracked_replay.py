@@ -10,7 +10,6 @@ from scipy.linalg import expm
 from wording import unsaid
 
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.netcdf import read_columns
@@ -22,9 +21,7 @@ from validate.cli.group import run
 from validate.judge.judgement import judge_trajectory
 from validate.judge.replay import Replay
 from validate.judge.replay.netcdf import write_replay
-from validate.judge.replay.result import Growth
 from validate.judge.replay.run import replay
-from validate.judge.replay.tracking import design_feedback
 from validate.judge.score import Question, Verdict, score
 
 STEPS, H = 50, 0.05
@@ -67,9 +64,6 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
     """x_1 = A x_0, then x_{t+1} = sat(A - B K_t) x_t: the gains of the file, the exact step, nothing else in between."""
     A, B = exact
     tracked = caught.tracked
-    assert tracked is not None
-    assert tracked.feedback is not None
-    assert tracked.applied is not None
     x, states, inputs = np.array([0.1, 0.0]), [np.array([0.1, 0.0])], []
     for step in range(STEPS):
         u = np.clip(-tracked.feedback.gains[step, 0] @ x, -4.0, 4.0) if step else 0.0
@@ -85,20 +79,9 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
     assert caught.q[-1, 0] == pytest.approx(0.1 * np.cosh(np.sqrt(10.0) * STEPS * H), rel=1e-9)  # alone it falls
 
 
-def test_the_motion_is_linearised_exactly_but_for_the_kernels_small_steps(scene: Scene, still: Trajectory, exact):
-
-    A, B = exact
-    found = load_kernel(scene).end_derivatives(np.zeros(2), np.zeros((10, 1)), H / 10)
-    assert np.abs(found[0] - A).max() < 0.02
-    assert np.abs(found[1][:, 0] - B).max() < 0.01
-    assert design_feedback(load_kernel(scene), scene, still).gains.shape == (STEPS, 1, 2)
-
-
 def test_saturation_is_kept(scene: Scene, still: Trajectory):
     weak = replace(scene, inputs=(replace(scene.inputs[0], lower=-1.1, upper=1.05),))
     tracked = replay(weak, build_fmu(scene), still, track=True).tracked
-    assert tracked is not None
-    assert tracked.effort is not None
     assert tracked.applied.min() == -1.1
     assert tracked.applied.max() <= 1.05
     assert tracked.effort.saturated > 0.0
@@ -135,29 +118,18 @@ def test_energy_balances_with_the_inputs_that_were_applied(scene: Scene, still: 
     assert abs(caught.tracked.input_work[-1]) > 1e-3
 
 
-def test_twice_is_the_same(scene: Scene, still: Trajectory, caught: Replay):
-    again = replay(scene, build_fmu(scene), still, track=True)
-    assert caught.tracked is not None
-    assert again.tracked is not None
-    for one, other in ((caught, again), (caught.tracked, again.tracked)):
-        assert one.q.tobytes() == other.q.tobytes()
-        assert one.v.tobytes() == other.v.tobytes()
-    assert caught.tracked.effort == again.tracked.effort
-
-
 @pytest.mark.slow
 def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caught: Replay):
     from validate.execution.isolated import Limits
 
     other = replay(scene, build_fmu(scene), still, limits=Limits(seconds=100.0), track=True)
-    assert other.tracked.q.tobytes() == caught.tracked.q.tobytes()
+    for one, again in ((caught, other), (caught.tracked, other.tracked)):
+        assert (one.q.tobytes(), one.v.tobytes(), one.effort) == (again.q.tobytes(), again.v.tobytes(), again.effort)
 
 
 @pytest.mark.slow
 def test_files_hold_the_law_and_what_it_did(tmp_path, scene: Scene, still: Trajectory, caught: Replay):
     tracked = caught.tracked
-    assert tracked is not None
-    assert tracked.applied is not None
     gains = tracked.feedback.gains
     write_netcdf(tmp_path / "plan.nc", still, scene, gains)
     write_replay(tmp_path / "tracked.nc", tracked, scene)
@@ -172,32 +144,6 @@ def test_files_hold_the_law_and_what_it_did(tmp_path, scene: Scene, still: Traje
     assert not [name for name in read_columns(tmp_path / "bare.nc")[0] if name.startswith("gain_")]
     with pytest.raises(TrajectoryError, match="gains have shape"):
         write_netcdf(tmp_path / "plan.nc", still, scene, gains[1:])
-
-
-def test_growth_explains_and_decides_nothing(scene: Scene, still: Trajectory, caught: Replay):
-    assert caught.growth.amplification > 1000.0  # exp(2.5 sqrt(10)) = 2700
-    told = score(scene, still, caught)
-    for amplification in (1.0, 20.0, 1e9):
-        other = replace(caught, growth=Growth(amplification=amplification, begin=0.0, end=1.0, duration=3.0))
-        found = score(scene, still, other)
-        assert (found.verdict, found.judged, found.questions) == (told.verdict, told.judged, told.questions)
-        assert [(m.name, m.limit, m.ok) for m in found.metrics] == [(m.name, m.limit, m.ok) for m in told.metrics]
-
-
-def test_whether_to_follow_is_asked_of_the_replay_of_the_inputs_alone(scene: Scene, still: Trajectory):
-    seen = []
-
-    def never(opened: Replay) -> Trajectory | None:
-        seen.append(opened)
-        return None
-
-    alone = replay(scene, build_fmu(scene), still, track=never)
-    assert alone.tracked is None
-    assert alone.growth is not None
-    assert seen[0].q.tobytes() == alone.q.tobytes()
-    followed = replay(scene, build_fmu(scene), still, track=lambda opened: still if opened.ok else None)
-    assert followed.tracked is not None
-    assert replay(scene, build_fmu(scene), still).tracked is None
 
 
 def test_a_plan_that_no_input_moves_is_not_saved_by_feedback(scene: Scene, still: Trajectory, caught: Replay):

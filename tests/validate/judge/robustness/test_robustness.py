@@ -67,8 +67,6 @@ def test_what_is_measured_is_the_same_again_and_another_for_another_seed(judged:
 
 @pytest.mark.slow
 def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness):
-    assert judged.plan is not None
-    assert found.feedback is not None
     assert found.complete
     assert (found.alone.share.samples, found.feedback.share.samples) == (32, 10)
     assert found.alone.share.arrived == int((np.array(found.alone.tried) <= 1.0).sum()) == 32 - sum(found.alone.fails_by.values())
@@ -76,7 +74,6 @@ def test_three_carts_take_least_of_damping(judged: Judgement, found: Robustness)
     for way in found.ways:
         assert (way.checked.count, way.checked.differ) == (10, ())
         assert way.checked.largest_difference < 1e-3
-        assert way.curve is not None
         shares = [item.share for item in way.curve.shares]
         assert shares == sorted(shares, reverse=True)
         assert way.curve.half is not None
@@ -181,7 +178,6 @@ def test_first_order_is_held_against_what_was_found(
 
 @pytest.mark.slow
 def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp_path: Path):
-    assert judged.plan is not None
     write_csv(tmp_path / "plan.csv", judged.plan, SCENE)
     given = [str(tmp_path / "plan.csv"), "--scene", "three_cart", "--samples", "12", "--perturb", "parameters"]
     page, rows = tmp_path / "out" / "page.html", tmp_path / "worlds.csv"
@@ -204,5 +200,4 @@ def test_the_command_tells_it_in_text_json_csv_and_a_page(judged: Judgement, tmp
 )  # fmt: skip
 def test_a_plan_that_is_not_there_is_named(arguments: list[str], parts: list[str]):
     told = CliRunner().invoke(command, arguments, standalone_mode=False)
-    assert told.exception is not None
     assert not unsaid(told.exception, *parts)

@@ -38,7 +38,6 @@ def own_motion(plan: Trajectory, world: World) -> np.ndarray:
 
 
 def test_in_the_scenes_own_world_it_is_what_the_judge_found(judged: Judgement):
-    assert judged.plan is not None
     with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for trial in (arena.trial(arena.nominal), arena.checked(arena.nominal), arena.trial(arena.nominal)):
             for name, share in trial.shares.items():
@@ -51,7 +50,6 @@ def test_in_the_scenes_own_world_it_is_what_the_judge_found(judged: Judgement):
 @pytest.mark.slow
 def test_worlds_end_where_an_integrator_of_the_tests_ends(judged: Judgement):
     plan = judged.plan
-    assert plan is not None
     causes = [item for item in perturbations(SCENE, plan) if item.name != "delay"]
     worlds, arrived = draw(causes, 24, 7), []
     with SceneArena.of(SCENE, plan, asked_limits(judged.score)) as arena:
@@ -65,7 +63,6 @@ def test_worlds_end_where_an_integrator_of_the_tests_ends(judged: Judgement):
 
 
 def test_the_reference_says_the_same_with_delay_noise_and_feedback(judged: Judgement):
-    assert judged.plan is not None
     worlds = draw(perturbations(SCENE, judged.plan), 8, 1)
     with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         for feedback in (False, True):
@@ -106,8 +103,6 @@ def test_where_the_end_is_free_what_the_motion_costs_is_asked():
     plan = {"t": scene.task.step * np.arange(scene.task.steps + 1), "u": np.full(scene.task.steps, -0.1)}
     judged = judge(scene, plan)
     metric = judged.score.metric("replay_cost")
-    assert judged.plan is not None
-    assert metric is not None
     with SceneArena.of(scene, judged.plan, asked_limits(judged.score)) as arena:
         own = arena.trial(arena.nominal)
         assert own.cost == pytest.approx(metric.value, rel=1e-5)
@@ -122,7 +117,6 @@ def test_where_the_end_is_free_what_the_motion_costs_is_asked():
 
 @pytest.mark.slow
 def test_feedback_does_nothing_in_the_scenes_own_world_as_its_plan_arrives_there(judged: Judgement):
-    assert judged.plan is not None
     with SceneArena.of(SCENE, judged.plan, asked_limits(judged.score)) as arena:
         alone, followed = (arena.trial(arena.nominal, feedback=feedback) for feedback in (False, True))
         assert followed.states == pytest.approx(alone.states, abs=1e-12)

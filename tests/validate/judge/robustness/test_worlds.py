@@ -37,6 +37,14 @@ def world(delay: float = 0.0, gain: float = 1.0, noise: list[float] | None = Non
     return World(parameters=np.zeros(0), start=np.zeros(2), gain=np.array([gain]), noise=added, delay=delay)
 
 
+def following(given: Trajectory, most: float) -> Feedback:
+    """Which adds what the position is behind the plan's, up to a bound of the input."""
+    return Feedback(
+        gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([most]),
+        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
+    )  # fmt: skip
+
+
 def test_sizes_are_those_of_the_rule():
     found = {item.name: (item.size, item.unit) for item in perturbations(SCENE, resting())}
     assert found == {
@@ -135,10 +143,7 @@ def test_gain_is_of_the_command_and_noise_of_the_actuator():
 @pytest.mark.parametrize(("delay", "applied"), [(0.0, [2.0, 3.0, 4.6]), (0.5, [2.0, 2.0, 2.0, 3.0, 3.0, 4.6])])
 def test_feedback_commands_at_the_nodes_and_is_heard_later(delay: float, applied: list[float]):
     given = plan([1, 2, 4])
-    feedback = Feedback(
-        gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([4.6]),
-        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
-    )  # fmt: skip
+    feedback = following(given, 4.6)
     found = WorldInputs(given, world(delay), feedback)
     # The state is one behind the plan's at every node: each command is one more, the last within its bound.
     states = np.interp(found.times[:-1], given.t, given.q[:, 0] - 1.0)
@@ -181,11 +186,7 @@ def test_what_happens_within_a_step_is_shown_at_the_ends_of_its_parts_and_stays_
     assert means.slopes[:, 0] == pytest.approx([0.75, 0.75, 1.75, 1.75, 3.5, 3.5])
     assert (means.rows.tolist(), means.stops) == ([0, 2, 4, 6], [1, 2, 3, 4, 5, 6])
     given = plan([1, 2, 4])
-    feedback = Feedback(
-        gains=np.tile([[1.0, 0.0]], (3, 1, 1)), reference=np.hstack([given.q, given.v]), u=given.u, lower=np.array([-9.0]), upper=np.array([9.0]),
-        scale=np.ones(1), loop=np.zeros((3, 2, 2)), push=np.zeros((3, 2, 1)),
-    )  # fmt: skip
-    fed = WorldInputs(given, replace(world(), longest=0.5), feedback)
+    fed = WorldInputs(given, replace(world(), longest=0.5), following(given, 9.0))
     applied = [fed.begin(step, np.array([-1.0, 0.0]))[0] for step in range(6)]
     assert applied == [2, 2, 4, 4, 7, 7], "it commands at the plan's nodes alone"
     assert WorldInputs(given, replace(world(0.5), longest=0.5)).times.tolist() == halves.tolist(), (

@@ -46,14 +46,6 @@ def test_the_replay_meets_every_closed_form(name: str):
         assert "tolerances off a closed form" in result.why
 
 
-@pytest.mark.slow
-def test_a_contact_that_never_closes_is_not_measured():
-    scene = load_scene("bouncing_mass").with_task(steps=100)
-    (result,) = judged(scene)
-    assert result.verdict is Verdict.UNDECIDED
-    assert "no contact closes" in result.why
-
-
 def test_contact_forces_change_by_penetration_and_by_its_rate():
     """Kelvin-Voigt: k and c. Hunt-Crossley, F = b phi (1 + d phi'): at most b times the largest share F / (b phi), and b d times the largest depth."""
     scene = load_scene("damped_collision")
@@ -145,5 +137,4 @@ def test_a_finger_without_inertia_turns_back_before_the_box_or_touches_it_betwee
     )
     found = replay(pusher(), build_fmu(pusher()), still)
     assert [event.closes for event in found.events] == touches
-    assert found.error.estimate is not None
     assert found.error.estimate.gap < 1e-3

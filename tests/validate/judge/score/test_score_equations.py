@@ -15,35 +15,6 @@ from validate.judge.score.equations import half_unit
 from validate.judge.score.own_steps import force_window
 from validate.judge.score.verdict import Unmeasured
 
-
-def test_physics_and_its_scale():
-    k = np.array([10.0, 2.0])
-    lam, phi = np.array([[3.0, 0.0], [5.0, 1.0]]), np.array([[0.2, -1.0], [0.5, -0.25]])
-    # |3(3-2)| + 0 + 0 + |1(1+0.5)|
-    assert eq.physics(lam, k * phi) == pytest.approx(4.5)
-    scaled = eq.physics_scaled(lam, k * phi, k, length=np.array([0.1, 0.5]), h=np.array([0.1, 0.2]))
-    assert scaled == pytest.approx(0.1 * 3.0 / 1.0 + 0.2 * 1.5 / 1.0)
-
-
-def test_physics_scaled_depends_on_neither_grid_nor_stiffness():
-    lam, phi = np.full((10, 1), 3.0), np.full((10, 1), 0.05)
-    k, length, h = np.array([30.0]), np.array([0.1]), np.full(10, 0.1)
-    once = eq.physics_scaled(lam, k * phi, k, length, h)
-    halved = eq.physics_scaled(np.repeat(lam, 2, 0), k * np.repeat(phi, 2, 0), k, length, np.repeat(h, 2) / 2)
-    assert once == pytest.approx(halved)
-    assert once == pytest.approx(eq.physics_scaled(7 * lam, 7 * k * phi, 7 * k, length, h))
-
-
-def test_defect_is_the_largest_residual_of_each_component():
-    h = np.array([0.5, 0.5])
-    a = np.array([[2.0], [0.0]])
-    v = np.array([[0.0], [1.0], [1.0]])
-    q = np.array([[0.0], [0.5], [1.0]])
-    assert eq.defect(q, v, a, h).tolist() == [0.0, 0.0]
-    assert eq.defect(q + np.array([[0.0], [0.0], [1e-3]]), v, a, h) == pytest.approx([1e-3, 0.0])
-    assert eq.defect(q, v + np.array([[0.0], [0.0], [-4e-3]]), a, h) == pytest.approx([2e-3, 4e-3])
-
-
 # A contact that closes within the second of three steps of 0.1 s and is deepest at the end: the law's force at the four nodes.
 LAW = np.array([[0.0], [0.0], [6.0], [10.0]])
 H = np.full(3, 0.1)
@@ -103,13 +74,6 @@ def test_alternating_forces_are_not_excused(replayed: float):
     least, largest = window(np.full((11, 1), replayed), 10)
     assert eq.excess_impulse(planned, largest, h) == pytest.approx(0.1 * 5 * (6.0 - replayed))
     assert eq.excess_impulse(least, planned, h) == pytest.approx(0.1 * 5 * replayed)
-
-
-def test_what_lies_outside_of_bounds():
-    u = np.array([[1.0, -3.0], [2.5, 0.0]])
-    assert eq.outside(u, np.array([-2.0, -2.0]), np.array([2.0, 2.0])).tolist() == [0.5, 1.0]
-    assert eq.outside(u, np.array([-9.0, -9.0]), np.array([np.inf, 2.0])).tolist() == [0.0, 0.0]
-    assert eq.outside(np.zeros((0, 2)), np.zeros(2), np.ones(2)).tolist() == [0.0, 0.0]
 
 
 MOTION = np.random.default_rng(4).normal(size=(50, 3)) * np.array([1.0, 3.0, 20.0])

@@ -86,25 +86,6 @@ def test_a_made_up_force_at_a_distance_is_a_ghost():
     assert answered(undeclared)[3] == "no"
 
 
-def test_other_start_and_broken_bounds_are_seen(scene: Scene, plan: Trajectory):
-    moved = changed(plan, q=plan.q + 0.1)
-    assert score(scene, moved, None).value("start_error") == pytest.approx(0.1)
-    assert score(scene, moved, None).verdict is Verdict.VIOLATES
-    strong = changed(plan, u=np.where(np.arange(STEPS)[:, None] == 3, 10.5, plan.u))
-    assert score(scene, strong, None).value("bound_violation") == pytest.approx(0.5)
-
-
-def test_a_task_of_a_micrometre_is_not_started_at_its_goal(scene: Scene, plan: Trajectory):
-    """The nominal of a position says what is large; a start is near only against the way that is asked for."""
-    start = np.array(scene.task.start)
-    small = scene.with_task(goal=(*(start[:3] + 1e-6), *start[3:]))
-    metric = score(small, replace(plan, q=plan.q + 1e-6), None).metric("start_error")
-    assert metric.value == pytest.approx(1e-6, rel=1e-3)
-    assert metric.limit == pytest.approx(1e-12, rel=1e-3)
-    assert metric.ok is False
-    assert score(small, plan, None).metric("start_error").ok is True
-
-
 def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Trajectory):
     held = score(scene, plan, None)
     assert held.verdict is Verdict.UNDECIDED
@@ -112,11 +93,6 @@ def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Traj
     assert "the plan was not replayed" in held.why
     assert held.value("replay_error") is None
     assert score(scene, changed(plan, lam=plan.lam + 0.1), None).verdict is Verdict.VIOLATES
-
-
-def test_no_plan_is_a_verdict(scene: Scene):
-    result = score(scene, None, None)
-    assert (result.verdict, result.metrics) == (Verdict.NO_PLAN, ())
 
 
 def test_a_replay_that_did_not_arrive_leaves_metrics_without_value_but_with_a_reason(scene: Scene, plan: Trajectory):
@@ -308,15 +284,11 @@ def test_carts_that_pass_through_each_other_do_not_hold():
     assert result.verdict is Verdict.VIOLATES
 
 
-def test_three_of_many_steps_are_another_task(scene: Scene, plan: Trajectory):
-    """Shorter, and longer: half the task's own step is the limit, whatever the plan's."""
-    short = replace(plan, t=plan.t[:4], q=plan.q[:4], v=plan.v[:4], u=plan.u[:3], lam=plan.lam[:3])
-    result = score(scene, short, None)
-    assert result.value("duration_error") == pytest.approx(0.97)
-    assert result.metric("duration_error").limit == pytest.approx(0.005)
-    assert not unsaid(result.why, "differ in duration by 0.97 s, limit 0.005 s (it lasts 0.03 s, the task 1 s)")
+def test_three_steps_in_the_place_of_many_are_another_task(scene: Scene, plan: Trajectory):
+    """Half the task's own step is the limit, whatever the plan's."""
     coarse = replace(plan, t=np.linspace(0.0, 1.2, 4), q=plan.q[:4], v=plan.v[:4], u=plan.u[:3], lam=plan.lam[:3])
-    assert score(scene, coarse, None).metric("duration_error").limit == pytest.approx(0.005)
+    found = score(scene, coarse, None)
+    assert not unsaid(found.why, "differ in duration by 0.2 s, limit 0.005 s (it lasts 1.2 s, the task 1 s)")
 
 
 @pytest.mark.slow

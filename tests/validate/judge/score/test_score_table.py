@@ -137,7 +137,6 @@ def test_each_row_measures_what_it_is_called():
 
 def test_what_is_judged_and_what_is_shown_of_the_judge():
     assert [row.name for row in TABLE if row.question is Question.JUDGE] == ["answer_error", "energy_residual_relative", "energy_residual"]
-    assert {row.question.number for row in TABLE if row.default is not None} == {1, 3, 4, 5, 6, None}
 
 
 EFFORT = Effort(rms=(1.0,), peak=(2.0,), rms_share=0.125, peak_share=0.25, plan_share=0.5, saturated=0.75)

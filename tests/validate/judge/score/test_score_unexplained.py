@@ -162,14 +162,6 @@ def test_a_hidden_hand_is_found_with_its_size(size: float, cart: int, says_veloc
     assert forces == pytest.approx(size, rel=0.02)
 
 
-def test_velocities_that_are_not_those_of_the_positions_are_found():
-    """Positions twice as fast as the velocities that it says: the inputs explain the velocities, and nothing the motion."""
-    t, q, v, u = motion(100)
-    along = (1.0 + 0.2 * t)[:, None]
-    share, _ = share_of(t, q[:1] + along * (q - q[:1]), v, u)
-    assert share > 0.1
-
-
 @pytest.fixture(scope="module")
 def exact() -> tuple[Scene, dict[str, np.ndarray]]:
     t, q, v, u = motion(100)
