@@ -94,38 +94,6 @@ def refusal(call: Callable[[], object]) -> str:
 # What the verdict reads
 
 
-def test_map_gives_duration_bounds_depth_and_accuracy(wired: Wire):
-    text = FULL_MAP.replace('unit = "N" }', 'unit = "N", lower = -5.0, upper = 10 }')
-    text = text.replace('force = "stop.push"', 'force = "stop.push"\ndepth = 0.05\ndepth_reason = "the length of the spring"')
-    text += "\n[task]\nduration = 0.4\n[accuracy]\nposition = 1e-4\nvelocity = 1e-3\ngap = 2e-4\n[start]\n'body.pos' = 300\n"
-    model = wired(text)[0].model
-    assert model.task.horizon == 0.4
-    assert model.task.step == pytest.approx(8e-4), "half of which a plan's duration may be off"
-    assert (model.inputs[0].lower, model.inputs[0].upper) == (-5.0, 10.0)
-    assert model.depths == (0.05,)
-    assert (model.accuracy.position, model.accuracy.gap) == (1e-4, 2e-4)
-    assert model.accuracy.state == pytest.approx(math.hypot(1e-4, 1e-3))
-    assert model.task.start == (pytest.approx(0.3), None)
-    assert [sentence.split(":")[0] for sentence in model.not_asked] == ["contact_law_error, unexplained_force, defect"]
-    limit = model.limit("terminal_position_error")
-    assert limit.value == 1.0, "as near as the replay must come"
-
-
-def test_bounds_are_those_of_the_fmu_where_the_map_has_none(wired: Wire):
-    bound = wired(FULL_MAP)[0].model.inputs[0]
-    assert (bound.lower, bound.upper) == (-1000.0, 1000.0)
-    turned = wired(FULL_MAP.replace('scale = 0.001, unit = "N"', 'scale = -0.001, unit = "N", upper = 3'))[0].model.inputs[0]
-    assert (turned.lower, turned.upper) == (-1000.0, 3.0)
-
-
-@pytest.mark.parametrize("sign", ["", "-"])
-def test_a_typical_size_is_that_of_the_fmu_in_the_plans_unit_whichever_way_it_points(wired: Wire, sign: str):
-    (first, *_) = wired(FULL_MAP)[0].model.coordinates
-    position = next(line for line in FULL_MAP.splitlines() if line.startswith("x = "))
-    turned = wired(FULL_MAP.replace(position, position.replace("scale = ", f"scale = {sign}")))[0].model.coordinates[0]
-    assert turned.nominal == first.nominal > 0.0
-
-
 def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
     told = "\n".join(wired(BARE, "t,F\n0,1\n1,\n")[0].model.not_asked)
     assert not unsaid(

@@ -17,6 +17,7 @@ from tests.validate.judge.replay.test_replay_map import refusal
 from validate.fmi.description import read_package
 from validate.judge.replay.map_schema import Dimensions, MapError, Named, by_equal_names, hint, may_be_rate, read_map
 from validate.judge.replay.mapping import wire
+from validate.judge.replay.result import Difference
 from validate.judge.replay.subject import Foreign
 
 MORE = "".join(
@@ -67,6 +68,10 @@ turning = 2.25
 replay_terminal_position_error = { value = 0.1, reason = "near" }
 replay_terminal_velocity_error = 0.2
 terminal_velocity_error = { value = 0.3, reason = "own" }
+[accuracy]
+position = 0.125
+velocity = 0.25
+gap = 0.5
 """
 HEAD = "time,F,M,x,a,turning,v_x,lam_stop,pressed"
 ROWS = f"{HEAD}\n0,1,2,3,4,5,6,7,8\n1,11,12,13,14,15,16,17,18\n3,,,23,24,25,26,,\n"
@@ -118,6 +123,7 @@ def test_each_number_of_a_map_stands_in_its_place(whole):
         ("terminal_position_error", 0.1, "near"),
     ]  # fmt: skip
     assert dict(model.lacks) == {}
+    assert model.accuracy == Difference(position=0.125, state=pytest.approx(math.sqrt(2.0) * math.hypot(0.125, 0.25)), gap=0.5)
     assert model.notes == ("Inputs of the FMU that the plan does not drive keep their start values: idle.",)
     assert [sentence.partition(":")[0] + sentence.partition(":")[2][:30] for sentence in model.not_asked[:-1]] == [
         "start_error the map's [start] gives no nu", "bound_violation input M has no lower bound, n", "max_penetration contact wall has no depth in ",

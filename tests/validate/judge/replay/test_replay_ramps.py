@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sympy as sp
 
 from models.fmu import build_fmu
-from models.scene import Coordinate, Input, Limit, Parameter, Scene, Task
+from models.scene import Scene
 from models.trajectory import Hold, Trajectory, read_csv, write_csv
 from models.trajectory_netcdf import read_netcdf, write_netcdf
+from tests.validate.judge.replay.test_replay_fmu import mass_on_a_line
 from validate.execution.isolated import Limits, packed, unpacked_from
 from validate.judge.replay.run import replay
 from validate.judge.replay.wiring import Effort, Feedback, HeldInputs, Variables, measure_effort
@@ -23,14 +23,7 @@ T = np.array([0.0, 0.1, 0.3, 0.5])
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    q, v, u, m = sp.symbols("x v F m")
-    return Scene(
-        name="double_integrator", title="A free mass", source="closed form",
-        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),), inputs=(Input(symbol=u, unit="N"),),
-        parameters=(Parameter(symbol=m, value=MASS, unit="kg"),), kinetic_energy=m * v**2 / 2, potential_energy=sp.S.Zero, forces=(u,),
-        contacts=(), task=Task(start=(0.2, -1.0), goal=(None, None), running_cost=u**2, step=0.1, steps=5),
-        limits=(Limit(metric="cost", value=1e6, reason="any"),),
-    )  # fmt: skip
+    return mass_on_a_line()
 
 
 def ramp(end: bool = True) -> Trajectory:

@@ -20,6 +20,7 @@ from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import HeldInputs
 
 RTOL = 1e-12
+Force, Gap = Callable[[float, float, float, bool], float], Callable[[float], float]
 
 
 class Point:
@@ -29,13 +30,7 @@ class Point:
     outputs = 2
     next_event = math.inf
 
-    def __init__(
-        self,
-        force: Callable[[float, float, float, bool], float],
-        gap: Callable[[float], float] | None = None,
-        bounce: float | None = None,
-        wants_steps: bool = False,
-    ) -> None:
+    def __init__(self, force: Force, gap: Gap | None = None, bounce: float | None = None, wants_steps: bool = False) -> None:
         self.force, self.gap, self.bounce, self.wants_steps = force, gap, bounce, wants_steps
         self.indicators = 0 if gap is None else 1
         self.nominal = np.ones(2)

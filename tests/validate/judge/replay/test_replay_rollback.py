@@ -9,7 +9,7 @@ from foreign_fmu import EXCHANGE, FULL_MAP, build_foreign, foreign_plan, write_p
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from models.trajectory import Trajectory, uniform_grid
+from tests.validate.judge.replay.test_replay_fmu import passive
 from validate.fmi.description import FmuError, read_package, unpacked
 from validate.judge.judgement import wire_fmu
 from validate.judge.replay import Replay, ReplayOutcome
@@ -27,13 +27,7 @@ ONCE_EXCHANGE = EXCHANGE.replace("/>", ' canBeInstantiatedOnlyOncePerProcess="tr
 def falling(name: str) -> tuple:
     """A scene with a closed form, and the plan without inputs from its start through its first contact."""
     scene = load_scene(name)
-    steps = scene.task.steps
-    rest = np.tile(np.array(scene.task.start), (steps + 1, 1))
-    plan = Trajectory(
-        t=uniform_grid(scene.task.step, steps), q=rest[:, : scene.nq], v=rest[:, scene.nq :], u=np.zeros((steps, scene.nu)),
-        lam=np.zeros((steps, scene.nl)),
-    )  # fmt: skip
-    return scene, plan
+    return scene, passive(scene)
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])

@@ -37,6 +37,14 @@ def ball(stiffness: float) -> Scene:
     )  # fmt: skip
 
 
+def falling(u: np.ndarray) -> Trajectory:
+    """A plan of inputs alone, (steps,) [N]."""
+    still = np.zeros((STEPS + 1, 1))
+    return Trajectory(
+        t=STEP * np.arange(STEPS + 1), q=still + 0.2, v=still, u=u[:, None], lam=still[1:], missing=frozenset({"q", "v", "lam"})
+    )
+
+
 def bounced(world: World, until: float, lift: float) -> tuple[float, float, float]:
     """Depth of the first contact [m], and height and speed at a time after it and before the next [m, m/s]."""
     (m, g, k), (z, v) = world.parameters.tolist(), world.start.tolist()
@@ -59,11 +67,7 @@ def deepest(world: World, switch: float, lifts: tuple[float, float]) -> float:
 @pytest.mark.parametrize("lifts", [(-0.002, -0.002), (0.002, -0.006)])
 def test_the_depth_of_a_world_is_that_of_the_closed_form(stiffness: float, lifts: tuple[float, float]):
     scene, switch = ball(stiffness), 30
-    u = np.where(np.arange(STEPS) < switch, *lifts)[:, None]
-    still = np.zeros((STEPS + 1, 1))
-    plan = Trajectory(
-        t=STEP * np.arange(STEPS + 1), q=still + 0.2, v=still, u=u, lam=np.zeros((STEPS, 1)), missing=frozenset({"q", "v", "lam"})
-    )
+    plan = falling(np.where(np.arange(STEPS) < switch, *lifts))
     limit = deepest(nominal_world(scene, plan), switch * STEP, lifts)
     scene = replace(scene, contacts=(replace(scene.contacts[0], depth=limit, nominal=limit / 10.0),))
     worlds, shares = draw(perturbations(scene, plan, ["parameters", "start", "gain"]), 16, 3), []
@@ -88,10 +92,7 @@ def bounces(world: World) -> int:
 
 def test_whether_contacts_keep_their_order_is_told_of_those_between_rows_too():
     """The plan ends 6 ms before a second bounce of 0.1 ms: where it fails by more than its height there, it has bounced."""
-    scene, still = ball(1e6), np.zeros((STEPS + 1, 1))
-    plan = Trajectory(
-        t=STEP * np.arange(STEPS + 1), q=still + 0.2, v=still, u=still[1:], lam=still[1:], missing=frozenset({"q", "v", "lam"})
-    )
+    scene, plan = ball(1e6), falling(np.zeros(STEPS))
     ends = bounced(nominal_world(scene, plan), STEP * STEPS, 0.0)[1]
     limits = [Limit(metric=f"{of}terminal_position_error", value=0.012, reason="more than it is high") for of in ("", "replay_")]
     task = replace(scene.task, goal=(ends, None))

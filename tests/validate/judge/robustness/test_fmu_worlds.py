@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,18 +41,11 @@ STEPS, TIME, FORCE, MASS, NEAR = 8, 0.08, 4.0, 2.0, 3e-4
 def free(tmp_path: Path) -> Callable[..., WiredFmu]:
     """A cart that misbehaves once it weighs so much, wired."""
 
-    def wired(
-        mode: str = "good",
-        beyond: float = 2.02,
-        kinds: str = EXCHANGE + COSIMULATION,
-        more: str = "",
-        seconds: float = 60.0,
-        own_step: bool = False,
-    ) -> WiredFmu:
-        build_foreign(tmp_path / "cart.fmu", mode, kinds, defines=(f"BEYOND={beyond}",))
+    def wired(mode: str = "good", kinds: str = EXCHANGE + COSIMULATION, more: str = "", **how: Any) -> WiredFmu:
+        build_foreign(tmp_path / "cart.fmu", mode, kinds, defines=("BEYOND=2.02",))
         (tmp_path / "map.toml").write_text(FREE + more, encoding="utf-8")
         plan = write_plan(tmp_path / "plan.csv", "t,x,v_x,F", foreign_plan()[: STEPS + 1])
-        return wire_fmu(tmp_path / "cart.fmu", plan, map_path=tmp_path / "map.toml", limits=Limits(seconds=seconds), own_step=own_step)
+        return wire_fmu(tmp_path / "cart.fmu", plan, map_path=tmp_path / "map.toml", **how)
 
     return wired
 
@@ -142,7 +136,7 @@ def test_what_goes_wrong_in_a_world_costs_that_world(free: Callable[..., WiredFm
 @pytest.mark.slow
 @pytest.mark.process
 def test_a_world_that_hangs_is_ended_at_the_limit_of_time(free: Callable[..., WiredFmu]):
-    wired = free("hang", seconds=2.0)
+    wired = free("hang", limits=Limits(seconds=2.0))
     mass = perturbations(wired.foreign.model, wired.plan, ["body.mass"])
     with FmuArena.of(wired, asked_limits(wired.judge().score)) as arena:
         trials = [arena.trial(moved(arena.nominal, mass, np.array([size]))) for size in (-0.5, 0.5, -0.5)]

@@ -12,8 +12,9 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.errors import TouchstoneError
-from models.trajectory import Trajectory, write_csv
+from models.trajectory import write_csv
 from reports.records.robustness_record import SAME, FailureRecord, RobustnessRecord
+from tests.validate.judge.robustness.test_worlds import resting
 from validate.cli.robust import command
 from validate.judge.judgement import Judgement
 from validate.judge.robustness import Robustness, robustness
@@ -164,9 +165,7 @@ def test_a_plan_that_does_not_hold_is_measured_anyway():
 def test_first_order_is_held_against_what_was_found(
     sizes: float | None, predicted: float | None, curved: float | None, same: bool, words: str
 ):
-    cause = perturbations(
-        SCENE, Trajectory(t=RESTING["t"], q=np.zeros((501, 3)), v=np.zeros((501, 3)), u=np.zeros((500, 2)), lam=np.zeros((500, 2)))
-    )[1]
+    cause = perturbations(SCENE, resting())[1]
     amount = None if sizes is None else -0.1 * sizes
     said = FailureRecord(
         cause=cause, direction=-1, sizes=sizes, amount=amount, tried=64.0, by="", predicted=predicted, curved=curved, same_modes=same  # type: ignore[arg-type]

@@ -265,46 +265,8 @@ def test_a_goal_whose_limits_are_waived_asks_for_nothing(scene: Scene, plan: Tra
         assert score(asked, plan, replayed).verdict is (Verdict.HOLDS if counts else Verdict.CONSISTENT), limit.metric
 
 
-@pytest.mark.slow
-def test_carts_that_pass_through_each_other_do_not_hold():
-    """Pushed so that they end on the other side: exact contact all along, but the model of a contact ends at the length of a cart."""
-    scene = load_scene("three_cart")
-    start = np.array([2.0, 2.6, 9.0, 6.0, 0.0, 0.0])
-    scene = scene.with_task(steps=STEPS, start=tuple(start)).with_parameters(k=3.0)
-    u = np.tile([9.0, 0.0], (STEPS, 1))
-    rollout = load_kernel(scene).rollout(start, u, 0.01)
-    goal = tuple(float(value) for value in (*rollout.q[-1], *rollout.v[-1]))
-    scene = scene.with_task(goal=goal)
-    plan = Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
-    result = score(scene, plan, replay(scene, build_fmu(scene), plan))
-    metric = result.metric("max_penetration")
-    assert metric.ok is False
-    assert metric.limit == pytest.approx(0.5)
-    assert answered(result)[5] == "no"
-    assert result.verdict is Verdict.VIOLATES
-
-
 def test_three_steps_in_the_place_of_many_are_another_task(scene: Scene, plan: Trajectory):
     """Half the task's own step is the limit, whatever the plan's."""
     coarse = replace(plan, t=np.linspace(0.0, 1.2, 4), q=plan.q[:4], v=plan.v[:4], u=plan.u[:3], lam=plan.lam[:3])
     found = score(scene, coarse, None)
     assert not unsaid(found.why, "differ in duration by 0.2 s, limit 0.005 s (it lasts 1.2 s, the task 1 s)")
-
-
-@pytest.mark.slow
-def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
-    """Six steps a second, none of which sees the other disc: exact on its own grid, and metres away from physics."""
-    steps, step = 6, 1.0 / 6.0
-    scene = load_scene("two_discs").with_task(steps=steps, step=step)
-    start = np.array(scene.task.start)
-    towards = start[2:4] - start[:2]
-    u = np.zeros((steps, 2))
-    u[0] = 1.6 * towards / step**2
-    rollout = load_kernel(scene).rollout(start, u, step)
-    assert not rollout.lam.any(), "it is over there before it has been here"
-    plan = Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
-    result = score(scene, plan, replay(scene, build_fmu(scene), plan))
-    assert result.verdict is Verdict.VIOLATES
-    assert result.metric("law_error").ok is True
-    assert result.metric("defect").ok is True
-    assert result.metric("replay_error").ok is False

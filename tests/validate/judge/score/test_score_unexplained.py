@@ -3,7 +3,6 @@
 The exact motions are SciPy's, of equations written down here once more.
 """
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,12 +13,10 @@ from wording import unsaid
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from tests.scenes.drawer import SCENE as DRAWER
 from validate.judge.judgement import judge
-from validate.judge.replay.run import replay
 from validate.judge.score import unexplained as module
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.unexplained import (
@@ -210,27 +207,6 @@ def test_mirrored_and_invented_forces_do_not_hold_beside_an_exact_motion(exact):
         if size is not None:
             assert 0.7 * size < found.value < 1.1 * size  # what lies within the range of its step is not told apart
     assert not unsaid(told.score.why, "not those of its own motion")
-
-
-@pytest.mark.slow
-def test_a_hidden_hand_is_named_even_where_the_plan_says_nothing_of_forces():
-    t, q, v, u = motion(100, lambda time: np.array([0.0, 1.5, 0.0]) if 0.3 <= time < 0.35 else np.zeros(3))
-    scene = scene_of(100, q, v)
-    plan = Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((100, 2)), missing=frozenset({"lam"}))
-    told = judge(scene, plan)
-    assert told.verdict.value == "violates"
-    assert told.score.metric("unexplained_force").ok is False
-    assert told.replay.tracked is None, "no feedback mends a motion that is none"
-
-
-@pytest.mark.slow
-def test_the_share_is_one_of_the_replays_peak_force(exact):
-    """With a replay its forces count, without one the law's at the plan's nodes; both are the same motion here."""
-    scene, columns = exact
-    plan = replace(judge(scene, columns).plan, lam=np.zeros((100, 2)))
-    shaken = replace(plan, v=plan.v + np.where(np.arange(101)[:, None] == 50, 0.01, 0.0))
-    replayed = replay(scene, build_fmu(scene), plan)
-    assert unexplained_force(Evidence(scene, shaken, replayed)) == pytest.approx(unexplained_force(Evidence(scene, shaken, None)), rel=0.02)
 
 
 def test_a_scene_without_inertia_is_forgiven_what_was_printed():
