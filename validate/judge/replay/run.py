@@ -159,9 +159,7 @@ def _convergent(subject: Subject, job: Job, feedback: Feedback | None) -> Simula
     """
     first = simulated = job.run(feedback)
     while (
-        job.tolerances
-        and simulated.everyday
-        and all(run.outcome is ReplayOutcome.OK for run in (*simulated.reference, *simulated.everyday))
+        job.tolerances and simulated.everyday and {run.outcome for run in (*simulated.reference, *simulated.everyday)} == {ReplayOutcome.OK}
     ):
         error, is_known = error_of(subject, job.variables, simulated)
         if error.estimate == error.tolerance if simulated.reference else is_known:
@@ -257,19 +255,15 @@ def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known:
                 halved = f"Halving the communication step again changes {1.0 / error.step_ratio:.2g} times as much"
             told = "its author states." if error.stated is not None else "cannot be told."
             notes.append(f"{halved}: the FMU has a step of its own, and how wrong that is {told}")
-    elif (
-        isinstance(subject, ForeignModel)
-        and error.tolerance is not None
-        and error.estimate != error.tolerance
-        and error.everyday is not None
-    ):
-        notes.append(
-            f"Co-Simulation is {error.everyday.position:.2g} from Model Exchange in some position, more than halving its step explains, so the motion may be as "
-            "wrong. If Co-Simulation is no better than that, say so in the map ([accuracy] position = .., velocity = .., gap = ..)."
-        )
-    elif error.tolerance is not None and isinstance(subject, ForeignModel) and subject.accuracy is not None:
-        notes.append("The stated accuracy is of Co-Simulation; judged is Model Exchange, and it tells its own error.")
     if isinstance(subject, ForeignModel):
+        if error.tolerance is not None:
+            if error.estimate != error.tolerance and error.everyday is not None:
+                notes.append(
+                    f"Co-Simulation is {error.everyday.position:.2g} from Model Exchange in some position, more than halving its step explains, so the motion may be as "
+                    "wrong. If Co-Simulation is no better than that, say so in the map ([accuracy] position = .., velocity = .., gap = ..)."
+                )
+            elif subject.accuracy is not None:
+                notes.append("The stated accuracy is of Co-Simulation; judged is Model Exchange, and it tells its own error.")
         notes += subject.notes
     if simulated.note:
         notes.append(simulated.note)

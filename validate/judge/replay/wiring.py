@@ -283,9 +283,8 @@ class WorldInputs(HeldInputs):
         self.values = self._commands.values[self._command] * world.gain + self._added
         if world.whole:
             lengths, h = np.diff(self.times)[:, None], np.diff(plan.t)[:, None]
-            means, slopes = (
-                np.add.reduceat(part * lengths, self.rows[:-1]) / h for part in (self.values + self.slopes * lengths / 2.0, self.slopes)
-            )
+            middles = self.values + self.slopes * lengths / 2.0
+            means, slopes = (np.add.reduceat(part * lengths, self.rows[:-1]) / h for part in (middles, self.slopes))
             self.times, self.rows = self.grid, np.searchsorted(self.grid, plan.t)
             begins, step = self.grid[:-1], np.repeat(np.arange(plan.steps), np.diff(self.rows))
             self.slopes, self.values = slopes[step], means[step] + slopes[step] * ((begins - plan.t[step])[:, None] - h[step] / 2.0)

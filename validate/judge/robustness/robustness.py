@@ -454,11 +454,7 @@ def survey(scene: Scene, plan: Trajectory, limits: Mapping[str, float], followed
         smallest, weakest = FARTHEST, {}
         for cause, direction in product((item for item in causes if item.kind is not PerturbationKind.NOISE), (-1, 1)):
             tried = min(smallest, cause.below if direction < 0 else cause.above)
-            if (
-                tried > 0.0
-                and not _at(arena, cause, direction * tried).arrives
-                and (first := _along(arena, cause, direction, tried)) is not None
-            ):
+            if tried > 0.0 and not _at(arena, cause, direction * tried).arrives and (first := _along(arena, cause, direction, tried)):
                 smallest, failed = first
                 amount = direction * smallest * cause.size
                 weakest = {"weakest": cause.name, "sizes": smallest, "amount": amount, "unit": cause.unit, "by": failed.fails_by}

@@ -296,10 +296,8 @@ def _multiple_of_the_law(scored: ScoredPlan) -> str:
     if not times.size:
         return ""
     alike = np.ptp(times) <= 0.01 * float(np.abs(times).max())
-    names = [item.name for item in scored.scene.contacts]
-    said = (
-        rounded(float(times.mean())) if alike else ", ".join(f"{rounded(float(x))} ({name})" for x, name in zip(times, names, strict=True))
-    )
+    each = [f"{rounded(float(x))} ({item.name})" for x, item in zip(times, scored.scene.contacts, strict=True)]
+    said = rounded(float(times.mean())) if alike else ", ".join(each)
     return f": they are {said} times what the contact law gives, as of another stiffness or another unit"
 
 
@@ -345,11 +343,9 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return f": {_quote(scored.metrics['defect'])}"
     if _is_lost_on_its_grid(scored):
         lost = f"{number(scored.value('law_error') or 0.0, grid.unit)} on its own grid already"
-        return (
-            f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
-            if cause == "relaxed contact"
-            else f": off by {lost}; the contact forces are correct{unstable}"
-        )
+        if cause == "relaxed contact":
+            return f": a relaxed contact law ({lost}); {_ADVICE_EXACT}"
+        return f": off by {lost}; the contact forces are correct{unstable}"
     correct = "; the contact forces are correct" if plan.lam.size and "lam" not in plan.missing else ""
     text = f": discretisation error {number(grid.value, grid.unit)}{correct}{unstable}"
     if any(scored.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):

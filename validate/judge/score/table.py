@@ -312,15 +312,6 @@ TABLE = (
 )  # fmt: skip
 
 
-# Exact plans whose step is coarse for the contact (h w = 0.9) need up to 0.23 to be followed through an impact, others some hundredths; plans with
-# force from a distance need 0.65 to 1.1 where that force matters.
-_MOST_EFFORT = (0.25, "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one")
-_MOST_SHARE = (
-    0.5,
-    "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one",
-)
-
-
 def _twin(entry: MetricEntry) -> MetricEntry:
     return replace(
         entry, name=f"{TRACKED}{entry.name}", meaning=f"with feedback: {entry.meaning}", of_replay=False,
@@ -348,15 +339,19 @@ def _growth(case: Evidence) -> Growth:
     return case.opened.growth
 
 
+# Exact plans whose step is coarse for the contact (h w = 0.9) need an effort of up to 0.23 to be followed through an impact, others some hundredths; plans
+# with force from a distance need 0.65 to 1.1 where that force matters.
 FEEDBACK = (
     MetricEntry(
         name=EFFORT, question=Question.MOTION, units=_unit("1"), measure=lambda case: _effort(case).rms_share,
-        applies=lambda scene: any(np.isfinite((item.lower, item.upper)).all() for item in scene.inputs), default=_MOST_EFFORT,
+        applies=lambda scene: any(np.isfinite((item.lower, item.upper)).all() for item in scene.inputs),
+        default=(0.25, "a quarter of what the inputs can give, in the root mean square, corrects a plan; more makes another one"),
         meaning="root mean square of what the feedback added to the plan's inputs, as a share of half their range; the largest over the inputs",
         quoted="the RMS effort of the feedback is {} of the half-range of the inputs",
     ),
     MetricEntry(
-        name=SHARE, question=Question.MOTION, units=_unit("1"), measure=_plan_share, default=_MOST_SHARE,
+        name=SHARE, question=Question.MOTION, units=_unit("1"), measure=_plan_share,
+        default=(0.5, "half of what the plan itself gives, in the root mean square, or half of the motion corrects a plan; more makes another one"),
         meaning="root mean square of what the feedback added, as a share of that of the plan's own inputs, all inputs in halves of their ranges; or, where that is more, its part of the motion that both make",
         quoted="the RMS effort of the feedback is {} of what the plan's own inputs do",
     ),

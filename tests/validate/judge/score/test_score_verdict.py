@@ -193,19 +193,6 @@ def test_a_relaxed_law_is_named_before_what_follows_from_it():
     )
 
 
-def test_a_miss_by_the_grid_alone_is_not_blamed_on_contact():
-    why = told(TRUE, metric("replay_terminal_position_error", False, value=0.08), GRID)
-    assert not unsaid(why, "ends 0.08 m … limit 0.06 m: discretisation error 0.079 m; the contact forces are correct")
-    # 0.8 * 0.06/0.08 of 0.01 s, as the scheme is of order one: said as a prediction.
-    assert not unsaid(why, "Try h = 0.006 s")
-
-
-def test_a_plan_through_a_wall_without_forces_is_complementary_but_of_another_law():
-    why = told(TRUE, STRAY, GRID, metric("law_error", None, value=0.2, limit=None))
-    assert not unsaid(why, ": a relaxed contact law (0.2 m")
-    assert "discretisation" not in why
-
-
 @pytest.mark.parametrize(
     ("first", "says"),
     [
