@@ -232,24 +232,17 @@ def test_a_contact_between_two_rows_asks_for_an_eighth_of_what_it_lasts():
     assert stepped_over(gap[:1], rate[:1], t[:1]) is None
 
 
-@pytest.mark.parametrize("change", ["touches at the first row", "touches at the last row", "leaves", "comes", "does not reach", "no time"])
-def test_what_is_no_contact_between_two_rows(change: str):
-    t = np.array([0.0, 1.0])
-    gap, rate = (values[:, None] for values in parabola(-0.01, 8.0, 0.5, t))
-    assert stepped_over(gap, rate, t) is not None
-    if change == "touches at the first row":
-        gap[0] = -1e-9
-    elif change == "touches at the last row":
-        gap[1] = -1e-9
-    elif change == "leaves":
-        rate[0] = 1e-9
-    elif change == "comes":
-        rate[1] = -1e-9
-    elif change == "does not reach":
-        gap += 0.02
-    else:
-        t = np.zeros(2)
-    assert stepped_over(gap, rate, t) is None
+@pytest.mark.parametrize(
+    ("gap", "rate", "until", "is_one"),
+    [
+        ((0.99, 0.99), (-4.0, 4.0), 1.0, True), ((-1e-9, 0.99), (-4.0, 4.0), 1.0, False), ((0.99, -1e-9), (-4.0, 4.0), 1.0, False),
+        ((0.99, 0.99), (1e-9, 4.0), 1.0, False), ((0.99, 0.99), (-4.0, -1e-9), 1.0, False), ((1.01, 1.01), (-4.0, 4.0), 1.0, False),
+        ((0.99, 0.99), (-4.0, 4.0), 0.0, False),
+    ],
+    ids=["it is", "touches at the first row", "touches at the last row", "leaves", "comes", "does not reach", "no time"],
+)  # fmt: skip
+def test_what_is_a_contact_between_two_rows(gap: tuple[float, ...], rate: tuple[float, ...], until: float, is_one: bool):
+    assert (stepped_over(*([[value] for value in pair] for pair in (gap, rate)), (0.0, until)) is not None) is is_one
 
 
 # A job made finer

@@ -79,15 +79,6 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
     assert caught.q[-1, 0] == pytest.approx(0.1 * np.cosh(np.sqrt(10.0) * STEPS * H), rel=1e-9)  # alone it falls
 
 
-def test_saturation_is_kept(scene: Scene, still: Trajectory):
-    weak = replace(scene, inputs=(replace(scene.inputs[0], lower=-1.1, upper=1.05),))
-    tracked = replay(weak, build_fmu(scene), still, track=True).tracked
-    assert tracked.applied.min() == -1.1
-    assert tracked.applied.max() <= 1.05
-    assert tracked.effort.saturated > 0.0
-    assert tracked.effort.peak == (1.1,)
-
-
 @pytest.mark.parametrize("hold", Hold)
 def test_an_exact_plan_needs_no_feedback(scene: Scene, hold: Hold):
     """States of the continuous motion under the plan's inputs: the open loop amplifies rounding alone, the tracked one nothing."""
@@ -101,16 +92,6 @@ def test_an_exact_plan_needs_no_feedback(scene: Scene, hold: Hold):
     tracked = replay(scene, build_fmu(scene), plan, track=True).tracked
     assert tracked.effort.peak[0] < 1e-7
     assert np.abs(tracked.q[tracked.knots] - plan.q).max() < 1e-9
-
-
-def test_a_held_correction_stays_within_the_bounds_of_inputs_that_are_lines(scene: Scene):
-    states = np.zeros((STEPS + 1, 2))
-    states[0] = 0.1, 0.0
-    u = np.where(np.arange(STEPS) % 2, 3.9, -3.9)[:, None]
-    plan = made(states, u, Hold.LINEAR)
-    tracked = replay(scene, build_fmu(scene), plan, track=True).tracked
-    ends = tracked.applied[:-1] + np.diff(u, axis=0)
-    assert max(np.abs(tracked.applied).max(), np.abs(ends).max()) <= 4.0 + 1e-12
 
 
 def test_energy_balances_with_the_inputs_that_were_applied(scene: Scene, still: Trajectory, caught: Replay):
@@ -249,12 +230,3 @@ def test_a_plan_that_feedback_must_replace_does_not_hold(reaching, field: str, n
         assert (told.metric(name).limit, told.verdict) == (limit, verdict)
     assert "With feedback too: " in told.why
     assert "of the feedback is" in told.why
-
-
-def test_feedback_is_refused_to_a_plan_whose_own_inputs_are_nothing(reaching):
-    """All that moves it is the feedback's: that has no share."""
-    scene, plan, replayed = reaching
-    idle = replace(replayed.tracked, effort=replace(replayed.tracked.effort, plan_share=None))
-    told = score(scene, plan, replace(replayed, tracked=idle))
-    assert (told.metric("feedback_share").value, told.metric("feedback_share").ok) == (None, False)
-    assert told.verdict is Verdict.VIOLATES
