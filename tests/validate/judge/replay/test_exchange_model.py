@@ -181,10 +181,8 @@ def test_points_of_a_step_are_taken_as_the_loop_came_to_them():
     one._take(2, 3)
     one._take(3, 3)
     assert (one.run.t, one.run.knots) == ([0.4, 0.5, 0.6], [2])
-    assert ([row.tolist() for row in one.run.outputs], [row.tolist() for row in one.run.accumulated]) == (
-        [[3.0], [4.0], [5.0]],
-        [[13.0], [14.0], [15.0]],
-    )
+    assert [row.tolist() for row in one.run.outputs] == [[3.0], [4.0], [5.0]]
+    assert [row.tolist() for row in one.run.accumulated] == [[13.0], [14.0], [15.0]]
 
 
 def test_cvode_is_told_where_to_look_and_how_exactly():

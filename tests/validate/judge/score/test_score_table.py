@@ -169,10 +169,8 @@ def test_each_metric_of_the_replay_has_a_twin_that_asks_the_one_with_feedback():
     originals = [row for row in TABLE if row.of_replay]
     assert FOLLOWED[len(originals) :] == FEEDBACK
     for twin, row in zip(FOLLOWED, originals, strict=False):
-        assert (twin.name, twin.meaning) == (f"tracked_{row.name}", f"with feedback: {row.meaning}")
-        assert (twin.question, twin.units, twin.applies, twin.needs, twin.default, twin.of_replay) == (
-            row.question, row.units, row.applies, row.needs, row.default, False,
-        )  # fmt: skip
+        named = {"name": f"tracked_{row.name}", "meaning": f"with feedback: {row.meaning}"}
+        assert twin == replace(row, **named, of_replay=False, measure=twin.measure)
     one = MetricEntry(name="x", question=Question.MOTION, units=lambda scene: ("m",), meaning="", measure=lambda case: case, of_replay=True)
     assert module._twin(one).measure(SimpleNamespace(tracked=7.0)) == 7.0
 
