@@ -168,21 +168,6 @@ def test_the_same_limits_are_asked_of_the_replay_with_feedback(reaching):
     assert judge_trajectory(scene, build_fmu(scene), plan).verdict is Verdict.HOLDS_WITH_FEEDBACK
 
 
-@pytest.mark.parametrize("hold", Hold)
-@pytest.mark.parametrize("shaken", [0.0, 1.0, 2.0])
-def test_inputs_that_only_shake_do_not_make_what_feedback_does_look_small(scene: Scene, exact, shaken: float, hold: Hold):
-    """A plan that gives a fifth of what its motion takes, and dither up to three times as large: feedback makes four fifths of the motion, whatever the dither."""
-    A, B = exact
-    x, states, given = np.array([0.1, 0.0]), [np.array([0.1, 0.0])], []
-    for step in range(STEPS):
-        useful, dither = float(-np.array([12.0, 4.0]) @ x), shaken * (1.0, -1.0, -1.0, 1.0)[step % 4]
-        x = A @ x + B * useful
-        states.append(x)
-        given.append([0.2 * useful + dither])
-    plan = made(np.array(states), np.array(given), hold)
-    assert replay(scene, build_fmu(scene), plan, track=True).tracked.effort.plan_share > 0.8
-
-
 SCENE_FILE = """import json
 from dataclasses import replace
 from pathlib import Path

@@ -18,14 +18,7 @@ from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import unpacked_from
 from validate.judge.replay import tracking as module
-from validate.judge.replay.tracking import (
-    TrackingError,
-    design_feedback,
-    input_scale,
-    largest_growth,
-    lqr_gains,
-    measure_growth,
-)
+from validate.judge.replay.tracking import TrackingError, design_feedback, input_scale, largest_growth, lqr_gains, measure_growth
 
 
 def test_far_from_the_end_the_gains_are_those_of_the_algebraic_riccati_equation():

@@ -173,19 +173,12 @@ def test_a_scene_cannot_forget_a_limit_but_waive_it(scene: Scene, plan: Trajecto
     """A force of 11 N where 10 N are allowed: found whatever the scene says, unless it says why not."""
     strong = changed(plan, u=np.where(np.arange(STEPS)[:, None] == 3, 11.0, plan.u), scheme=None)
     kept = tuple(limit for limit in scene.limits if "terminal" in limit.metric)
-    forgotten = score(replace(scene, limits=kept), strong, None)
-    metric = forgotten.metric("bound_violation")
-    assert (metric.ok, metric.default) == (False, True)
-    assert metric.limit == pytest.approx(1e-6 * 20.0)
+    assert score(replace(scene, limits=kept), strong, None).metric("bound_violation").ok is False
     waived = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=None, reason="its motors are stronger for a moment")))
     found = score(waived, strong, None)
-    metric = found.metric("bound_violation")
-    assert (metric.ok, metric.limit, metric.reason) == (None, None, "its motors are stronger for a moment")
-    assert metric.value == pytest.approx(1.0)
+    assert found.metric("bound_violation").ok is None
     assert found.waived == ("bound_violation: its motors are stronger for a moment",)
     assert found.why.endswith(" Waived: bound_violation.")
-    loosened = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=2.0, reason="the same")))
-    assert score(loosened, strong, None).metric("bound_violation").ok is True
 
 
 def test_what_a_plan_does_not_say_is_not_asked(scene: Scene, plan: Trajectory, replayed: Replay):
@@ -247,22 +240,6 @@ def test_the_words_holds_and_reasons_of_what_is_asked_nothing(scene: Scene, plan
     assert score(free, silent, replayed).verdict is Verdict.NOT_APPLICABLE
     priced = replace(free, limits=(*kept, Limit(metric="replay_cost", value=1e6, reason="a test")))
     assert score(priced, plan, replayed).verdict is Verdict.HOLDS
-
-
-def test_a_goal_whose_limits_are_waived_asks_for_nothing(scene: Scene, plan: Trajectory, replayed: Replay):
-    """One limit that counts is enough, of the plan or of its replay, of positions or of velocities."""
-    of_goal = [limit for limit in scene.limits if "terminal" in limit.metric]
-    others = tuple(limit for limit in scene.limits if "terminal" not in limit.metric)
-    none = [Limit(metric=limit.metric, value=None, reason="a test") for limit in of_goal]
-    waived = replace(scene, limits=(*others, *none))
-    found = score(waived, plan, replayed)
-    assert found.verdict is Verdict.CONSISTENT
-    assert not unsaid(found.why, "asks for nothing: no limit on its goal … set one, with a reason")
-    assert score(waived, replace(plan, missing=frozenset({"q", "v", "lam"}), scheme=None), replayed).verdict is Verdict.NOT_APPLICABLE
-    for index, limit in enumerate(of_goal):
-        asked = replace(scene, limits=(*others, *none[:index], limit, *none[index + 1 :]))
-        counts = not limit.metric.startswith("discrete_")  # which is of the plan's own time step
-        assert score(asked, plan, replayed).verdict is (Verdict.HOLDS if counts else Verdict.CONSISTENT), limit.metric
 
 
 def test_three_steps_in_the_place_of_many_are_another_task(scene: Scene, plan: Trajectory):

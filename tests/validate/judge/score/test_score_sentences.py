@@ -18,10 +18,7 @@ from models.trajectory import Trajectory
 from tests.validate.judge.score.test_score_verdict import BELOW, GRID, MISS, SCENE, STRAY, metric, metric_of_growth, told
 from validate.judge.judgement import judge
 from validate.judge.score import Metric, Question, Verdict, cause, score
-from validate.judge.score.verdict import (
-    EFFORT,
-    Unmeasured,
-)
+from validate.judge.score.verdict import EFFORT, Unmeasured
 
 
 def test_feedback_that_fails_too_says_by_what():

@@ -19,14 +19,7 @@ from tests.scenes.drawer import SCENE as DRAWER
 from validate.judge.judgement import judge
 from validate.judge.score import unexplained as module
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.unexplained import (
-    LIMIT,
-    _by_departures,
-    _by_velocities,
-    _of_friction,
-    _without_inertia,
-    unexplained_force,
-)
+from validate.judge.score.unexplained import LIMIT, _by_departures, _by_velocities, _of_friction, _without_inertia, unexplained_force
 
 # Carts of 1 kg with c = 2 N s/m and contacts of 30 N/m; 0.5 m long.
 K, C, LENGTH, SECONDS = 30.0, 2.0, 0.5, 1.0

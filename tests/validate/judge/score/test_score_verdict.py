@@ -14,15 +14,7 @@ from models.trajectory import Trajectory, uniform_grid
 from validate.judge.score import Metric, Question, Verdict, metric_names
 from validate.judge.score.cause import ScoredPlan, cause_of, explain
 from validate.judge.score.table import FEEDBACK, TABLE
-from validate.judge.score.verdict import (
-    EFFORT,
-    SHARE,
-    answers,
-    compare,
-    verdict_of,
-    verdict_with_feedback,
-    wants_feedback,
-)
+from validate.judge.score.verdict import EFFORT, SHARE, answers, compare, verdict_of, verdict_with_feedback, wants_feedback
 
 QUESTION = {entry.name: entry.question for entry in TABLE} | {EFFORT: Question.MOTION, SHARE: Question.MOTION}
 
