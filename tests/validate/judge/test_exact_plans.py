@@ -93,10 +93,6 @@ def truth(
     return {"q": nodes[:, 0], "v": nodes[:, 1], "start": forces[:-1], "end": forces[1:], "mean": np.array(impulses) / np.diff(t)}
 
 
-def bang(t: np.ndarray, push: float, turn: float) -> np.ndarray:
-    return np.where(t[:-1] < turn, push, -0.25 * push)
-
-
 # What the mass and wall are, the plan's grid, and what the plan says.
 PLANS: dict[str, dict[str, Any]] = {
     "a hard bounce within a step, mean forces": {"k": 1e4, "forces": "mean"},
@@ -121,7 +117,7 @@ def test_an_exact_plan_holds(name: str):
     }  # fmt: skip
     t = plan["h"] * np.arange(plan["steps"] + 1)
     body = {"mass": plan["mass"], "drag": plan["drag"], "k_wall": plan["k"], "damping": plan["damping"]}
-    pushes = bang(t, plan["push"], 1.2) if plan["inputs"] else np.zeros(len(t) - 1)
+    pushes = np.where(t[:-1] < 1.2, plan["push"], -0.25 * plan["push"]) if plan["inputs"] else np.zeros(len(t) - 1)
     true = truth(t, pushes, START if plan["inputs"] else (0.0, 0.5), **body)
     assert (true["q"].max() > WALL or true["mean"].max() > 0.0) == plan["inputs"], "it touches"
     end = np.array([true["q"][-1], true["v"][-1]])

@@ -28,15 +28,11 @@ STEPS, H = 50, 0.02
 START = (2.0, 2.55, 3.1, 0.3, 0.0, -0.3)
 
 
-def swings(t: np.ndarray) -> np.ndarray:
-    return np.column_stack([9.0 * np.sin(9.0 * t), -8.0 * np.cos(8.0 * t)])
-
-
 def made(hold: Hold) -> tuple[Scene, Trajectory]:
     """Three carts in contact, exact to a hundred small steps in each of the plan's, and the scene whose goal is where that ends."""
     bank = load_scene("three_cart")
     t = uniform_grid(H, STEPS)
-    u = swings(t)
+    u = np.column_stack([9.0 * np.sin(9.0 * t), -8.0 * np.cos(8.0 * t)])
     plan = Trajectory(
         t=t, q=np.zeros((STEPS + 1, 3)), v=np.zeros((STEPS + 1, 3)), u=u[:-1], lam=np.zeros((STEPS, 2)), hold=hold,
         u_end=u[-1], missing=frozenset({"lam"}),
@@ -316,10 +312,6 @@ def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
 # Somebody's FMU: what is asked of whom, with a replay and a score that answer what the test says
 
 
-def answered(motion: str, verdict: Verdict) -> Any:
-    return SimpleNamespace(questions=((Question.MOTION, motion),), verdict=verdict)
-
-
 @pytest.mark.parametrize(
     ("hold", "scheme", "inputs", "motion", "verdict", "again"),
     [
@@ -335,7 +327,8 @@ def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hol
     replays: list[Any] = []
     scores: list[Any] = []
     monkeypatch.setattr(module, "replay_foreign", lambda *given, **named: replays.append((given, named)) or f"replay {len(replays)}")
-    monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered(motion, verdict))
+    answered = SimpleNamespace(questions=((Question.MOTION, motion),), verdict=verdict)
+    monkeypatch.setattr(module, "score", lambda *given, **named: scores.append((given, named)) or answered)
     foreign: Any = SimpleNamespace(model="model", variables=SimpleNamespace(internal_step=None, parameters=()))
     monkeypatch.setattr(module, "read_package", lambda path: "package")
     monkeypatch.setattr("validate.judge.replay.mapping.wire", lambda *given: (foreign, plan))

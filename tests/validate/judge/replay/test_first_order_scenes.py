@@ -63,10 +63,8 @@ def pushing(steps: int = 100) -> np.ndarray:
     return u
 
 
-def plan_of(u: np.ndarray, of: Scene | None = None) -> Trajectory:
-    of = of or scene()
-    step = 2.0 / len(u)
-    run = load_kernel(of).rollout(np.array(of.task.start), u, step)
+def plan_of(u: np.ndarray, step: float) -> Trajectory:
+    run = load_kernel(scene()).rollout(np.array(scene().task.start), u, step)
     return Trajectory(t=np.arange(len(u) + 1) * step, q=run.q, v=run.v, u=u, lam=run.lam)
 
 
@@ -74,7 +72,7 @@ def plan_of(u: np.ndarray, of: Scene | None = None) -> Trajectory:
 def replayed(steps: int, lag: float = LAG, task_step: float = 0.02) -> Replay:
     of = scene().with_task(step=task_step, steps=round(2.0 / task_step))
     u = np.repeat(pushing(), steps // 100, axis=0)
-    return replay(of.continuous(lag), build_fmu(of), plan_of(u), track=False)
+    return replay(of.continuous(lag), build_fmu(of), plan_of(u, 2.0 / steps), track=False)
 
 
 def rates(q: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float, float]:
@@ -190,16 +188,11 @@ def test_all_work_goes_into_drag_friction_and_the_spring() -> None:
 def test_a_free_finger_moves_with_its_force_over_the_drag() -> None:
     """q' = q + T u/d - tau u/d: the lag, and nothing else."""
     u = np.tile([-10.0, 5.0], (20, 1))
-    found = replay(scene(), build_fmu(scene()), _short(u), track=False)
+    found = replay(scene(), build_fmu(scene()), plan_of(u, 0.02), track=False)
     v = u[0] / D
     assert found.q[-1, 3:] == pytest.approx(np.array([-0.7, -0.4]) + v * (0.4 - LAG), abs=1e-9)
     assert found.q[-1, :3] == pytest.approx(np.zeros(3), abs=1e-12)
     assert found.error.lag.position == pytest.approx(LAG, rel=1e-6)
-
-
-def _short(u: np.ndarray) -> Trajectory:
-    run = load_kernel(scene()).rollout(np.array(scene().task.start), u, 0.02)
-    return Trajectory(t=np.arange(len(u) + 1) * 0.02, q=run.q, v=run.v, u=u, lam=run.lam)
 
 
 def test_the_fmu_has_the_short_time_as_a_parameter_and_steps_that_are_stable_with_it() -> None:

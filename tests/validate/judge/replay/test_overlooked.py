@@ -50,10 +50,6 @@ PANE = Scene(
 )
 
 
-def scene_with(**parameters: float) -> Scene:
-    return PANE.with_parameters(**parameters)
-
-
 def through(scene: Scene, **declared: object) -> Trajectory:
     """The ball flies on as if there were no pane."""
     t = scene.task.step * np.arange(scene.task.steps + 1)
@@ -64,7 +60,7 @@ def through(scene: Scene, **declared: object) -> Trajectory:
 @pytest.mark.slow
 @pytest.mark.parametrize("missing", [frozenset(), frozenset({"q", "v", "lam"})])
 def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str]):
-    scene = scene_with()
+    scene = PANE
     found = judge(scene, through(scene, missing=missing))
     assert found.verdict.value == "violates"
     assert [event.closes for event in found.replay.events] == [True, False]
@@ -76,7 +72,7 @@ def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str])
 @pytest.mark.slow
 def test_a_pane_that_breaks_lets_it_through():
     """k/2 (w/4)^2 = 50 J is what the ball has: 40 J let it pass, and slow it down inside alone."""
-    scene = scene_with(k=0.8e10)
+    scene = PANE.with_parameters(k=0.8e10)
     found = judge(scene, through(scene))
     assert found.replay.end == pytest.approx([2.0, SPEED], abs=1e-3)
     assert [event.closes for event in found.replay.events] == [True, False]
@@ -85,7 +81,7 @@ def test_a_pane_that_breaks_lets_it_through():
 
 @pytest.mark.slow
 def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
-    scene = scene_with(w=1e-6, k=1e14)
+    scene = PANE.with_parameters(w=1e-6, k=1e14)
     found = replay(scene, build_fmu(scene), through(scene))
     assert "steps over a contact" in found.message
     assert found.error.estimate is None

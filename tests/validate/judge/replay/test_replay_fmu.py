@@ -1,7 +1,6 @@
 """Replay through generated FMUs: closed forms, self-error, order of convergence, hold conventions, failures as outcomes."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 
-SCENES = Path(__file__).parents[3] / "scenes"
 # Absolute error of a reference replay [m, m/s]: the looser tolerance is 1e-11 relative a step, over some thousand steps.
 REFERENCE = 1e-9
 

@@ -48,10 +48,6 @@ def replayed(scene: Scene, plan: Trajectory) -> Replay:
     return replay(scene, build_fmu(load_scene("three_cart")), plan)
 
 
-def changed(plan: Trajectory, **arrays: np.ndarray) -> Trajectory:
-    return replace(plan, **arrays)
-
-
 def answered(result: Score) -> dict[int, str]:
     """Question number -> answer."""
     return {question.number: answer for question, answer in result.questions if question.number}
@@ -92,7 +88,7 @@ def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Traj
     assert answered(held) == {1: "yes", 2: "yes", 3: "yes", 4: "undecided", 5: "undecided", 6: "yes"}
     assert "the plan was not replayed" in held.why
     assert held.value("replay_error") is None
-    assert score(scene, changed(plan, lam=plan.lam + 0.1), None).verdict is Verdict.VIOLATES
+    assert score(scene, replace(plan, lam=plan.lam + 0.1), None).verdict is Verdict.VIOLATES
 
 
 def test_a_replay_that_did_not_arrive_leaves_metrics_without_value_but_with_a_reason(scene: Scene, plan: Trajectory):
@@ -171,7 +167,7 @@ def test_a_limit_that_could_judge_nothing_is_refused_with_its_mend(scene: Scene,
 
 def test_a_scene_cannot_forget_a_limit_but_waive_it(scene: Scene, plan: Trajectory, replayed: Replay):
     """A force of 11 N where 10 N are allowed: found whatever the scene says, unless it says why not."""
-    strong = changed(plan, u=np.where(np.arange(STEPS)[:, None] == 3, 11.0, plan.u), scheme=None)
+    strong = replace(plan, u=np.where(np.arange(STEPS)[:, None] == 3, 11.0, plan.u), scheme=None)
     kept = tuple(limit for limit in scene.limits if "terminal" in limit.metric)
     assert score(replace(scene, limits=kept), strong, None).metric("bound_violation").ok is False
     waived = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=None, reason="its motors are stronger for a moment")))
@@ -235,7 +231,7 @@ def test_the_words_holds_and_reasons_of_what_is_asked_nothing(scene: Scene, plan
     found = score(free, plan, replayed)
     assert (found.verdict, found.verdict.is_good) == (Verdict.CONSISTENT, False)
     assert not unsaid(found.why, "consistent", "asks for nothing", "a goal", "a limit on its cost")
-    assert score(free, changed(plan, lam=plan.lam + 1.0), replayed).verdict is Verdict.VIOLATES
+    assert score(free, replace(plan, lam=plan.lam + 1.0), replayed).verdict is Verdict.VIOLATES
     silent = replace(plan, missing=frozenset({"q", "v", "lam"}), scheme=None)
     assert score(free, silent, replayed).verdict is Verdict.NOT_APPLICABLE
     priced = replace(free, limits=(*kept, Limit(metric="replay_cost", value=1e6, reason="a test")))

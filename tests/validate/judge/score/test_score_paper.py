@@ -16,8 +16,6 @@ from validate.judge.score.table import TABLE
 
 pytestmark = pytest.mark.slow
 
-STEPS = 500
-
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
