@@ -1,7 +1,7 @@
 """The replay's own error, from runs made by hand whose differences are known."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,22 +24,15 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
 )
 from validate.judge.replay.job import Job, Simulated
-from validate.judge.replay.result import Run as Recorded
+from validate.judge.replay.result import Run
 from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignModel, ForeignTask
 from validate.judge.replay.wiring import ENERGIES, Variables
 
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
 
 
-@dataclass
-class Run:
-    q: np.ndarray
-    v: np.ndarray
-    gap: np.ndarray
-
-
-def still(nodes: int = 4, contacts: int = 3) -> Run:
-    return Run(q=np.full((nodes, 2), 2.0), v=np.zeros((nodes, 2)), gap=np.ones((nodes, contacts)))
+def still(nodes: int = 4, contacts: int = 3) -> Any:
+    return SimpleNamespace(q=np.full((nodes, 2), 2.0), v=np.zeros((nodes, 2)), gap=np.ones((nodes, contacts)))
 
 
 @SIGNS
@@ -131,10 +124,10 @@ def test_the_ratio_of_two_halvings_is_not_one_of_roundings():
 def test_halving_tells_where_it_changes_something_and_ever_less(halvings: tuple[float | None, float], heeds: bool, tells: bool):
     """Each halving changes two thirds of what the last one did at most. Where nobody knows whether the step is heeded, no change says nothing, and so does
     one that vanishes at once, or rounding."""
-    (before, after), fine = halvings, still()
-    coarse = replace(fine, q=fine.q + after)
-    first = None if before is None else replace(fine, q=coarse.q + before * (1.0 + 1e-9))
-    assert tells_its_error(first, coarse, fine, heeds=heeds) is tells
+    (before, after), first, coarse, fine = halvings, still(), still(), still()
+    coarse.q = fine.q + after
+    first.q = coarse.q + (before or 0.0) * (1.0 + 1e-9)
+    assert tells_its_error(None if before is None else first, coarse, fine, heeds=heeds) is tells
 
 
 def test_the_estimate_is_the_tolerance_difference_where_the_everyday_replay_agrees():
@@ -306,12 +299,12 @@ def lagged(outcome: ReplayOutcome, method: str, known: Difference | None) -> tup
 
     def simulate(job: Job, feedback: Any) -> Any:
         asked.append((job.package, job.variables, job.start, job.tolerances, job.fineness, job.limits, feedback))
-        run = Recorded(
+        run = Run(
             t=[0.0, 1.0], outputs=[np.array([1.0, 0.0, 5.0]), np.array([2.25, 0.0, 5.0])], knots=[0, 1], outcome=outcome, message="cut"
         )
-        none: tuple[Recorded, ...] = ()
+        none: tuple[Run, ...] = ()
         return Simulated(
-            reference=(Recorded(), run) if method == "reference" else none, everyday=(Recorded(), run) if method == "everyday" else none,
+            reference=(Run(), run) if method == "reference" else none, everyday=(Run(), run) if method == "everyday" else none,
             refusal=None, seconds_reference=0.0, seconds_everyday=0.0,
         )  # fmt: skip
 

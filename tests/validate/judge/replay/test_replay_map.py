@@ -42,14 +42,7 @@ from validate.judge.replay.subject import Foreign
 
 Wire = Callable[..., tuple[Foreign, Trajectory]]
 # Free flight: no contact, and nothing of the goal or the limits of FULL_MAP.
-BARE = """
-[inputs]
-F = { variable = "drive.force", scale = 0.001, unit = "N" }
-[positions]
-x = { variable = "body.pos", scale = 0.001, unit = "m" }
-[velocities]
-x = { variable = "body.vel", scale = 0.001, unit = "m/s" }
-"""
+BARE = FULL_MAP.partition("[contacts.stop]")[0]
 
 
 @pytest.fixture(scope="module")

@@ -24,16 +24,7 @@ from validate.judge.robustness.worlds import moved, perturbations
 
 SCENE = load_scene("three_cart")
 # A cart of 2 kg, thrown with 2 m/s and pushed with 4 N, before it meets the stop.
-FREE = """
-[inputs]
-F = { variable = "drive.force", scale = 0.001, unit = "N" }
-[positions]
-x = { variable = "body.pos", scale = 0.001, unit = "m" }
-[velocities]
-x = { variable = "body.vel", scale = 0.001, unit = "m/s" }
-[limits]
-replay_error = 3e-4
-"""
+FREE = FULL_MAP.partition("[contacts.stop]")[0] + "[limits]\nreplay_error = 3e-4\n"
 STEPS, TIME, FORCE, MASS, NEAR = 8, 0.08, 4.0, 2.0, 3e-4
 
 

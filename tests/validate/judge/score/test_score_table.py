@@ -14,10 +14,11 @@ from models.errors import SceneError, TrajectoryError
 from models.scene import Limit, Scene
 from models.trajectory import Trajectory
 from validate.judge import score as score_module
-from validate.judge.replay.result import Growth
+from validate.judge.replay.result import Growth, ReplayOutcome
 from validate.judge.replay.wiring import Effort
 from validate.judge.score import _check_belongs, _metric, _not_asked, _of_what_is_asked, _worst
 from validate.judge.score import table as module
+from validate.judge.score.evidence import Evidence
 from validate.judge.score.measures import Measured
 from validate.judge.score.table import FEEDBACK, FOLLOWED, GROWTH, TABLE, MetricEntry
 from validate.judge.score.verdict import Contradicted, LeavesBounds, Metric, Question, Unmeasured, Verdict
@@ -373,23 +374,12 @@ def test_what_cannot_be_measured_leaves_a_question_open_for_scenes_and_failed_re
         TABLE[0], name="x", question=Question.MOTION, measure=lambda case: (_ for _ in ()).throw(Unmeasured("unseen.")), default=(0.5, "r"),
         needs=(),
     )  # fmt: skip
-    trajectory = SimpleNamespace(missing=frozenset(), scheme=None)
-
-    class Case:
-        def __init__(self, subject: Any, replay: Any) -> None:
-            self.scene, self.trajectory, self._replay = subject, trajectory, replay
-
-        @property
-        def replay(self) -> Any:
-            if self._replay is None:
-                raise Unmeasured("none")
-            return self._replay
-
+    trajectory, there = SimpleNamespace(missing=frozenset(), scheme=None), SimpleNamespace(outcome=ReplayOutcome.OK, ok=True)
     foreign = SimpleNamespace(limit=lambda name: None, coordinates=[])
     for subject, replayed, of_replay, is_open in (
-        (scene, "there", False, True), (scene, "there", True, True), (foreign, "there", True, False), (foreign, None, True, True), (foreign, None, False, False),
+        (scene, there, False, True), (scene, there, True, True), (foreign, there, True, False), (foreign, None, True, True), (foreign, None, False, False),
     ):  # fmt: skip
-        metric = _metric(replace(fails, of_replay=of_replay, units=lambda scene: ("m",)), Case(subject, replayed))
+        metric = _metric(replace(fails, of_replay=of_replay, units=lambda scene: ("m",)), Evidence(subject, trajectory, replayed))
         assert (metric.limit is not None, metric.reason, metric.value, metric.default) == (is_open, "unseen.", None, True)
 
 
