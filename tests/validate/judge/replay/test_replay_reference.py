@@ -92,45 +92,40 @@ class PointInC:
         self.start, self.read, self.event = point.start, point.read, point.event
         self._time, self._y = 0.0, np.zeros(3)
         self._functions = {
-            name: ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *types)(call) for name, (call, *types) in self._calls().items()
+            name: ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *types)(lambda *given, call=call: call(*given) or 0)
+            for name, (call, *types) in self._calls().items()
         }
 
     def address(self, name: str) -> int:
         return ctypes.cast(self._functions[name], ctypes.c_void_p).value or 0
 
     def _calls(self) -> dict[str, tuple[Any, ...]]:
-        def set_time(_: int, time: float) -> int:
+        """Each returns nothing, where an FMU says that all is well."""
+
+        def set_time(_: int, time: float) -> None:
             self._time = time
-            return 0
 
-        def set_states(_: int, x: int, n: int) -> int:
+        def set_states(_: int, x: int, n: int) -> None:
             self._y[:2] = doubles(x, n)
-            return 0
 
-        def get_derivatives(_: int, rates: int, n: int) -> int:
+        def get_derivatives(_: int, rates: int, n: int) -> None:
             doubles(rates, n)[:] = self._rates()[:n]
-            return 0
 
-        def get_real(_: int, references: int, n: int, values: int) -> int:
+        def get_real(_: int, references: int, n: int, values: int) -> None:
             known = [*self._y[:2], self._rates()[2]]
             doubles(values, n)[:] = [known[reference] for reference in (ctypes.c_uint * n).from_address(references)]
-            return 0
 
-        def set_real(_: int, references: int, n: int, values: int) -> int:
+        def set_real(_: int, references: int, n: int, values: int) -> None:
             self.point.set_inputs(doubles(values, n)[:])
-            return 0
 
-        def get_indicators(_: int, values: int, n: int) -> int:
+        def get_indicators(_: int, values: int, n: int) -> None:
             self.point.indicate(self._time, self._y, np.frombuffer(doubles(values, n)))
-            return 0
 
-        def completed(_: int, last: int, event: Any, ends: Any) -> int:
+        def completed(_: int, last: int, event: Any, ends: Any) -> None:
             event[0] = self.point.step_completed(self._time, self._y)
-            return 0
 
-        def new_discrete_states(_: int, info: int) -> int:
+        def new_discrete_states(_: int, info: int) -> None:
             self.point.event(self._time, self._y, np.array([self.point.u]))  # inputs jumped; events of gaps come by `event`
-            return 0
 
         flag = ctypes.POINTER(ctypes.c_int)
         return {

@@ -43,15 +43,9 @@ def test_a_plan_is_tried_in_the_same_worlds_as_by_itself(judged: Judgement):
 def test_what_is_dear_is_tried_in_fewer_worlds_and_without_states_without_feedback(judged: Judgement):
     plan = judged.plan
     fine = np.linspace(0.0, plan.duration, 40 * plan.steps + 1)
-    long = replace(
-        plan,
-        t=fine,
-        q=np.zeros((len(fine), 3)),
-        v=np.zeros((len(fine), 3)),
-        u=np.repeat(plan.u, 40, axis=0),
-        lam=np.repeat(plan.lam, 40, axis=0),
-    )
-    long = replace(long, q=np.tile(plan.q[:1], (len(fine), 1)), missing=frozenset({"q", "v", "lam", "friction"}))
+    still, missing = np.tile(plan.q[:1], (len(fine), 1)), frozenset({"q", "v", "lam", "friction"})
+    u, lam = (np.repeat(held, 40, axis=0) for held in (plan.u, plan.lam))
+    long = replace(plan, t=fine, q=still, v=0.0 * still, u=u, lam=lam, missing=missing)
     found = survey(SCENE, long, asked_limits(judged.score), False)
     assert (found.alone.samples, found.feedback) == (FEWEST, None)
     assert found.sizes == pytest.approx(0.83, abs=0.02), "the same inputs"
