@@ -130,14 +130,6 @@ def test_a_scene_is_given_by_name_too():
         assert told.score.metric("replay_error").ok is True
 
 
-@pytest.mark.slow
-def test_lines_are_judged_as_lines_and_steps_as_steps(held, lines):
-    for scene, plan in (held, lines):
-        assert judge(scene, plan).verdict is Verdict.HOLDS
-    scene, plan = lines
-    assert judge(scene, columns(scene, plan), hold="linear").verdict is Verdict.HOLDS
-
-
 @pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
 def test_where_the_other_hold_passes_the_sentence_names_it(held, lines, hold: Hold):
     """Inputs of a coarse plan, stated as steps where they were lines, and the other way round."""
@@ -286,19 +278,6 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
         with pytest.raises(TrajectoryError) as caught:
             as_trajectory(wrong, scene)
         assert not unsaid(caught.value, words)
-
-
-@pytest.mark.slow
-def test_our_methods_declare_their_scheme():
-    from formulations.pipelines import load_method
-
-    scene = load_scene("three_cart")
-    with load_method("strict_lcp").open(scene, {}) as session:
-        plan = session.solve(eps=None, warm_start=None, time_limit=60.0).trajectory
-    assert plan.scheme is Scheme.SEMI_IMPLICIT_EULER
-    told = judge(scene, plan)
-    assert told.verdict is Verdict.HOLDS, told
-    assert dict(told.score.questions)[Question.SCHEME] == "yes"
 
 
 @pytest.mark.parametrize(

@@ -190,11 +190,16 @@ def test_the_command_is_content_with_feedback_unless_it_must_not_be(tmp_path: Pa
         assert run([*arguments, *more]) == code
         said.append(capsys.readouterr().out)
     header = next(line for line in said[0].splitlines() if line.startswith("question"))
-    assert "with feedback" in header
+    assert header.split()[2:6] == ["inputs", "alone", "with", "feedback"]
+    row = next(line.split() for line in said[0].splitlines() if line.split()[1:2] == ["replay_error"])
+    assert float(row[2]) > 0.02 > float(row[3])
     assert not unsaid(said[0], "\nholds with feedback: not for the inputs alone: … departs")
     assert said[0].splitlines()[-1] == said[2].splitlines()[-1]
-    assert run([*arguments, "--json"]) == 0
+    assert run([*arguments, "--json", "--track", "--out", str(tmp_path / "told")]) == 0
+    assert sorted(path.name for path in (tmp_path / "told").iterdir()) == ["plan.nc", "replay.nc", "score.json", "tracked.nc"]
+    assert len([name for name in read_columns(tmp_path / "told/plan.nc")[0] if name.startswith("gain_")]) == 2
     told = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "told/score.json").read_text()) == told
     assert (told["verdict"], told["judged"]) == ("holds with feedback", "feedback")
     assert told["tracked"]["effort"]["plan_share"] < 0.5
     assert {"tracked_replay_error", "feedback_effort", "feedback_share"} <= {metric["name"] for metric in told["metrics"]}
