@@ -109,14 +109,3 @@ def test_what_a_plan_costs_and_how_deep_it_goes_does_not_depend_on_its_rows(rows
     found = judge(scene, {"t": t, "u1": u[:, 0], "u3": u[:, 1]})
     assert found.score.value("max_penetration") == pytest.approx(0.68624476, abs=1e-7)
     assert found.score.value("replay_cost") == pytest.approx(500 * 200.0, rel=1e-12)
-
-
-@pytest.mark.parametrize("rows", [1, 2, 5, 20, 60])
-def test_a_cost_of_states_is_that_of_the_tasks_own_steps(rows: int):
-    scene = load_scene("wall_pendulum")
-    t = np.linspace(0.0, scene.task.horizon, rows + 1)
-    found = [
-        judge(scene, {"t": grid, "u": np.full(len(grid) - 1, 0.1)}).score.value("replay_cost")
-        for grid in (t, scene.task.step * np.arange(scene.task.steps + 1))
-    ]
-    assert found[0] == pytest.approx(found[1], rel=1e-6)

@@ -8,7 +8,6 @@ from edited_fmu import edited, without
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
@@ -56,18 +55,11 @@ def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: P
     assert result.error.everyday.position < 10 * result.error.step.position
 
 
-def short_contacts(k: float) -> tuple[Scene, Trajectory]:
-    """Carts that stand still in the plan, and collide for shorter than its steps last."""
-    scene = load_scene("three_cart").with_parameters(k=k).with_task(steps=100, start=COLLIDING)
-    t, u = bang_bang(100)
-    q, v = np.tile(COLLIDING[:3], (101, 1)), np.tile(COLLIDING[3:], (101, 1))
-    return scene, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((100, 2)))
-
-
 def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, tmp_path: Path):
     """Without Model Exchange nothing but the gaps and their rates tells that there was contact between two nodes."""
     only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
-    scene, plan = short_contacts(1e6)
+    scene, (t, u) = load_scene("three_cart").with_parameters(k=1e6).with_task(steps=100, start=COLLIDING), bang_bang(100)
+    plan = Trajectory(t=t, q=np.tile(COLLIDING[:3], (101, 1)), v=np.tile(COLLIDING[3:], (101, 1)), u=u, lam=np.zeros((100, 2)))
     result, reference = replay(scene, only, plan, fineness=(1, 2, 4)), replay(scene, fmu, plan)
     assert len(reference.events) > 0
     assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2

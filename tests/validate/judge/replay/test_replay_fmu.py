@@ -1,4 +1,4 @@
-"""Replay through generated FMUs: closed forms, self-error, order of convergence, hold conventions, failures as outcomes."""
+"""Replay through generated FMUs: closed forms, self-error, uneven grids, a start in contact."""
 
 import numpy as np
 import pytest
