@@ -18,12 +18,10 @@ from models.scene.contacts import Friction
 from models.scene.parts import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.judge import score as score_room
 from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.score import measures, score
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.measures import Measured
-from validate.judge.score.verdict import Metric, Question
+from validate.judge.score.verdict import Metric
 
 STEPS, H = 4, 0.125
 NODES, ROWS = STEPS + 1, 2 * STEPS + 1
@@ -364,27 +362,6 @@ def test_a_goal_nearer_than_the_nominal_is_the_scale_of_the_start():
     case.scene = replace(case.scene, task=replace(case.scene.task, goal=(1.25, 0.4, 0.0, 0.0)))
     put("q", (0, 0), 0.3)(case)
     assert case.metric("start_error").limit == pytest.approx(0.25e-6)
-
-
-@pytest.mark.parametrize(
-    ("question", "value", "ok"),
-    [
-        # The replay's own health is as good as its error, a plan's must be ten errors from the limit of 1.
-        (Question.JUDGE, 0.8, True),
-        (Question.JUDGE, 0.9, None),
-        (Question.JUDGE, 1.1, None),
-        (Question.JUDGE, 1.2, False),
-        (Question.MOTION, 0.8, None),
-        (Question.MOTION, 1.2, None),
-        (Question.MOTION, 2.6, False),
-    ],
-)
-def test_how_many_errors_a_metric_must_be_from_its_limit(question, value, ok, monkeypatch):
-    entry = next(entry for entry in score_room.TABLE if entry.name == "energy_residual_relative")
-    asked = replace(entry, question=question, measure=lambda case: Measured(values=np.array([value]), error=0.15), default=(1.0, "one"))
-    monkeypatch.setattr(score_room, "TABLE", tuple(asked if other is entry else other for other in score_room.TABLE))
-    metric = Case(1.0).metric("energy_residual_relative")
-    assert (metric.limit, metric.error, metric.ok) == (1.0, 0.15, ok)
 
 
 # Half a unit of the last digit of each, all different.
