@@ -123,8 +123,8 @@ class EngineAnswer:
 
 def engine_names() -> tuple[str, ...]:
     """Names of the engines, ours first; reads file names only."""
-    found = sorted(path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
-    return tuple(sorted(found, key=lambda name: not name.startswith("fmu")))
+    found = (path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
+    return tuple(sorted(found, key=lambda name: (not name.startswith("fmu"), name)))
 
 
 def describe_engine(name: str) -> Simulator:
@@ -186,8 +186,7 @@ def run_engine(name: str, drives: Sequence[Drive], *, limits: Limits = LIMITS) -
     MachineError
         If the temporary folder cannot be written.
     """
-    absent = missing(name)
-    if absent:
+    if absent := missing(name):
         return EngineAnswer(came=Came.MISSING, why=absent)
     # A scene has no other form that keeps what a case changed of it.
     done = run_isolated("validate.judge.simulator:answer", name, packed(*drives), limits=limits, what=f"engine {name}")

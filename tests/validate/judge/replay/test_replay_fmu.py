@@ -1,5 +1,7 @@
 """Replay through generated FMUs: closed forms, self-error, uneven grids, a start in contact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -7,9 +9,10 @@ import sympy as sp
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
-from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.parts import goal_limits
-from models.trajectory import Hold, Trajectory, uniform_grid
+from models.trajectory import Trajectory, uniform_grid
+from tests.validate.judge.replay.test_tracking_gains import poised
 from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 
@@ -25,10 +28,10 @@ def passive(scene: Scene) -> Trajectory:
     return Trajectory(t=grid, q=state[:, :nq], v=state[:, nq:], u=np.zeros((steps, scene.nu)), lam=np.zeros((steps, scene.nc)))
 
 
-def driven(scene: Scene, u: np.ndarray, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
+def driven(scene: Scene, u: np.ndarray) -> Trajectory:
     """The scene's own time step under inputs u (steps, nu): a plan that is consistent with the true contact law."""
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, hold=hold)
+    return Trajectory(t=uniform_grid(scene.task.step, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
 
 def pushes(steps: int = 500) -> np.ndarray:
@@ -131,15 +134,9 @@ def test_a_grid_of_unequal_steps_is_followed():
 
 @pytest.mark.slow
 def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
-    q, v, u, k = *sp.symbols("q v u", real=True), sp.Symbol("k", positive=True)
-    scene = Scene(
-        name="leaning", title="A mass pressed on a spring wall", source="made up for this test",
-        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),), inputs=(Input(symbol=u, unit="N"),),
-        parameters=(Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6),), kinetic_energy=v**2 / 2, potential_energy=sp.Integer(0), forces=(u,),
-        contacts=(Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=q, stiffness=k),),
-        task=Task(start=(0.02, 0.0), goal=(0.02, 0.0), running_cost=u**2, step=0.1, steps=5),
-        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
-    )  # fmt: skip
+    """A mass pressed on a spring wall."""
+    free = replace(poised(), potential_energy=sp.Integer(0)).with_parameters(k=100.0)
+    scene = free.with_task(start=(0.02, 0.0), goal=(0.02, 0.0), step=0.1, steps=5)
     resting = replay(scene, build_fmu(scene), driven(scene, np.full((5, 1), 2.0)))
     assert resting.q[:, 0] == pytest.approx(0.02, abs=1e-12)
     assert resting.events == ()
