@@ -247,10 +247,9 @@ def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np
     b, c, d = slope_first, 3.0 * (last - first) - 2.0 * slope_first - slope_last, 2.0 * (first - last) + slope_first + slope_last
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c * c - 3.0 * d * b)
-        inner = np.stack([b / -(c + root), b / -(c - root)])  # of g'(s) = b + 2 c s + 3 d s^2, in the form that d = 0 does not harm
-    places = np.clip(
-        np.nan_to_num(np.concatenate([inner, [np.zeros_like(first), np.ones_like(first)]]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0
-    )
+        # Of g'(s) = b + 2 c s + 3 d s^2 the root where g'' > 0, in the form that loses no digits.
+        inner = np.where(c < 0.0, (root - c) / (3.0 * d), b / -(c + root))
+    places = np.clip(np.nan_to_num(np.stack([inner, np.zeros_like(first), np.ones_like(first)]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
     values = first + places * (b + places * (c + places * d))
     best = values.argmin(axis=0)[None]
     return np.take_along_axis(values, best, 0)[0], np.take_along_axis(places, best, 0)[0]

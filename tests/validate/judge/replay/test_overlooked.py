@@ -89,10 +89,11 @@ def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
 
 
 def test_the_least_value_of_a_cubic_between_two_rows():
-    """Of two cubics or parabolas at once, drawn at random, against ten thousand points of each."""
+    """Of two cubics or parabolas at once, drawn at random and such as rest at a row, against ten thousand points of each."""
     random, s, h = np.random.default_rng(4), np.linspace(0.0, 1.0, 10_001), 0.25
-    for degree in (3, 2, 1, 0) * 10:
-        pair = [np.polynomial.Polynomial(random.normal(size=degree + 1)) for _ in range(2)]
+    drawn = [[np.polynomial.Polynomial(random.normal(size=degree + 1)) for _ in range(2)] for degree in (3, 2, 1, 0) * 10]
+    rests = [np.polynomial.Polynomial([1.0, 0.0, sign * -3.0, sign * 2.5]) for sign in (1.0, -1.0)]
+    for pair in (*drawn, rests, [of(np.polynomial.Polynomial([1.0, -1.0])) for of in rests]):
         gap, rate = (np.column_stack([of(s[[0, -1]]) for of in part]) for part in (pair, [of.deriv() for of in pair]))
         lowest, place = lowest_between(np.array([1.0, 1.0 + h]), gap, rate / h)
         for column, polynomial in enumerate(pair):
