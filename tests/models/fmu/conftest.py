@@ -29,6 +29,8 @@ NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "o
 class Driver:
     """One instance of an FMU, by variable names. `log` collects (status, category, message)."""
 
+    prefix, doubles, rates = "fmi2", "Real", "GetDerivatives"  # in the names of FMI's functions
+
     def __init__(self, scene: Scene, folder: str, kind: type, *, guid: str | None = None, logging: bool = False) -> None:
         self._prepare(scene, folder, kind, guid)
         self._callbacks = fmi2CallbackFunctions()
@@ -47,21 +49,21 @@ class Driver:
 
     def close(self) -> None:
         if self.fmu.component is not None:
-            self.fmu.fmi2FreeInstance(self.fmu.component)
+            getattr(self.fmu, f"{self.prefix}FreeInstance")(self.fmu.component)
             self.fmu.component = None
 
     def vr(self, names: tuple[str, ...] | list[str]) -> list[int]:
         return [self.references[name] for name in names]
 
     def get(self, *names: str) -> np.ndarray:
-        return np.array(self.fmu.getReal(self.vr(names)))
+        return np.array(getattr(self.fmu, f"get{self.doubles}")(self.vr(names)))
 
     def set(self, **values: float) -> None:
-        self.fmu.setReal(self.vr(list(values)), list(values.values()))
+        getattr(self.fmu, f"set{self.doubles}")(self.vr(list(values)), list(values.values()))
 
     def set_all(self, names: tuple[str, ...], values: np.ndarray) -> None:
         if names:
-            self.fmu.setReal(self.vr(names), [float(value) for value in values])
+            self.set(**dict(zip(names, map(float, values), strict=True)))
 
     def directional(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
         return np.array(self.fmu.getDirectionalDerivative(self.vr(unknowns), self.vr(knowns), list(seed)))
@@ -92,29 +94,29 @@ class Driver:
 
     def _array(self, call: str, size: int) -> np.ndarray:
         array = np.full(size, np.nan)
-        getattr(self.fmu, call)(self.fmu.component, array.ctypes.data_as(_DOUBLES), size)
+        getattr(self.fmu, self.prefix + call)(self.fmu.component, array.ctypes.data_as(_DOUBLES), size)
         return array
 
     @property
     def states(self) -> np.ndarray:
-        return self._array("fmi2GetContinuousStates", 2 * self.scene.nq)
+        return self._array("GetContinuousStates", 2 * self.scene.nq)
 
     @states.setter
     def states(self, x: np.ndarray) -> None:
         array = np.ascontiguousarray(x, dtype=float)
-        self.fmu.fmi2SetContinuousStates(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
+        getattr(self.fmu, f"{self.prefix}SetContinuousStates")(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
 
     @property
     def derivatives(self) -> np.ndarray:
-        return self._array("fmi2GetDerivatives", 2 * self.scene.nq)
+        return self._array(self.rates, 2 * self.scene.nq)
 
     @property
     def indicators(self) -> np.ndarray:
-        return self._array("fmi2GetEventIndicators", self.scene.nc)
+        return self._array("GetEventIndicators", self.scene.nc)
 
     @property
     def nominals(self) -> np.ndarray:
-        return self._array("fmi2GetNominalsOfContinuousStates", 2 * self.scene.nq)
+        return self._array("GetNominalsOfContinuousStates", 2 * self.scene.nq)
 
     def event(self) -> None:
         self.fmu.enterEventMode()
@@ -148,6 +150,8 @@ class Driver:
 class Driver3(Driver):
     """As Driver, for FMI 3.0."""
 
+    prefix, doubles, rates = "fmi3", "Float64", "GetContinuousStateDerivatives"
+
     def __init__(self, scene: Scene, folder: str, kind: type, **options: Any) -> None:
         self._prepare(scene, folder, kind)
 
@@ -155,21 +159,6 @@ class Driver3(Driver):
             self.log.append((status, category.decode(), message.decode()))
 
         self.fmu.instantiate(logMessage=log, **options)
-
-    def close(self) -> None:
-        if self.fmu.component is not None:
-            self.fmu.fmi3FreeInstance(self.fmu.component)
-            self.fmu.component = None
-
-    def get(self, *names: str) -> np.ndarray:
-        return np.array(self.fmu.getFloat64(self.vr(names)))
-
-    def set(self, **values: float) -> None:
-        self.fmu.setFloat64(self.vr(list(values)), list(values.values()))
-
-    def set_all(self, names: tuple[str, ...], values: np.ndarray) -> None:
-        if names:
-            self.fmu.setFloat64(self.vr(names), [float(value) for value in values])
 
     def adjoint(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
         return np.array(self.fmu.getAdjointDerivative(self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)))
@@ -179,18 +168,6 @@ class Driver3(Driver):
 
     def update_modes(self) -> None:
         self.fmu.updateDiscreteStates()
-
-    def _array(self, call: str, size: int) -> np.ndarray:
-        return super()._array(call.replace("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives").replace("fmi2", "fmi3"), size)
-
-    @property
-    def states(self) -> np.ndarray:
-        return super().states
-
-    @states.setter
-    def states(self, x: np.ndarray) -> None:
-        array = np.ascontiguousarray(x, dtype=float)
-        self.fmu.fmi3SetContinuousStates(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
 
 
 _DOUBLES = fmpy.fmi2.POINTER(fmpy.fmi2.c_double)
