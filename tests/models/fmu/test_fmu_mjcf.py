@@ -72,11 +72,12 @@ class Slave:
 
 
 @contextmanager
-def instance(robot, kind: str = "CS", version: str = "2.0"):
+def instance(robot, kind: str = "CS", version: str = "2.0", **settings: float):
+    """One that has begun with these settings."""
     with unpacked(read_package(build_robot(robot, version))) as package:
         slave = Slave(package, kind)
         try:
-            yield slave
+            yield slave.begin(**settings)
         finally:
             slave.fmu.unload()
 
@@ -95,7 +96,6 @@ def test_the_motion_is_that_of_mj_step_to_the_bit(robot, version: str):
     leg = robot(LEG, "foot:floor")
     data, rng, touched = mujoco.MjData(leg.model), np.random.default_rng(0), 0
     with instance(leg, version=version) as fmu:
-        fmu.begin()
         for step in range(1000):
             u = rng.uniform([-8.0, -1.0], [8.0, 1.0])
             calls = 1 + step % 3
@@ -118,7 +118,6 @@ def test_equal_steps_no_longer_than_the_model_s_divide_a_communication_step(robo
     leg.model.opt.timestep = own
     data = mujoco.MjData(leg.model)
     with instance(robot(LEG)) as fmu:
-        fmu.begin()
         fmu.step(length, 20)
         mujoco.mj_step(leg.model, data, 20 * round(length / own))
         assert fmu.get(*states_of(leg)).tolist() == state_of(data).tolist()
@@ -130,7 +129,6 @@ def test_a_robot_starts_at_its_keyframe(robot):
     data = mujoco.MjData(leg.model)
     mujoco.mj_resetDataKeyframe(leg.model, data, 0)
     with instance(leg) as fmu:
-        fmu.begin()
         assert fmu.get("q_root_z", "q_hip", "q_knee", "act_knee", "u_hip", "u_knee").tolist() == [0.5, 0.4, -0.8, -0.8, 1.0, -0.8]
         fmu.step(H, 100)
         mujoco.mj_step(leg.model, data, 100)
@@ -142,7 +140,6 @@ def test_outputs_are_those_of_the_state_that_is_reached(robot):
     leg = robot(LEG, "foot:floor", "trunk:floor")
     data = mujoco.MjData(leg.model)
     with instance(leg) as fmu:
-        fmu.begin()
         fmu.step(H, 300)
         mujoco.mj_step(leg.model, data, 300)
         leg.model.opt.tolerance = 1e-14  # what is read is not left where a step may stop
@@ -157,8 +154,7 @@ def test_outputs_are_those_of_the_state_that_is_reached(robot):
 @pytest.mark.parametrize("mass", [3.0, 0.5])
 def test_a_block_that_lies_presses_with_its_weight(robot, mass: float):
     block = robot(BLOCK, "block:floor")
-    with instance(block) as fmu:
-        fmu.begin(mass_block=mass)
+    with instance(block, mass_block=mass) as fmu:
         fmu.step(0.001, 3000)
         force, gap, height = fmu.get("lam_block_floor", "gap_block_floor", "q_z")
         assert force == pytest.approx(mass * 9.81, rel=1e-6)
@@ -171,7 +167,6 @@ def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(rob
     """A time constant of 2 ms is cut at twice a step of 5 ms: by such steps a block comes to rest deeper than its own spring would let it lie."""
     made = robot(BLOCK.replace('timestep="0.001"', 'timestep="0.005"').replace("<geom", '<geom solref=".002 1"'), "block:floor")
     with instance(made) as fmu:
-        fmu.begin()
         fmu.step(0.005, 2000)
         force, rate, depth = fmu.get("lam_block_floor", "der(v_z)", "q_z")
         assert force == pytest.approx(3.0 * 9.81, rel=1e-6)
@@ -184,8 +179,7 @@ def test_rates_are_those_of_ever_smaller_steps_and_forces_those_of_the_steps(rob
 
 @pytest.mark.slow
 def test_without_gravity_nothing_presses(robot):
-    with instance(robot(BLOCK, "block:floor")) as fmu:
-        fmu.begin(gravity_z=0.0, q_z=0.25)
+    with instance(robot(BLOCK, "block:floor"), gravity_z=0.0, q_z=0.25) as fmu:
         fmu.step(0.001, 100)
         assert fmu.get("lam_block_floor", "gap_block_floor", "q_z") == pytest.approx([0.0, 0.25, 0.25], abs=1e-15)
 
@@ -194,8 +188,7 @@ def test_without_gravity_nothing_presses(robot):
 @pytest.mark.parametrize("scale", [1.0, 0.4, 0.0])
 def test_a_block_that_slides_is_slowed_by_its_friction(robot, scale: float):
     """By mu g, as long as it slides: 2 m/s lose 0.98 m/s in 0.2 s. MuJoCo's smallest coefficient is 1e-5."""
-    with instance(robot(BLOCK)) as fmu:
-        fmu.begin(v_x=2.0, friction_scale=scale, q_z=-1e-4)
+    with instance(robot(BLOCK), v_x=2.0, friction_scale=scale, q_z=-1e-4) as fmu:
         fmu.step(0.001, 200)
         with pytest.raises(FMICallException):
             fmu.set(v_x=2.0)  # a state is set at the start alone
@@ -207,8 +200,7 @@ def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
     """The depth at rest goes as 1 / stiffness; a constraint that gives way by half as much lets a heavy block in by less."""
 
     def depth(**parameters: float) -> float:
-        with instance(robot(BLOCK, "block:floor")) as fmu:
-            fmu.begin(timestep=1e-4, **parameters)
+        with instance(robot(BLOCK, "block:floor"), timestep=1e-4, **parameters) as fmu:
             fmu.step(0.01, 150)
             return -fmu.get("gap_block_floor")[0]
 
@@ -221,7 +213,6 @@ def test_a_stiffer_contact_gives_less_and_a_harder_one_too(robot):
 def test_parameters_may_change_between_steps_and_back(robot):
     leg = robot(LEG)
     with instance(leg) as fmu:
-        fmu.begin()
         fmu.step(H, 10)
         saved = fmu.fmu.save()
         fmu.step(H, 10)
@@ -245,10 +236,10 @@ def test_parameters_may_change_between_steps_and_back(robot):
 def test_model_exchange_is_the_equations_of_motion(robot, version: str):
     """A point at the end of a rod: dw/dt = -g/l sin(angle); a quaternion turns as q (0, w) / 2."""
     pendulum = robot(PENDULUM)
-    with instance(pendulum, "ME", version) as fmu:
-        q, w = np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7]), np.array([0.3, -2.0, 1.1])
-        names = dict(zip(("q_ball_qw", "q_ball_qx", "q_ball_qy", "q_ball_qz"), q, strict=True))
-        fmu.begin(q_swing=0.8, v_swing=-0.4, v_ball_wx=w[0], v_ball_wy=w[1], v_ball_wz=w[2], **names)
+    q, w = np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7]), np.array([0.3, -2.0, 1.1])
+    names = dict(zip(("q_ball_qw", "q_ball_qx", "q_ball_qy", "q_ball_qz"), q, strict=True))
+    turning = dict(zip(("v_ball_wx", "v_ball_wy", "v_ball_wz"), w, strict=True))
+    with instance(pendulum, "ME", version, q_swing=0.8, v_swing=-0.4, **turning, **names) as fmu:
         fmu.fmu.settle()
         assert fmu.get("der(q_swing)", "der(v_swing)") == pytest.approx([-0.4, -9.81 / 0.7 * math.sin(0.8)], rel=1e-6)
         moved = fmu.get("q_swing", *names)
@@ -262,8 +253,16 @@ def test_model_exchange_is_the_equations_of_motion(robot, version: str):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_directional_derivatives_are_those_of_the_equations(robot, version: str):
     """Of d w/dt = -g/l sin(angle) by the angle, and of dq/dt = q (0, w) / 2 by w and by q."""
-    with instance(robot(PENDULUM), "ME", version) as fmu:
-        fmu.begin(q_swing=0.8, v_ball_wx=0.3, v_ball_wy=-2.0, v_ball_wz=1.1, q_ball_qw=0.5, q_ball_qx=-0.5, q_ball_qy=0.5, q_ball_qz=0.5)
+    turned = {
+        "v_ball_wx": 0.3,
+        "v_ball_wy": -2.0,
+        "v_ball_wz": 1.1,
+        "q_ball_qw": 0.5,
+        "q_ball_qx": -0.5,
+        "q_ball_qy": 0.5,
+        "q_ball_qz": 0.5,
+    }
+    with instance(robot(PENDULUM), "ME", version, q_swing=0.8, **turned) as fmu:
         fmu.fmu.settle()
 
         def slopes(unknowns: Sequence[str], **seed: float) -> list[float]:
@@ -288,7 +287,6 @@ def test_a_slope_is_there_where_a_step_s_solver_would_stop_before_it(robot):
     puck += "<geom name='puck' type='ellipsoid' size='.2 .1 .1' mass='1'/></body></worldbody></mujoco>"
     made = robot(puck, "puck:floor")
     with instance(made, "ME") as fmu:
-        fmu.begin()
         fmu.fmu.settle()
         names = ["der(v_puck_wy)", "q_puck_qy"]
         (slope,) = fmu.fmu.fmu.directional([fmu.references[names[0]]], [fmu.references[names[1]]], [2.0**-1], 1)
@@ -300,7 +298,6 @@ def test_a_slope_is_there_where_a_step_s_solver_would_stop_before_it(robot):
 def test_a_motion_that_breaks_down_ends_in_a_sentence_at_the_last_good_step(robot):
     leg = robot(LEG)
     with instance(leg) as fmu:
-        fmu.begin()
         fmu.step(H, 5)
         before = fmu.get(*states_of(leg))
         fmu.set(u_hip=8.0, mass_trunk=1e-12, gravity_z=-1e14)
@@ -391,8 +388,7 @@ def test_three_carts_agree_with_the_scene_s_own_fmu_to_the_order_of_the_engine(r
     assert (truth[:, 1] - truth[:, 0]).min() < 0.45 < 0.6 < (truth[:, 1] - truth[:, 0]).max()
     errors = {}
     for step in (1e-2, 5e-3, 2.5e-3, 1.25e-3):
-        with instance(robot(_three_cart())) as fmu:
-            fmu.begin(timestep=step, **{f"q_{name}": value for name, value in starts.items()})
+        with instance(robot(_three_cart()), timestep=step, **{f"q_{name}": value for name, value in starts.items()}) as fmu:
             errors[step] = np.abs(motion(fmu, ("u_1", "u_3"), ("q_q1", "q_q2", "q_q3")) - truth).max()
     # A contact that closes at 1 m/s within a step of h leaves at most k h^2 / 2 m = 15 h^2 m/s wrong, which the damper stops within m / c = 0.5 s.
     assert all(error < 7.5 * step**2 for step, error in errors.items())
@@ -418,7 +414,6 @@ def test_robots_of_other_wheels_move_to_the_bit(path: str):
     inputs = [variable.name for variable in robot.table if variable.causality == "input"]
     lower, upper = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
     with instance(robot) as fmu:
-        fmu.begin()
         for _ in range(1000):
             data.ctrl[:] = 0.7 * rng.uniform(lower, upper)
             mujoco.mj_step(model, data)
