@@ -3,6 +3,7 @@
 import math
 import zipfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import fmpy
@@ -54,20 +55,17 @@ def pieces(scene: Scene) -> list[Piece]:
     return [Piece(quarter * (index + 1), np.full(scene.nu, force)) for index, force in enumerate(SHARES)]
 
 
-def pushed(scene: Scene) -> np.ndarray | None:
-    if not scene.nu:
-        return None
-    rows, begin = [], 0.0
-    for piece in pieces(scene):
-        rows += [(begin, piece.u[0]), (piece.end, piece.u[0])]
-        begin = piece.end
-    return np.array(rows, dtype=[("time", float), ("push", float)])
+def signal(scene: Scene, parts: list[Piece]) -> np.ndarray | None:
+    """Inputs as FMPy takes them."""
+    spans = pairwise([0.0, *(part.end for part in parts)])
+    rows = [(time, *part.u) for span, part in zip(spans, parts, strict=True) for time in span]
+    return np.array(rows, dtype=[("time", float), *((item.name, float) for item in scene.inputs)]) if scene.nu else None
 
 
 def simulate(
     scene: Scene, outputs: list[str], *, version: str = "2.0", kind: str = "CoSimulation", **options: object
 ) -> dict[str, np.ndarray]:
-    settings: dict = {"stop_time": scene.task.horizon, "output_interval": 0.01, "input": pushed(scene)} | options
+    settings: dict = {"stop_time": scene.task.horizon, "output_interval": 0.01, "input": signal(scene, pieces(scene))} | options
     result = fmpy.simulate_fmu(str(build_fmu(scene, version)), fmi_type=kind, output=outputs, **settings)
     return {name: result[name] for name in ("time", *outputs)}
 
@@ -76,15 +74,18 @@ def states(scene: Scene) -> list[str]:
     return [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
 
 
+def errors_of(scene: Scene, parts: list[Piece], times: np.ndarray, steps: tuple[float, ...]) -> list[float]:
+    """The largest difference of a state from the true motion with each internal step."""
+    truth, _ = true_motion(Equations(scene), parts, times)
+    how = {"stop_time": times[-1], "output_interval": times[1], "input": signal(scene, parts)}
+    found = [simulate(scene, states(scene), start_values={"internal_step": step}, **how) for step in steps]
+    return [np.abs(np.column_stack([rows[name] for name in states(scene)]) - truth).max() for rows in found]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_order_four_through_stick_and_slip(scene: Scene) -> None:
-    times = np.arange(101) * 0.01
-    truth, _ = true_motion(Equations(scene), pieces(scene), times)
-    errors = []
-    for step in (1e-2, 5e-3, 1e-3):
-        found = simulate(scene, states(scene), start_values={"internal_step": step})
-        errors.append(np.abs(np.column_stack([found[name] for name in states(scene)]) - truth).max())
+    errors = errors_of(scene, pieces(scene), np.arange(101) * 0.01, (1e-2, 5e-3, 1e-3))
     assert errors[-1] < 2e-9
     assert errors[0] < 1e-11 or math.log2(errors[0] / errors[1]) > 3.5
 
@@ -270,19 +271,6 @@ def test_derivatives_by_parameters_are_exact(drive: Callable) -> None:
 def test_order_four_through_touch_and_release(scene: Scene) -> None:
     end = scene.task.horizon
     parts = [Piece(end / 2, np.array([12.0, 3.0])[: scene.nu]), Piece(end, np.array([-20.0, 1.0])[: scene.nu])]
-    times = np.linspace(0.0, end, 61)
-    truth, _ = true_motion(Equations(scene), parts, times)
-    states = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
-    inputs = None
-    if scene.nu:
-        rows = [(begin, *part.u) for index, part in enumerate(parts) for begin in (parts[index - 1].end if index else 0.0, part.end)]
-        inputs = np.array(rows, dtype=[("time", float), *((item.name, float) for item in scene.inputs)])
-    errors = []
-    for step in (end / 240, end / 480, end / 9600):
-        found = fmpy.simulate_fmu(
-            str(build_fmu(scene)), fmi_type="CoSimulation", output=states, stop_time=end, output_interval=end / 60, input=inputs,
-            start_values={"internal_step": step},
-        )  # fmt: skip
-        errors.append(np.abs(np.column_stack([found[name] for name in states]) - truth).max())
+    errors = errors_of(scene, parts, np.linspace(0.0, end, 61), (end / 240, end / 480, end / 9600))
     assert errors[-1] < 1e-8
     assert np.log2(errors[0] / errors[1]) > 3.3
