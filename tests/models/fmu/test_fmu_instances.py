@@ -17,13 +17,13 @@ def everything(driver):
     return data
 
 
-def drive_on(driver, start, steps=30, step=0.01):
-    """Run with changing inputs; returns the trace of all outputs."""
+def drive_on(driver, start):
+    """Thirty steps with changing inputs; returns the trace of all outputs."""
     rows = []
-    for n in range(steps):
+    for n in range(30):
         if driver.names.u:
             driver.set_all(driver.names.u, 6.0 * np.cos(n + np.arange(len(driver.names.u))))
-        driver.fmu.doStep(start + n * step, step)
+        driver.fmu.doStep(start + n * 0.01, 0.01)
         rows.append(driver.get(*driver.names.q, *driver.names.v, *driver.names.lam, driver.names.kinetic_energy))
     return np.array(rows)
 
@@ -181,8 +181,8 @@ def run_with_events(cs, end, step):
     return events
 
 
-def with_event_mode(driver, early=True):
-    cs = driver("cs", "3.0", eventModeUsed=True, earlyReturnAllowed=early).initialise()
+def with_event_mode(drive, scene):
+    cs = drive(scene, "cs", "3.0", eventModeUsed=True, earlyReturnAllowed=True).initialise()
     cs.fmu.updateDiscreteStates()
     cs.fmu.enterStepMode()
     return cs
@@ -190,7 +190,7 @@ def with_event_mode(driver, early=True):
 
 def test_early_return_is_at_the_closed_form_of_contact(scene_of, drive, constants):
     exact = constants("bouncing_mass")
-    cs = with_event_mode(lambda *kind, **options: drive(scene_of("bouncing_mass"), *kind, **options))
+    cs = with_event_mode(drive, scene_of("bouncing_mass"))
     step = exact.FALL_TIME + exact.CONTACT_TIME / 3  # the contact closes within the first step and opens within the second
     events = run_with_events(cs, 2 * step, step)
     np.testing.assert_allclose(events, [exact.FALL_TIME, exact.FALL_TIME + exact.CONTACT_TIME], rtol=0, atol=1e-9)
@@ -198,7 +198,7 @@ def test_early_return_is_at_the_closed_form_of_contact(scene_of, drive, constant
 
 def test_contact_changes_in_event_mode_only(scene_of, drive):
     """At the early return the gap is closed to 1e-13 of its nominal, but the force follows the gap only after event mode."""
-    cs = with_event_mode(lambda *kind, **options: drive(scene_of("bouncing_mass"), *kind, **options))
+    cs = with_event_mode(drive, scene_of("bouncing_mass"))
     event, _, early, reached = cs.fmu.doStep(0.0, 1.0)
     assert (event, early) == (True, True)
     assert abs(cs.get("gap_floor")[0]) < 1e-12
@@ -213,7 +213,7 @@ def test_contact_changes_in_event_mode_only(scene_of, drive):
     cs.refused(cs.fmu.enterStepMode, "'step complete'")
     cs.refused(cs.fmu.updateDiscreteStates, "'step complete'")
     # an importer that forgets event mode is told again, at the same instant, and nothing moves
-    other = with_event_mode(lambda *kind, **options: drive(scene_of("bouncing_mass"), *kind, **options))
+    other = with_event_mode(drive, scene_of("bouncing_mass"))
     other.fmu.doStep(0.0, 1.0)
     assert other.fmu.doStep(reached, 0.1) == (True, False, True, reached)
 
@@ -337,7 +337,7 @@ def test_input_parabola_is_used_up_to_an_early_return_at_contact(scene_of, drive
 
 def test_state_of_event_mode_is_refused_without_it(scene_of, drive):
     scene = scene_of("three_cart")
-    one = with_event_mode(lambda *kind, **options: drive(scene, *kind, **options))
+    one = with_event_mode(drive, scene)
     other = drive(scene, "cs", "3.0").initialise()
     state = one.fmu.getFMUState()
     other.refused(lambda: other.fmu.setFMUState(state), "with event mode")

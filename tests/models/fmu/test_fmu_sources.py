@@ -12,6 +12,8 @@ import fmpy
 import numpy as np
 import pytest
 import sympy as sp
+from fmpy.fmi2 import FMU2Slave
+from fmpy.validation import validate_fmu
 from lxml import etree
 from wording import unsaid
 
@@ -239,7 +241,6 @@ def test_split_refuses_unsplittable_scenes():
 @pytest.mark.parametrize("name", ["three_cart", "two_discs"])
 def test_the_system_structure_is_valid_and_complete(name, tmp_path):
     """Against the schema of SSP 1.0; every input is connected once, every connection joins an output to an input of the same unit."""
-    from fmpy import read_model_description
     from fmpy.ssp import ssd
 
     scene = load_scene(name)
@@ -257,7 +258,7 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
         units = {}
         for component in root.iter(f"{SSD}Component"):
             (tmp_path / "part.fmu").write_bytes(archive.read(component.attrib["source"]))
-            described = {v.name: v for v in read_model_description(str(tmp_path / "part.fmu")).modelVariables}
+            described = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "part.fmu")).modelVariables}
             for connector in component.iter(f"{SSD}Connector"):
                 variable = described[connector.attrib["name"]]
                 assert variable.causality == connector.attrib["kind"]
@@ -280,8 +281,6 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
 @pytest.mark.parametrize("name", ["three_cart", "two_discs"])
 def test_a_contact_is_a_sound_fmu(name):
     """FMPy's and our own check; the values of every part are those of the scene."""
-    from fmpy.validation import validate_fmu
-
     part = split(load_scene(name)).contacts[0]
     path = build_part(part)
     assert validate_fmu(str(path)) == []
@@ -298,12 +297,18 @@ def test_equal_scenes_give_equal_bytes(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_contact_gives_what_the_equations_say(unpacked_part):
+def test_a_contact_gives_what_the_equations_say(tmp_path):
     """Force, gap, energy, power and the force on each coordinate of two discs in the plane, in contact and apart."""
     scene = load_scene("two_discs")
     part = split(scene).contacts[0]
     names = [variable.name for variable in contact_table(part)]
-    fmu = unpacked_part(part)
+    path = str(build_part(part))
+    guid, folder = fmpy.read_model_description(path).guid, fmpy.extract(path, str(tmp_path))
+    fmu = FMU2Slave(guid=guid, unzipDirectory=folder, modelIdentifier=part.name, instanceName="it")
+    fmu.instantiate()
+    fmu.setupExperiment(startTime=0.0)
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
     values = {item.symbol: item.value for item in part.parameters}
     rng = np.random.default_rng(4)
     depths = []
@@ -317,32 +322,9 @@ def test_a_contact_gives_what_the_equations_say(unpacked_part):
         got = fmu.getReal(list(range(len(names)))[-8:])
         np.testing.assert_allclose(got, [lam, -phi, lam * max(phi, 0.0) / 2, push @ v, *push], rtol=1e-12, atol=1e-12)
         depths.append(phi)
+    fmu.terminate()
+    fmu.freeInstance()
     assert min(depths) < 0 < max(depths)
-
-
-@pytest.fixture
-def unpacked_part(tmp_path):
-    from fmpy import extract, read_model_description
-    from fmpy.fmi2 import FMU2Slave
-
-    made = []
-
-    def load(part):
-        path = build_part(part)
-        folder = extract(str(path), str(tmp_path / part.name))
-        description = read_model_description(str(path))
-        fmu = FMU2Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier=part.name, instanceName="it")
-        fmu.instantiate()
-        fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        fmu.exitInitializationMode()
-        made.append(fmu)
-        return fmu
-
-    yield load
-    for fmu in made:
-        fmu.terminate()
-        fmu.freeInstance()
 
 
 def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, capsys):
