@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -264,11 +265,7 @@ def test_what_lives_is_ended_and_freed_and_nothing_after_a_fatal_status(componen
 
 def test_what_does_not_terminate_is_freed_all_the_same():
     instance, log = made()
-
-    def fails() -> None:
-        raise refused(fmi2Error)
-
-    instance.fmu.terminate = fails
+    instance.fmu.terminate = Mock(side_effect=refused(fmi2Error))
     instance.close()
     assert log == [("fmi2FreeInstance", "component")]
 
@@ -370,19 +367,11 @@ def test_what_the_fmu_said_last_ends_a_sentence():
 @pytest.mark.parametrize("needs_tool", [True, False])
 def test_an_fmu_that_gives_no_instance_lacks_its_tool_or_misbehaves(needs_tool: bool):
     instance, _ = made()
-
-    def fails(log: Any, options: Any) -> None:
-        raise Exception("null")
-
-    instance.fmu.make, instance._needs_tool = fails, needs_tool
+    instance.fmu.make, instance._needs_tool = Mock(side_effect=Exception("null")), needs_tool
     with pytest.raises(Lacking if needs_tool else Misbehaviour, match="the FMU returned no instance") as caught:
         instance.instantiate()
     assert ("needs the tool" in str(caught.value)) is needs_tool
-
-    def refuses(log: Any, options: Any) -> None:
-        raise refused(fmi2Error)
-
-    instance.fmu.make = refuses
+    instance.fmu.make = Mock(side_effect=refused(fmi2Error))
     with pytest.raises(FMICallException):
         instance.instantiate()
 
