@@ -65,11 +65,7 @@ class FakeMethod(Method[FakeOptions]):
         return _Session(scene, self._act, options, self.name)
 
 
-def _segfault() -> None:
-    ctypes.string_at(0)
-
-
-def _hang() -> None:
+def hang() -> None:
     while True:
         time.sleep(1)
 
@@ -78,7 +74,7 @@ def _hang_with_family() -> None:
     """A child in the same group, and one that left it."""
     subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
     subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"], start_new_session=True)
-    _hang()
+    hang()
 
 
 def _leave_family() -> None:
@@ -109,20 +105,16 @@ def _plan_of_another_scene() -> Solution:
     return Solution(method="misfit", outcome=Outcome.SOLVED, trajectory=Trajectory(t=np.arange(2.0), q=two, v=two, u=two[:1], lam=two[:1]))
 
 
-def _linger() -> None:
-    time.sleep(0.6)
-
-
 METHODS = {
     method.name: method
     for method in (
         FakeMethod("good"), FakeMethod("soft", kind=Kind.INDIRECT, needs_eps=True),
         FakeMethod("bad_soft", _raise, kind=Kind.INDIRECT, needs_eps=True), FakeMethod("refuses", refuses="it wants friction."),
-        FakeMethod("infeasible", lambda: Outcome.INFEASIBLE), FakeMethod("segfault", _segfault), FakeMethod("abort", os.abort),
-        FakeMethod("exit_zero", lambda: os._exit(0)), FakeMethod("exit_seven", lambda: os._exit(7)), FakeMethod("hang", _hang),
+        FakeMethod("infeasible", lambda: Outcome.INFEASIBLE), FakeMethod("segfault", lambda: ctypes.string_at(0)), FakeMethod("abort", os.abort),
+        FakeMethod("exit_zero", lambda: os._exit(0)), FakeMethod("exit_seven", lambda: os._exit(7)), FakeMethod("hang", hang),
         FakeMethod("family", _hang_with_family), FakeMethod("litter", _leave_family), FakeMethod("garbage", _garbage), FakeMethod("raises", _raise),
         FakeMethod("spoiled", _spoil_result), FakeMethod("misfit", _plan_of_another_scene), FakeMethod("no_solution", lambda: "solved!"),
-        FakeMethod("quits", lambda: sys.exit(0)), FakeMethod("slow", _linger), FakeMethod("violating"),
+        FakeMethod("quits", lambda: sys.exit(0)), FakeMethod("slow", lambda: time.sleep(0.6)), FakeMethod("violating"),
     )
 }  # fmt: skip
 

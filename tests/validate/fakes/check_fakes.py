@@ -5,7 +5,6 @@ python -m validate all --plugin check_fakes:PLUGIN        # with this folder on 
 
 import ctypes
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -18,11 +17,6 @@ from validate.tasks.check import Course, Found
 from validate.tasks.task import CheckTask, SceneReference
 
 
-def _hang() -> None:
-    while True:
-        time.sleep(1)
-
-
 def _raise() -> None:
     raise ValueError("its own mistake\nwith a second line")
 
@@ -31,7 +25,7 @@ def _refuse() -> None:
     raise TouchstoneError("the check says why it cannot.")
 
 
-_MISBEHAVIOUR = {"segfault": lambda: ctypes.string_at(0), "hang": _hang, "raise": _raise, "refuse": _refuse}
+_MISBEHAVIOUR = {"segfault": lambda: ctypes.string_at(0), "hang": campaign_fakes.hang, "raise": _raise, "refuse": _refuse}
 
 
 def ask(arguments: Mapping[str, str], course: Course) -> Found:
