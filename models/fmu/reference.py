@@ -164,8 +164,6 @@ class Equations:
             Where the mass matrix is singular.
         """
         phi = self.at(x)["phi"]
-        if not phi.size:
-            return phi > 0
         jacobian, at_boundary = self.at(x)["jacobian"], np.abs(phi) <= self._band
         rate = -jacobian @ x[self.n :]
         if np.any(at_boundary & (rate == 0)):

@@ -111,13 +111,9 @@ def _environment() -> dict[str, bytes]:
         rows = ctypes.POINTER(ctypes.c_char_p).in_dll(call, "environ")
     except (AttributeError, TypeError, ValueError):
         return {name: value.encode() for name, value in os.environ.items()}
-    found: dict[str, bytes] = {}
-    place = 0
-    while rows and rows[place] is not None:
-        name, _, value = rows[place].partition(b"=")
-        found[name.decode(errors="replace")] = value
-        place += 1
-    return found
+    texts = itertools.takewhile(lambda text: text is not None, (rows[place] for place in itertools.count())) if rows else ()
+    pairs = (text.partition(b"=") for text in texts)
+    return {name.decode(errors="replace"): value for name, _, value in pairs}
 
 
 def _descriptors() -> dict[str, tuple[int, int]]:

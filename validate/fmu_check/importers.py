@@ -174,9 +174,8 @@ def _compared(importer: Importer, subject: Subject, kind: str) -> Finding:
         end, ours, bars = _ours(subject, kind, block, given, steps, before_events=importer.run is casadi)
     except FmuError as error:
         return not_offered(f"we cannot tell either: {str(error).rstrip('.')}.")
-    points = [subject.start_time + (end - subject.start_time) * place / steps for place in range(steps + 1)]
-    if kind == "CS":
-        points = [subject.time(place) for place in range(steps + 1)]
+    whole = end - subject.start_time
+    points = [subject.time(place) if kind == "CS" else subject.start_time + whole * place / steps for place in range(steps + 1)]
     job = {
         "folder": str(subject.folder), "type": kind, "identifier": subject.interface(kind).modelIdentifier, "token": subject.description.guid,
         "names": block.names, "references": block.references,

@@ -216,10 +216,8 @@ def _moves(subject: Subject, kind: str, bound: set[str], steps: int, before: Set
     if not moved.any():
         return ""
     step, place = np.argwhere(moved)[0]
-    name, when = (
-        subject.observed.names[place],
-        f"t = {subject.time(step):.6g} s to {new[step, place]:.10g} at t = {subject.time(step + 1):.6g} s",
-    )
+    name = subject.observed.names[place]
+    when = f"t = {subject.time(step):.6g} s to {new[step, place]:.10g} at t = {subject.time(step + 1):.6g} s"
     how = "without an event between" if kind == "ME" else "and on in the next two steps"
     return f"{name} is {subject.by_name[name].variability}, but moves from {old[step, place]:.10g} at {when}, {how}."
 

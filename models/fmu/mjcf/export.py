@@ -134,10 +134,9 @@ def _structure(robot: Robot, standard: Standard) -> dict[str, list[Unknown]]:
 
     always = [*given, *settings] if standard.version != "2.0" else given  # FMI 3.0 counts parameters at all times
     moved = [Unknown(place, (place,), ("constant",)) if exchange else Unknown(place, (), ()) for place in states]
-    initial = unknowns([*rates, *calculated], [*given, *settings])
     return {
         "outputs": [*moved, *unknowns(calculated, always)],
         "derivatives": unknowns(rates, always),
-        "initial": initial,
+        "initial": unknowns([*rates, *calculated], [*given, *settings]),
         "indicators": [],
     }

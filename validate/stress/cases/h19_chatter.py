@@ -34,8 +34,7 @@ def measure() -> Found:
     converges = result.ok and ratio >= 1.5
     estimate = math.nan if result.error.estimate is None else result.error.estimate.position
     silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
-    resolved = result.ok and error.everyday is not None and error.step is not None
-    far = error.everyday.position / max(error.step.position, 1e-12) if resolved and error.everyday and error.step else math.nan
+    far = error.everyday.position / max(error.step.position, 1e-12) if result.ok and error.everyday and error.step else math.nan
     return finding(
         f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
