@@ -200,41 +200,32 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     start = work.start(number)
     path, branching = Path(work, steps), Branching(work, start)
     work.set(settings.eps_start or strategy.first)
-    branch, last = None, None
+    branch, last, outcome, message = None, None, Outcome.SOLVED, ""
     if not work.lifted.pairs:
         branch = branching.polish(start)
-        if branch is not None:
-            branch = _settled(branching, branch, start, [branch])
-        message = "" if branching.last is None else branching.last.told
-        outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
-        return Candidate(
-            work=work,
-            branch=branch,
-            point=None,
-            outcome=outcome,
-            message=message,
-            unbounded=branching.unbounded,
-            curves_down=branching.curves_down,
-        )
-    before: np.ndarray | None = None
-    for last in path.points(start, is_tried=is_tried):
-        first, second = work.relaxed.pair_values(last.x)
-        closed, residual = first < second, natural_residual(first, second)
-        clear = before is not None and np.array_equal(closed, before)
-        before = closed
-        is_early = last.eps <= _EARLY_EPS or (strategy.eps_is_weight and residual <= _EARLY_RESIDUAL)
-        if settings.polish and is_early and clear and (last.result.solved or residual <= _DECIDED):
-            branch = branching.polish(last.x)
-            if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
-                break
+        searched = [] if branch is None else [branch]
     else:
-        if last is not None and settings.polish:
-            branch = branching.polish(last.x)
+        before: np.ndarray | None = None
+        for last in path.points(start, is_tried=is_tried):
+            first, second = work.relaxed.pair_values(last.x)
+            closed, residual = first < second, natural_residual(first, second)
+            clear = before is not None and np.array_equal(closed, before)
+            before = closed
+            is_early = last.eps <= _EARLY_EPS or (strategy.eps_is_weight and residual <= _EARLY_RESIDUAL)
+            if settings.polish and is_early and clear and (last.result.solved or residual <= _DECIDED):
+                branch = branching.polish(last.x)
+                if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
+                    break
+        else:
+            if last is not None and settings.polish:
+                branch = branching.polish(last.x)
     if branch is not None:
         branch = _settled(branching, branch, start, searched)
-    outcome, message = Outcome.SOLVED, ""
-    if branch is None:
+    elif work.lifted.pairs:
         branch, outcome, message = _without_branch(work, start, branching, path, last, is_last=is_last)
+    else:
+        assert branching.last is not None
+        outcome, message = branching.last.outcome, branching.last.told
     return Candidate(
         work=work,
         branch=branch,
