@@ -11,7 +11,7 @@ import sympy as sp
 
 from formulations.methods import best_exact
 from formulations.mpec import certify_plan
-from formulations.pipelines import find_pipeline, load_method, pipelines_for
+from formulations.pipelines import find_pipeline, load_method, pipelines_for, solve_scene
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -23,8 +23,7 @@ SMALL = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0),
 
 
 def solved(scene: Scene, name: str = "best_exact", **options: object) -> Solution:
-    with load_method(name).open(scene, options) as session:
-        return session.solve(eps=None, warm_start=None, time_limit=600.0)
+    return solve_scene(scene, name, options=options)
 
 
 def test_open_and_closed_contacts_are_left_to_mpcc():

@@ -11,7 +11,7 @@ import torch
 from formulations.contact_modes import collocation as stage_modes
 from formulations.contact_modes.goal import correct_end_by_softplus
 from formulations.contact_modes.nonlinear import SoftplusHomotopy
-from formulations.pipelines import load_method
+from formulations.pipelines import solve_scene
 from formulations.shooting.reference import reference_rollout
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model, load_plan
@@ -135,8 +135,7 @@ def test_exact_plans_cost_the_same(steps: int, step: float):
     scene = load_scene("three_cart").with_task(steps=steps, step=step)
     costs = []
     for one in (scene, shrunk(scene)):
-        with load_method("mpcc").open(one, {"search": False}) as session:
-            found = session.solve(eps=None, warm_start=None, time_limit=300.0)
+        found = solve_scene(one, "mpcc", options={"search": False}, time_limit=300.0)
         assert found.outcome is Outcome.SOLVED, found.message
         costs.append(found.cost)
     assert costs[1] == pytest.approx(costs[0], rel=1e-7)
@@ -155,6 +154,5 @@ def test_the_nearest_plan_is_asked_for_at_the_first_sharpness(monkeypatch):
 
     monkeypatch.setattr(stage_modes, "nearest", nearest)
     monkeypatch.setattr(SoftplusHomotopy, "run", lambda *_, **__: (Outcome.INFEASIBLE, "nothing"))
-    with load_method("collocation").open(shrunk(carts()).with_task(steps=5)) as session:
-        assert session.solve(eps=None, warm_start=None, time_limit=60.0).outcome is Outcome.INFEASIBLE
+    assert solve_scene(shrunk(carts()).with_task(steps=5), "collocation", time_limit=60.0).outcome is Outcome.INFEASIBLE
     assert asked == [pytest.approx(7.0 / SIZE)]

@@ -6,10 +6,9 @@ from example_scenes import example_scene
 
 from benchmarks.suite.plans import pushed_row
 from formulations.contact_modes.search import mode_sequence
-from formulations.method import OptionError
 from formulations.methods.relaxed_lcp import RelaxedLCPSession
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -24,8 +23,7 @@ SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.
 
 
 def solved(scene: Scene = SCENE, warm_start=None, **options) -> Solution:
-    with load_method("mpcc").open(scene, options) as session:
-        return session.solve(eps=None, warm_start=warm_start, time_limit=TIME_LIMIT)
+    return solve_scene(scene, "mpcc", options=options, warm_start=warm_start, time_limit=TIME_LIMIT)
 
 
 def check(solution: Solution, scene: Scene, ball: float = 0.0) -> None:
@@ -221,11 +219,7 @@ def test_an_unreachable_goal_has_no_plan() -> None:
 
 
 def test_no_time_ends_in_a_time_limit() -> None:
-    with load_method("mpcc").open(SCENE) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=1e-3)
-        assert solution.outcome is Outcome.TIME_LIMIT
-        with pytest.raises(OptionError, match="time limit"):
-            session.solve(eps=None, warm_start=None, time_limit=0.0)
+    assert solve_scene(SCENE, "mpcc", time_limit=1e-3).outcome is Outcome.TIME_LIMIT
 
 
 @pytest.mark.slow

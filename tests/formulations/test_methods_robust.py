@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from formulations.grids import departure, finer_scene, motion_on_finer_steps, plan_of, scene_of
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.shooting.options import RobustOptions
 from formulations.shooting.worlds import DrawnWorld, WorldsObjective, drawn
 from formulations.solution import Outcome
@@ -96,8 +96,7 @@ def missed(plan: Trajectory, seed: int) -> np.ndarray:
 
 @pytest.mark.slow
 def test_a_robust_plan_meets_the_goal_and_arrives_in_more_worlds_it_was_not_made_for():
-    with load_method("mpcc").open(SCENE, {}) as session:
-        alone = session.solve(eps=None, warm_start=None, time_limit=1e4)
+    alone = solve_scene(SCENE, "mpcc", time_limit=1e4)
     with load_method("robust").open(SCENE, {"worlds": 32}) as session:
         found = session.solve(eps=None, warm_start=alone.trajectory, time_limit=1e4)
     assert found.outcome is Outcome.SOLVED

@@ -14,7 +14,7 @@ from formulations.contact_modes.session import MpccSession
 from formulations.method import OptionError
 from formulations.methods.mpcc_front import front, front_message
 from formulations.mpec import certify_solution
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import FrontPoint, Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -34,8 +34,7 @@ def miss(solution: Solution, scene: Scene) -> float:
 
 
 def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> Solution:
-    with load_method("mpcc").open(SCENE, {"goal_tolerance": ball, "search": search}) as session:
-        return session.solve(eps=None, warm_start=plan, time_limit=600.0)
+    return solve_scene(SCENE, "mpcc", options={"goal_tolerance": ball, "search": search}, warm_start=plan)
 
 
 @pytest.mark.slow
@@ -90,8 +89,7 @@ def test_tolerances_that_are_none_are_refused(wrong) -> None:
 
 @pytest.mark.slow
 def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
-    with load_method("mpcc_front").open(SMALL, {"tolerances": (0.05, 0.0)}) as session:
-        solution = certify_solution(SMALL, session.solve(eps=None, warm_start=None, time_limit=600.0))
+    solution = certify_solution(SMALL, solve_scene(SMALL, "mpcc_front", options={"tolerances": (0.05, 0.0)}))
     assert miss(solution, SMALL) <= 1e-10
     assert solution.options["tolerances"] == (0.0, 0.05)
     assert [point.tolerance for point in solution.front] == [0.0, 0.05]
@@ -103,8 +101,7 @@ def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
 
 
 def test_no_time_leaves_a_front_without_plans() -> None:
-    with load_method("mpcc_front").open(SMALL) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=1e-3)
+    solution = solve_scene(SMALL, "mpcc_front", time_limit=1e-3)
     assert solution.outcome is Outcome.TIME_LIMIT
     assert len(solution.front) == 9
     assert all(point.solution.trajectory is None for point in solution.front)

@@ -30,7 +30,7 @@ from formulations.contact_modes.search import (
 )
 from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
-from formulations.pipelines import load_method
+from formulations.pipelines import solve_scene
 from formulations.solution import Outcome
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.method import SolveBudget
@@ -344,8 +344,7 @@ def test_the_clock_decides_nothing() -> None:
     """A search cut by its work finds the same in any time; with more work it looks further."""
     found = []
     for work, time_limit in ((1.5, 600.0), (1.5, 60000.0), (0.01, 600.0)):
-        with load_method("mpcc").open(SCENE, {"work": work}) as session:
-            found.append(session.solve(eps=None, warm_start=None, time_limit=time_limit))
+        found.append(solve_scene(SCENE, "mpcc", options={"work": work}, time_limit=time_limit))
     assert found[0].outcome is Outcome.SOLVED
     assert (found[0].cost, found[0].iterations, found[0].message) == (found[1].cost, found[1].iterations, found[1].message)
     assert "as many as it may try" in found[0].message
@@ -359,8 +358,7 @@ def test_a_first_plan_has_less_work_than_the_search_around_it() -> None:
     """What is given up says why; what has a plan by then is searched with all of the work."""
     found = []
     for first_work in (0.01, 1.0, 1.5):
-        with load_method("mpcc").open(SCENE, {"work": 1.5, "first_work": first_work}) as session:
-            found.append(session.solve(eps=None, warm_start=None, time_limit=600.0))
+        found.append(solve_scene(SCENE, "mpcc", options={"work": 1.5, "first_work": first_work}))
     given_up, bounded, free = found
     assert (given_up.outcome, given_up.trajectory) == (Outcome.ITERATION_LIMIT, None)
     assert "the work limit of a first one" in given_up.message

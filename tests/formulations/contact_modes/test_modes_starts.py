@@ -13,7 +13,7 @@ from formulations.contact_modes import session as throws
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.contact_modes.starts import descended_plan, final_cost, mirrored, random_plan, thrown_plans
 from formulations.method import OptionError
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from models import dynamics
 from models.catalog import load_scene
@@ -66,8 +66,7 @@ def test_the_shooting_solution_comes_nearer_to_the_goal_at_less_than_the_best_co
 
 
 def several(**options) -> Solution:
-    with load_method("mpcc").open(SMALL, options) as session:
-        return session.solve(eps=None, warm_start=None, time_limit=600.0)
+    return solve_scene(SMALL, "mpcc", options=options)
 
 
 @pytest.mark.slow
@@ -147,8 +146,7 @@ WALL = coarse("two_discs_wall")
 
 @cache
 def solved(scene: Scene, **options: object) -> Solution:
-    with load_method("mpcc").open(scene, {"search": False, **options}) as session:
-        return session.solve(eps=None, warm_start=None, time_limit=120.0)
+    return solve_scene(scene, "mpcc", options={"search": False, **options}, time_limit=120.0)
 
 
 @pytest.mark.slow
@@ -193,8 +191,7 @@ def test_where_no_throw_is_tried(change: str, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(throws, "thrown_plans", never)
     near = replace(WALL, limits=(*WALL.limits, *goal_limits(position=0.01, reason="this test")))
     scene = near.with_task(goal=(None, None, -0.5, 0.6, *(None,) * 4)) if change == "goal" else WALL.with_task(final_cost=0.0)
-    with load_method("mpcc").open(scene, {"search": False, "first_work": 1.0}) as session:
-        plan = session.solve(eps=None, warm_start=None, time_limit=120.0).trajectory
+    plan = solve_scene(scene, "mpcc", options={"search": False, "first_work": 1.0}, time_limit=120.0).trajectory
     assert plan is None or not plan.lam.any()
 
 

@@ -12,7 +12,7 @@ from pyomo.contrib.solver.common.util import NoDualsError, NoFeasibleSolutionErr
 from pyomo.opt import SolverStatus, TerminationCondition
 
 import formulations  # noqa: F401 - registers the solver
-from formulations.ipopt import ModelRefusedError, UnknownOptionError, compile_model, pyomo_solver, solve
+from formulations.ipopt import ModelRefusedError, TouchstoneIpopt, UnknownOptionError, compile_model, pyomo_solver, solve
 from formulations.ipopt.pyomo_solver import dual_start
 from formulations.solution import Outcome
 from tests.formulations.mpec.nearest import nearest
@@ -208,6 +208,8 @@ def test_the_manners_of_a_pyomo_solver(solver):
         opened.solve(linear(pyo.minimize), symbolic_solver_labels=True, keepfiles=False)
     with pytest.raises(TypeError, match="tea"):
         solver.solve(linear(pyo.minimize), tea=True)
+    with pytest.raises(TypeError, match="nonsense"):
+        TouchstoneIpopt(nonsense=1)
 
 
 def test_refusals_come_before_anything_runs(solver):

@@ -107,7 +107,7 @@ def _external(m):
     (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.ceil(m.x) == 1)), ["'c'", "ceil"]),
     (lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))), ["'c'", "Complementarity", "mpec_ipopt"]),
     (_disjunction, ["Disjunct"]), (_external, ["cost", "variable"]),
-    (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)), ["'s'", "SOSConstraint"]),
+    (lambda m: m.add_component("s", pyo.SOSConstraint(rule=lambda m: ([m.x, m.y], [1, 2]), sos=1)), ["'s'", "SOSConstraint", "special ordered sets"]),
     (lambda m: (m.add_component("o1", pyo.Objective(expr=m.x)), m.add_component("o2", pyo.Objective(expr=m.y))), ["'o1'", "'o2'"]),
     (lambda m: (m.add_component("n", pyo.Var(domain=pyo.Integers)), m.add_component("c", pyo.Constraint(expr=m.n >= m.x))), ["'n'", "Integers"]),
     (lambda m: (m.add_component("e", pyo.Expression()), m.add_component("o", pyo.Objective(expr=m.x + m.e))), ["'e'", "'o'"]),

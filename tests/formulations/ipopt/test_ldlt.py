@@ -4,7 +4,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pyomo.environ as pyo
 import pytest
 import scipy.sparse as sparse
 
@@ -27,6 +26,7 @@ from tests.formulations.ipopt.factored import (
     scaled,
     wide_range,
 )
+from tests.formulations.ipopt.problems import quadratic
 
 
 @pytest.mark.parametrize("kind", [saddle, no_diagonal, arrow, wide_range, chain, dense, grid, hubs])
@@ -200,17 +200,16 @@ def test_the_factor_of_a_plan_grows_with_its_steps_alone() -> None:
     assert reals(800) < 1.15 * reals(100)
 
 
-def parabola() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=1.0, bounds=(0, 2))
-    m.o = pyo.Objective(expr=(m.x[1] - 3) ** 2 + m.x[2] ** 2)
-    m.c = pyo.Constraint(expr=m.x[1] + m.x[2] == 1.5)
-    return m
+def solver_of(**options) -> str:
+    """Who factorised in a solve that came to its end."""
+    result = solve(compile_model(quadratic()), options=options)
+    assert result.outcome is Outcome.SOLVED
+    return result.options["linear_solver"]
 
 
 @pytest.fixture
-def no_compiler(monkeypatch):
-    monkeypatch.setenv("CC", "no-such-compiler")
+def nobody_asks(monkeypatch):
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
 
 
 def test_both_come_to_the_same_plan():
@@ -222,35 +221,34 @@ def test_both_come_to_the_same_plan():
     assert np.allclose(ours.x, theirs.x, rtol=0, atol=1e-4 * np.abs(theirs.x).max())
 
 
+@pytest.mark.usefixtures("nobody_asks")
 def test_ours_is_the_default_and_the_environment_names_another(monkeypatch):
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
-    assert solve(compile_model(parabola())).options["linear_solver"] == "ldlt"
+    assert solver_of() == "ldlt"
     monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "mumps")
-    assert solve(compile_model(parabola())).options["linear_solver"] == "mumps"
-    assert solve(compile_model(parabola()), options={"linear_solver": "ldlt"}).options["linear_solver"] == "ldlt"
+    assert solver_of() == "mumps"
+    assert solver_of(linear_solver="ldlt") == "ldlt"
     monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "ma57")
     with pytest.raises(MachineError, match="'ma57'; there are ldlt and mumps"):
-        solve(compile_model(parabola()))
+        solver_of()
 
 
-def test_without_a_compiler_mumps_serves(no_compiler, monkeypatch):
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
-    result = solve(compile_model(parabola()))
-    assert result.outcome is Outcome.SOLVED
-    assert result.options["linear_solver"] == "mumps"
+@pytest.mark.usefixtures("nobody_asks")
+def test_without_a_compiler_mumps_serves(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert solver_of() == "mumps"
     with pytest.raises(MachineError, match="no C compiler"):
-        solve(compile_model(parabola()), options={"linear_solver": "ldlt"})
+        solver_of(linear_solver="ldlt")
     monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "ldlt")
     with pytest.raises(MachineError, match="no C compiler"):
-        solve(compile_model(parabola()))
+        solver_of()
 
 
+@pytest.mark.usefixtures("nobody_asks")
 def test_an_ipopt_that_loads_no_solver_is_left_with_mumps(monkeypatch):
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
     monkeypatch.setattr(linear_solver, "loads_solvers", lambda: False)
-    assert solve(compile_model(parabola())).options["linear_solver"] == "mumps"
+    assert solver_of() == "mumps"
     with pytest.raises(MachineError, match="without loading linear solvers"):
-        solve(compile_model(parabola()), options={"linear_solver": "ldlt"})
+        solver_of(linear_solver="ldlt")
 
 
 _ANOTHER_PROCESS = """
@@ -270,8 +268,8 @@ except MachineError as error:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("nobody_asks")
 def test_a_library_that_cannot_be_loaded_leaves_mumps(monkeypatch, tmp_path):
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     (tmp_path / "damaged").write_bytes(b"")
     (tmp_path / "damaged").replace(linear_solver.ldlt_library())  # not written over: this process has it mapped
@@ -285,7 +283,7 @@ def test_a_library_that_has_gone_is_made_again(monkeypatch, tmp_path):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     first = linear_solver.ldlt_library()
     first.unlink()
-    assert solve(compile_model(parabola()), options={"linear_solver": "ldlt"}).outcome is Outcome.SOLVED
+    assert solver_of(linear_solver="ldlt") == "ldlt"
     assert first.exists()
 
 
@@ -296,24 +294,23 @@ def test_a_cache_named_from_here_is_built_in(monkeypatch, tmp_path):
     assert linear_solver.ldlt_library().parent == tmp_path / "beside"
 
 
+@pytest.mark.usefixtures("nobody_asks")
 def test_a_compiler_that_fails_is_tried_once(monkeypatch, tmp_path, caplog):
     compiler, tried = tmp_path / "cc", tmp_path / "tried"
     compiler.write_text(
         f'#!/bin/sh\n[ "$1" = --version ] && echo "one without headers" && exit\necho >> {tried}\necho "no headers here" >&2\nexit 1\n'
     )
     compiler.chmod(0o755)
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("CC", str(compiler))
     with caplog.at_level("INFO"):
         for _ in range(3):
-            assert solve(compile_model(parabola())).options["linear_solver"] == "mumps"
+            assert solver_of() == "mumps"
     assert tried.read_text() == "\n"
     assert caplog.text.count("no headers here") == 1
 
 
-def test_an_option_of_mumps_asks_for_mumps(monkeypatch):
-    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
-    assert solve(compile_model(parabola()), options={"mumps_pivtol": 1e-3}).options["linear_solver"] == "mumps"
-    both = {"mumps_pivtol": 1e-3, "linear_solver": "ldlt"}
-    assert solve(compile_model(parabola()), options=both).options["linear_solver"] == "ldlt"
+@pytest.mark.usefixtures("nobody_asks")
+def test_an_option_of_mumps_asks_for_mumps():
+    assert solver_of(mumps_pivtol=1e-3) == "mumps"
+    assert solver_of(mumps_pivtol=1e-3, linear_solver="ldlt") == "ldlt"

@@ -15,7 +15,7 @@ from formulations.mpec import Certificate, Stationarity, certify, certify_plan, 
 from formulations.mpec.certificate import multipliers as decision
 from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.plan import PlanJudge
-from formulations.pipelines import load_method
+from formulations.pipelines import solve_scene
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
@@ -25,8 +25,7 @@ SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0),
 
 
 def solved(method: str, **options) -> Solution:
-    with load_method(method).open(SCENE, options) as session:
-        return session.solve(eps=1e-2 if method == "relaxed_lcp" else None, warm_start=None, time_limit=600.0)
+    return solve_scene(SCENE, method, eps=1e-2 if method == "relaxed_lcp" else None, options=options)
 
 
 def plan_of(solution: Solution) -> Trajectory:
@@ -57,8 +56,7 @@ def test_exact_plans_are_certified(method: str) -> None:
 def test_multipliers_agree_with_those_of_the_solver() -> None:
     """Found by two codes that share nothing: banded KKT here, sparse least squares on the Pyomo model there."""
     scene = load_scene("three_cart")
-    with load_method("mpcc").open(scene) as session:
-        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
+    solution = solve_scene(scene, "mpcc")
     certificate = certify_plan(scene, plan_of(solution))
     assert certificate.holds, certificate.sentence
     assert certificate.unique

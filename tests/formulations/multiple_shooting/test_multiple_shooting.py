@@ -8,7 +8,7 @@ import sympy as sp
 from example_scenes import example_scene
 
 from formulations.multiple_shooting.solver import Costs, Stages
-from formulations.pipelines import MULTIPLE_SHOOTING_EPS, load_method
+from formulations.pipelines import MULTIPLE_SHOOTING_EPS, load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -50,8 +50,7 @@ def least_cost(scene: Scene) -> tuple[float, np.ndarray]:
 
 
 def solved(scene: Scene, name: str = "relu_multiple_shooting", **options: object) -> Solution:
-    with load_method(name).open(scene, options) as session:
-        return session.solve(eps=1e-3 if "softplus" in name else None, warm_start=None, time_limit=60.0)
+    return solve_scene(scene, name, eps=1e-3 if "softplus" in name else None, options=options, time_limit=60.0)
 
 
 def test_the_sweep_is_the_riccati_recursion_of_lqr():

@@ -12,7 +12,7 @@ import pytest
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.method import OptionError
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.proof import ProofStatus, pair_bounds, prove, relaxed_bound
 from formulations.proof.bounds import energy_bound, physical_bounds
 from formulations.proof.prove import GAP, is_exact
@@ -68,8 +68,7 @@ def test_seconds_are_those_of_opening_and_of_the_proof():
 
 
 def test_the_pendulum_against_its_wall_is_proved():
-    with load_method("mpcc").open(PENDULUM) as session:
-        local = session.solve(eps=None, warm_start=None, time_limit=60.0)
+    local = solve_scene(PENDULUM, "mpcc", time_limit=60.0)
     with load_method("global").open(PENDULUM) as session:
         solution = session.solve(eps=None, warm_start=local.trajectory, time_limit=300.0)
     assert solution.outcome is Outcome.SOLVED, solution.message
@@ -151,8 +150,7 @@ LONG = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.3, 2.9, 3.5
 @pytest.mark.slow
 def test_a_proof_that_is_cut_off_by_time_is_none():
     """Although the plan that it knows is, as far as anybody knows, the best."""
-    with load_method("mpcc").open(LONG) as session:
-        known = session.solve(eps=None, warm_start=None, time_limit=60.0)
+    known = solve_scene(LONG, "mpcc", time_limit=60.0)
     proof = prove(LONG, incumbent=known.trajectory, time_limit=3.0)
     assert proof.status is ProofStatus.BOUND
     assert proof.cost <= known.cost * (1.0 + 1e-9)

@@ -11,7 +11,7 @@ import pytest
 
 from formulations import ContactFormulation, ModelError, build_model, load_plan, read_plan
 from formulations.ipopt import Iteration, compile_model, load, solve
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.method import SolveBudget
@@ -173,8 +173,7 @@ def test_where_no_stage_has_modes_with_a_plan_the_relaxed_problem_is_asked_too()
     """A grid too coarse for a chain of carts: fixed modes switch the products off, and the relaxed problem has them again as rows."""
     scene = load_scene("cart_chain")
     coarse = scene.with_task(steps=62, step=scene.task.horizon / 62)
-    with load_method("collocation").open(coarse, {"scheme": "implicit_midpoint"}) as session:
-        found = session.solve(eps=None, warm_start=None, time_limit=300.0)
+    found = solve_scene(coarse, "collocation", options={"scheme": "implicit_midpoint"}, time_limit=300.0)
     assert found.outcome in (Outcome.STALLED, Outcome.SOLVED)
     assert (found.trajectory is None) == (found.outcome is Outcome.STALLED)
 
@@ -211,8 +210,7 @@ POSSIBLE = {
 
 
 def solved(method: str, scene: Scene) -> Solution:
-    with load_method(method).open(scene) as session:
-        return session.solve(eps=None if method == "strict_lcp" else 1e-3, warm_start=None, time_limit=300.0)
+    return solve_scene(scene, method, eps=None if method == "strict_lcp" else 1e-3, time_limit=300.0)
 
 
 @pytest.mark.slow

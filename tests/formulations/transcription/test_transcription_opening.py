@@ -9,7 +9,7 @@ import pytest
 from formulations import ContactFormulation, build_model, load_plan
 from formulations.ipopt import Iteration, compile_model
 from formulations.methods import relaxed_lcp, softplus_dc
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from formulations.transcription.compiled import CompiledModel
 from formulations.transcription.contact import set_relaxation
@@ -60,8 +60,7 @@ def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monk
         return replace(runs[-1], outcome=Outcome.INFEASIBLE) if len(runs) == 1 else runs[-1]
 
     monkeypatch.setattr(CompiledModel, "run", denied_once)
-    with load_method("softplus_dc").open(load_scene("cart_pole_walls")) as session:
-        solution = session.solve(eps=EPS, warm_start=None, time_limit=300.0)
+    solution = solve_scene(load_scene("cart_pole_walls"), "softplus_dc", eps=EPS, time_limit=300.0)
     assert solution.outcome is Outcome.SOLVED
     assert len(runs) == 3  # the first guess, the goal let go, the goal itself from there
 
@@ -168,8 +167,7 @@ def test_one_eps_is_one_law_everywhere():
 
 
 def cold(scene: str, eps: float, time_limit: float = 300.0, **options: object) -> Solution:
-    with load_method("relaxed_lcp").open(load_scene(scene), options) as session:
-        return session.solve(eps=eps, warm_start=None, time_limit=time_limit)
+    return solve_scene(load_scene(scene), "relaxed_lcp", eps=eps, options=options, time_limit=time_limit)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from formulations.ipopt import IpoptResult
 from formulations.methods import relaxed_lcp, strict_lcp
-from formulations.pipelines import load_method
+from formulations.pipelines import load_method, solve_scene
 from formulations.solution import Outcome, Solution
 from formulations.transcription.homotopy import Stage
 from formulations.transcription.solving import PlanSolver
@@ -24,8 +24,7 @@ METHODS = tuple(LAST)
 
 
 def solved(name: str, scene=SCENE, **options: object) -> Solution:
-    with load_method(name).open(scene, options) as session:
-        return session.solve(eps=LAST[name], warm_start=None, time_limit=300.0)
+    return solve_scene(scene, name, eps=LAST[name], options=options, time_limit=300.0)
 
 
 @pytest.fixture
@@ -124,8 +123,7 @@ def line(ends: float) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def cold():
-    with load_method("strict_lcp").open(CARTS) as session:
-        return session.solve(eps=None, warm_start=None, time_limit=600.0)
+    return solve_scene(CARTS, "strict_lcp")
 
 
 def test_a_broken_plan_is_no_start_and_changes_nothing(cold):
@@ -169,8 +167,7 @@ def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_fr
 
     monkeypatch.setattr(strict_lcp, "_FROM_PLAN", 3)
     monkeypatch.setattr(PlanSolver, "attempt", attempt)
-    with load_method("strict_lcp").open(scene) as session:
-        found = session.solve(eps=None, warm_start=plan, time_limit=600.0)
+    found = solve_scene(scene, "strict_lcp", warm_start=plan)
     inside = strict_lcp.StrictLCPOptions().cold_barrier()["bound_push"]
     assert found.outcome is Outcome.SOLVED, found.message
     (first, its_push, spent), (second, inside_push, _) = asked[:2]
@@ -183,8 +180,7 @@ EPS = 1e-2
 
 
 def relaxed(scene, start):
-    with load_method("relaxed_lcp").open(scene) as session:
-        return session.solve(eps=EPS, warm_start=start, time_limit=120.0)
+    return solve_scene(scene, "relaxed_lcp", eps=EPS, warm_start=start, time_limit=120.0)
 
 
 def pushed(scene):
