@@ -307,6 +307,7 @@ class BandedKKT:
         width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
         self._lu = BandedLU(self.size, width)
+        self.solve, self.product = self._lu.solve, self._lu.product  # of the matrix that `factor` made last
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
@@ -389,14 +390,6 @@ class BandedKKT:
         columns = np.zeros((self.size, len(rows)), order="F")
         columns[rows, np.arange(len(rows))] = 1.0
         return columns
-
-    def solve(self, right: np.ndarray, *, refine: bool = True) -> np.ndarray:
-        """As `BandedLU.solve`, of the optimality system. Raises nothing: the size is not checked here."""
-        return self._lu.solve(right, refine=refine)
-
-    def product(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]. Raises nothing: the size is not checked here."""
-        return self._lu.product(x)
 
     def point(self, x: np.ndarray) -> Point:
         """Take a solution x (size,) [-] apart. Raises IndexError for a shorter one."""

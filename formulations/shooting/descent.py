@@ -51,38 +51,28 @@ _POWER_ITERATIONS = 20
 _DIFFERENCE = 1e-5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sensitivity:
-    """Derivatives of the last state: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
-
-    to_inputs: np.ndarray
-    to_start: np.ndarray
-
-    @property
-    def growth(self) -> float:
-        """Largest factor by which a disturbance of the start grows over the horizon."""
-        return float(np.linalg.norm(self.to_start, 2))
-
-
-def sensitivity(objective: Objective, u: np.ndarray) -> Sensitivity:
+def sensitivity(objective: Objective, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate the last state at inputs u (steps, nu) [N, N m], by one adjoint sweep for each of its components.
+
+    Returns its derivatives by the inputs (2*nq, steps*nu) and by the start (2*nq, 2*nq); the 2-norm of these is the largest factor by which a disturbance
+    of the start grows over the horizon.
 
     Raises KernelError where the mass matrix is not positive definite along the rollout.
     """
     kernel, task = objective.kernel, objective.kernel.scene.task
     plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
     rows = [kernel.adjoint(plan, u, end_bar=component) for component in np.eye(2 * kernel.scene.nq)]
-    return Sensitivity(to_inputs=np.array([u_bar.ravel() for u_bar, _ in rows]), to_start=np.array([start_bar for _, start_bar in rows]))
+    return np.array([u_bar.ravel() for u_bar, _ in rows]), np.array([start_bar for _, start_bar in rows])
 
 
-def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) -> list[str]:
-    """Name the coordinates that miss the goal and that no gradient moves, each with its error."""
+def out_of_reach(objective: Objective, to_inputs: np.ndarray, learning_rate: float) -> list[str]:
+    """Name the coordinates that miss the goal and that no gradient moves, each with its error. to_inputs: as of `sensitivity`."""
     scene, missed = objective.kernel.scene, np.abs(objective.error)
     found = []
     for index, coordinate in enumerate(scene.coordinates):
-        closes = learning_rate * objective.weights.terminal / len(missed) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
+        closes = learning_rate * objective.weights.terminal / len(missed) * 2.0 * float(to_inputs[index] @ to_inputs[index])
         if missed[index] > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
-            slope = float(np.linalg.norm(rows.to_inputs[index]))
+            slope = float(np.linalg.norm(to_inputs[index]))
             found.append(
                 f"{coordinate.name} (it misses its goal by {missed[index]:.3g} {coordinate.unit}; |d {coordinate.name}/d u| = {slope:.2g})"
             )
@@ -91,7 +81,7 @@ def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) 
 
 def dead_contact_message(objective: Objective, u: np.ndarray, learning_rate: float) -> str:
     """Say which coordinate misses the goal although nothing moves it at inputs u (steps, nu) [N, N m], those evaluated last; "" where there is none. Raises KernelError where the mass matrix is not positive definite along the rollout."""
-    found = out_of_reach(objective, sensitivity(objective, u), learning_rate)
+    found = out_of_reach(objective, sensitivity(objective, u)[0], learning_rate)
     if not found:
         return ""
     names = " and ".join(found)
@@ -161,7 +151,7 @@ def divergence_message(objective: Objective, learning_rate: float, iteration: in
         what = f"{where} the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
     if best is None:
         return f"{what}; start, parameters and inputs must allow a simulation to the end of the horizon."
-    rate, growth = stable_rate(objective, best), sensitivity(objective, best).growth
+    rate, growth = stable_rate(objective, best), float(np.linalg.norm(sensitivity(objective, best)[1], 2))
     advice = f"; a learning rate below {_rounded_down(rate)} would not overshoot there" if np.isfinite(rate) else ""
     return f"{what}; at the best plan a disturbance of the start grows by a factor of {growth:.3g} over the horizon{advice}."
 

@@ -194,10 +194,17 @@ class SolveBudget:
         return replace(
             solution,
             iterations=self.iterations,
-            seconds=self.seconds(),
+            seconds=Seconds(
+                build=self.build,
+                translate=self.translate,
+                evaluate=self.evaluate,
+                linear_algebra=self.linear_algebra,
+                wall=perf_counter() - self._wall,
+                cpu=process_time() - self._cpu,
+            ),
             residuals={name: value for name, value in solution.residuals.items() if math.isfinite(value)},
             solver=self.solver,
-            history=self.columns,
+            history={name: tuple(values) for name, values in self.history.items()},
         )
 
     def told(self, found: Solution) -> None:
@@ -207,19 +214,3 @@ class SolveBudget:
         for name in ("build", "translate", "evaluate", "linear_algebra"):
             setattr(self, name, getattr(self, name) + getattr(found.seconds, name))
         self.history = {name: values + list(found.history.get(name, ())) for name, values in self.history.items()}
-
-    @property
-    def columns(self) -> dict[str, tuple[float, ...]]:
-        """The history of all solves, as a `Solution` has it."""
-        return {name: tuple(values) for name, values in self.history.items()}
-
-    def seconds(self) -> Seconds:
-        """Seconds spent so far, by what for [s]."""
-        return Seconds(
-            build=self.build,
-            translate=self.translate,
-            evaluate=self.evaluate,
-            linear_algebra=self.linear_algebra,
-            wall=perf_counter() - self._wall,
-            cpu=process_time() - self._cpu,
-        )
