@@ -19,7 +19,7 @@ from itertools import combinations
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.codegen.kernel import KernelError, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 
@@ -130,38 +130,6 @@ def spectral_radius(matrix: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
-def step_jacobian(kernel: Kernel, state: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
-    """Derivative of the state after one compiled step by the state before it.
-
-    Parameters
-    ----------
-    state
-        (2*nq,) positions [m, rad], then velocities [m/s, rad/s].
-    u
-        Inputs (nu,) [N, N m].
-    step
-        Length of the step [s].
-
-    Returns
-    -------
-    np.ndarray
-        (2*nq, 2*nq).
-
-    Raises
-    ------
-    KernelError
-        Where the mass matrix is not positive definite.
-    """
-    nq = kernel.scene.nq
-    rollout = kernel.rollout(state, np.atleast_2d(u), step)
-    rows = []
-    for index in range(2 * nq):
-        end = np.zeros((2, 2, nq))
-        end[index // nq, 1, index % nq] = 1.0
-        rows.append(kernel.adjoint(rollout, np.atleast_2d(u), end[0], end[1])[1])
-    return np.array(rows)
-
-
 def step_stability(scene: Scene) -> StepStability:
     """At the task's own step. Friction is left out: sticking is implicit in the step, slipping a constant force.
 
@@ -192,7 +160,7 @@ def _linear_models(scene: Scene) -> list[_Linear]:
         for indices, closed in [((), q), *_closed_positions(scene, q)]:
             # The derivatives of v' = v + a do not depend on the step they are taken with: one second makes them those of a itself.
             try:
-                jacobian = step_jacobian(kernel, np.concatenate([closed, at_rest]), u, 1.0)
+                jacobian, _ = kernel.end_derivatives(np.concatenate([closed, at_rest]), u[None], 1.0)
             except KernelError:  # the masses are singular where only the search for a closed position led
                 continue
             names = tuple(scene.contacts[index].name for index in indices)

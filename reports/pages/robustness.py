@@ -97,7 +97,8 @@ def build(report: Report) -> Section | None:
     untried = [row for row in report.rows if row.stage.survey is not None and row.stage.survey.message]
     if not scenes and not untried:
         return None
-    groups = [_different(plans) for _, _, plans in scenes]
+    # Without plans that another way found too: what costs the same and fares the same.
+    groups = [list({(f"{plan.price:.5g}", plan.alone.arrived, plan.weakest): plan for plan in plans}.values()) for *_, plans in scenes]
     said = [sentence for sentence in (_cheaper(groups), _warm(groups), _feedback(groups), _weakest(groups)) if sentence]
     values = {"said": said, "scenes": [(scene, link, _plot(plans), plans) for scene, link, plans in scenes], "untried": untried}
     return Section("robustness", "What plans survive", "robustness.html#campaign", values, said=said[0] if said else "")
@@ -111,11 +112,6 @@ def _tried(report: Report, scene: SceneRecord) -> list[Survivor]:
         if (survey := row.stage.survey) is not None and survey.alone is not None and row.stage.cost is not None
     ]
     return sorted(found, key=lambda plan: plan.price)
-
-
-def _different(plans: Iterable[Survivor]) -> list[Survivor]:
-    """Without plans that another way found too: what costs the same and fares the same."""
-    return list({(f"{plan.price:.5g}", plan.alone.arrived, plan.weakest): plan for plan in plans}.values())
 
 
 def _compared(pairs: Iterable[tuple[ShareRecord, ShareRecord]]) -> tuple[int, int, int]:

@@ -194,9 +194,8 @@ def _together(parts: list[RunRecord]) -> RunRecord:
         iterations = sum(stage.iterations for stage in ends)
         told = {"starts": starts, "seconds": SecondsRecord(**spent), "iterations": iterations, "message": message}
         stages = (*stages[:-1], stages[-1].model_copy(update=told))
-    profile: dict[str, float] = {}
-    for phase, seconds in (item for part in parts for item in part.profile.items()):
-        profile[phase] = profile.get(phase, 0.0) + seconds
+    phases = dict.fromkeys(phase for part in parts for phase in part.profile)
+    profile = {phase: sum(part.profile.get(phase, 0.0) for part in parts) for phase in phases}
     spent = {name: sum(getattr(part, name) for part in parts) for name in ("wall_seconds", "cpu_seconds")}
     outcome = best.outcome if crashed is None else "crashed"
     return best.model_copy(update={"stages": stages, "outcome": outcome, "message": message, **spent, "profile": profile})

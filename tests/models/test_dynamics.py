@@ -11,12 +11,11 @@ from models.catalog import load_scene, scene_names
 from models.codegen.kernel import KernelError, load_kernel
 from models.collocation import advance, defect, rollout, switch_error
 from models.dynamics import derive
-from models.errors import TrajectoryError
 from models.scene import Scene
 from models.scenes.cart_chain import cart_chain
 from models.schemes import Scheme, tableau
-from models.stability import spectral_radius, step_jacobian, step_stability
-from models.trajectory import Hold, Trajectory, uniform_grid
+from models.stability import spectral_radius, step_stability
+from models.trajectory import Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf, write_netcdf
 
 TEST_SCENES = sorted(str(path) for path in (Path(__file__).parents[1] / "scenes").glob("*.py"))
@@ -109,11 +108,11 @@ def test_derivation_is_cached_with_the_scene():
 
 @pytest.mark.parametrize(("h", "c"), [(0.01, 2.0), (0.02, 2.0), (0.01, 0.0), (0.001, 50.0)])
 def test_three_carts_have_the_limit_of_the_closed_form(h: float, c: float):
-    """h^2 w^2 + 2 h c < 4 with w^2 = 3 k: both contacts closed, the middle cart against the outer two."""
+    """h^2 w^2 + 2 h c < 4 with w^2 = 3 k: both contacts closed, the middle cart against the outer two; k < 13200 N/m of the paper's carts."""
     limit = (4.0 - 2.0 * h * c) / (3.0 * h**2)
     scene = load_scene("three_cart").with_task(step=h)
-    below = step_stability(scene.with_parameters(k=0.999 * limit, c=c))
-    above = step_stability(scene.with_parameters(k=1.001 * limit, c=c))
+    below = step_stability(scene.with_parameters(k=0.9999 * limit, c=c))
+    above = step_stability(scene.with_parameters(k=1.0001 * limit, c=c))
     assert below.is_stable
     assert below.sentence == ""
     assert not above.is_stable
@@ -121,15 +120,9 @@ def test_three_carts_have_the_limit_of_the_closed_form(h: float, c: float):
     assert above.contacts == ("left", "right")
     assert "left and right closed" in above.sentence
     # the step it advises is the root of the same form in h
-    w2 = 3.0 * 1.001 * limit
+    w2 = 3.0 * 1.0001 * limit
     root = (-2.0 * c + math.sqrt(4.0 * c**2 + 16.0 * w2)) / (2.0 * w2)
     assert above.largest_step == pytest.approx(root, rel=1e-6)
-
-
-def test_the_papers_limit_is_13200():
-    scene = load_scene("three_cart")
-    assert step_stability(scene.with_parameters(k=13199.0)).is_stable
-    assert not step_stability(scene.with_parameters(k=13201.0)).is_stable
 
 
 @pytest.mark.slow
@@ -170,7 +163,7 @@ def test_the_jacobian_of_the_step_against_differences(name: str):
         return np.concatenate([plan.q[-1], plan.v[-1]])
 
     columns = [(after(state + d) - after(state - d)) / 2e-6 for d in 1e-6 * np.eye(len(state))]
-    assert step_jacobian(kernel, state, u[0], task.step) == pytest.approx(np.array(columns).T, abs=1e-8)
+    assert kernel.end_derivatives(state, u, task.step)[0] == pytest.approx(np.array(columns).T, abs=1e-8)
 
 
 def test_past_the_limit_the_step_does_blow_up():
@@ -180,8 +173,7 @@ def test_past_the_limit_the_step_does_blow_up():
     speeds = []
     for k in (13000.0, 15000.0):
         pressed = scene.with_parameters(k=k)
-        matrix = step_jacobian(load_kernel(pressed), start, np.zeros(2), scene.task.step)
-        speeds.append(spectral_radius(matrix))
+        speeds.append(spectral_radius(load_kernel(pressed).end_derivatives(start, np.zeros((1, 2)), scene.task.step)[0]))
     assert speeds[0] <= 1.0 + 1e-9
     assert speeds[1] > 1.5
 
@@ -195,7 +187,6 @@ def test_friction_does_not_limit_the_step():
 
 OSCILLATOR = load_scene(str(Path(__file__).parents[1] / "scenes" / "oscillator.py"))
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2, Scheme.RADAU_IIA_3)
-NOTHING = np.zeros((1, 0))
 
 
 @pytest.mark.parametrize("scheme", COLLOCATIONS)
@@ -293,16 +284,11 @@ def test_the_defect_is_that_of_the_plans_own_step() -> None:
     assert defect(kernel, Trajectory(t=plan.t, q=shifted, v=v, u=u, lam=lam, scheme=plan.scheme)).max() >= 1e-5
 
 
-def test_friction_is_refused_and_so_is_a_hold_that_a_step_does_not_have() -> None:
+def test_friction_is_refused() -> None:
     scene = load_scene("transport")
     q, v = np.array([scene.task.start[: scene.nq]]), np.array([scene.task.start[scene.nq :]])
     with pytest.raises(KernelError, match="friction"):
         advance(load_kernel(scene), Scheme.RADAU_IIA_2, q, v, np.zeros((1, scene.nu)), 0.01)
-    with pytest.raises(TrajectoryError, match=r"holds its inputs.*hold is linear"):
-        Trajectory(
-            t=np.array([0.0, 1.0]), q=np.zeros((2, 1)), v=np.zeros((2, 1)), u=NOTHING, lam=NOTHING, hold=Hold.LINEAR,
-            scheme=Scheme.RADAU_IIA_3,
-        )  # fmt: skip
 
 
 def test_a_file_keeps_the_scheme(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ with Browser(executable, profile_folder) as browser:
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -60,10 +59,6 @@ class Page:
                 "Input.dispatchKeyEvent", type=kind, key=key, code=key,
                 windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13, " ": 32}.get(key, 0), **({"text": "\r"} if kind == "keyDown" else {}),
             )  # fmt: skip
-
-    def screenshot(self, path: Path, *, whole: bool = False) -> None:
-        picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(picture["data"]))
 
     def heard(self, method: str, parameters: dict) -> None:
         if method == "Network.requestWillBeSent":

@@ -8,7 +8,7 @@ import pytest
 from example_scenes import example_scene
 
 from models.catalog import load_scene
-from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.codegen.kernel import Kernel, KernelError, Rollout, load_kernel
 from models.contact_law import ContactLaw, contact_force
 from models.dynamics import derive
 from models.scene import Scene
@@ -162,19 +162,22 @@ def test_semi_implicit_euler_converges_with_order_one():
     assert slope == pytest.approx(1.0, abs=0.02)
 
 
+def moved(name: str) -> tuple[Kernel, Rollout, dict[str, float]]:
+    """The kernel of a scene without inputs, its motion on a fine grid, and the scene's answers."""
+    kernel = kernel_of(name)
+    answers = {answer.quantity: answer.value for answer in kernel.scene.answers}
+    return kernel, kernel.rollout(np.array(kernel.scene.task.start), np.zeros((60000, 0)), 1e-5), answers
+
+
 @pytest.fixture(scope="module")
 def collision():
-    """The kernel of two bodies that collide, its plan on a fine grid, and the masses."""
-    scene = load_scene("two_body_collision")
-    kernel = load_kernel(scene)
-    step = 1e-5
-    plan = kernel.rollout(np.array(scene.task.start), np.zeros((60000, 0)), step)
-    values = {parameter.name: parameter.value for parameter in scene.parameters}
-    return scene, kernel, plan, np.array([values["m1"], values["m2"]])
+    return moved("two_body_collision")
 
 
 def test_collision_keeps_momentum_to_rounding(collision):
-    _, _, plan, masses = collision
+    kernel, plan, _ = collision
+    values = {parameter.name: parameter.value for parameter in kernel.scene.parameters}
+    masses = np.array([values["m1"], values["m2"]])
     momentum = plan.v @ masses
     assert plan.lam.max() > 0.0
     assert np.abs(momentum - momentum[0]).max() < 1e-9 * np.abs(plan.v * masses).max()
@@ -182,7 +185,7 @@ def test_collision_keeps_momentum_to_rounding(collision):
 
 def test_collision_keeps_energy_but_for_the_grid(collision):
     """Kinetic energy is back after the contact; in between the spring holds it. What is missing is of the order of the step."""
-    _, kernel, plan, _ = collision
+    kernel, plan, _ = collision
     kinetic, potential = kernel.energy(plan.q, plan.v)
     stored = 0.5 * kernel.stiffness() * np.maximum(kernel.penetration(plan.q), 0.0) ** 2
     total = kinetic + potential + stored.sum(axis=1)
@@ -192,8 +195,7 @@ def test_collision_keeps_energy_but_for_the_grid(collision):
 
 
 def test_collision_has_the_closed_forms_of_the_scene(collision):
-    scene, kernel, plan, _ = collision
-    answers = {answer.quantity: answer.value for answer in scene.answers}
+    kernel, plan, answers = collision
     assert kernel.penetration(plan.q).max() == pytest.approx(answers["largest compression [m]"], rel=1e-3)
     assert (plan.lam > 0.0).sum() * plan.step == pytest.approx(answers["contact time [s]"], rel=1e-3)
     assert plan.v[-1] == pytest.approx(
@@ -202,13 +204,9 @@ def test_collision_has_the_closed_forms_of_the_scene(collision):
 
 
 def test_bouncing_mass_meets_the_floor_when_it_should():
-    scene = load_scene("bouncing_mass")
-    kernel = load_kernel(scene)
-    step = 1e-5
-    plan = kernel.rollout(np.array(scene.task.start), np.zeros((60000, 0)), step)
-    answers = {answer.quantity: answer.value for answer in scene.answers}
-    touches = np.argmax(plan.lam[:, 0] > 0.0) * step
-    assert touches == pytest.approx(answers["time of the first contact [s]"], abs=5 * step)
+    kernel, plan, answers = moved("bouncing_mass")
+    touches = np.argmax(plan.lam[:, 0] > 0.0) * plan.step
+    assert touches == pytest.approx(answers["time of the first contact [s]"], abs=5 * plan.step)
     assert kernel.penetration(plan.q).max() == pytest.approx(answers["largest depth [m]"], rel=1e-3)
 
 
@@ -235,15 +233,10 @@ def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law
     scene, steps, h = kernel.scene, 12, 0.002
     random = np.random.default_rng(4)
     u, start = random.normal(size=(steps, scene.nu)), np.array(STARTS[name])
-    bars = (
-        random.normal(size=(steps + 1, scene.nq)),
-        random.normal(size=(steps + 1, scene.nq)),
-        random.normal(size=(steps, scene.nc)),
-        0.7,
-    )
     plan = kernel.rollout(start, u, h, law, eps)
     assert not scene.nc or plan.lam.max() > 0.0
-    u_bar, start_bar = kernel.adjoint(plan, u, bars[0], bars[1], bars[2], bars[3])
+    bars = (*(random.normal(size=rows.shape) for rows in (plan.q, plan.v, plan.lam)), 0.7)
+    u_bar, start_bar = kernel.adjoint(plan, u, *bars)
 
     delta = 1e-6  # central differences: error delta^2 of the curvature, rounding 1e-16/delta
     for gradient, point in ((u_bar, u), (start_bar, start)):
@@ -323,23 +316,15 @@ def test_the_adjoint_is_the_derivative(law: ContactLaw, eps: float | None):
     random = np.random.default_rng(5)
     u = random.normal(scale=[15.0, 4.0], size=(task.steps, 2))
     start = np.array(task.start)
-
-    def run(start: np.ndarray, u: np.ndarray):
-        return kernel.rollout(start, u, task.step, law, eps)
-
-    found = run(start, u)
+    found = kernel.rollout(start, u, task.step, law, eps)
     assert not found.diverged
     assert (found.lam.max(axis=0)[:3] > 0.1).all()  # every contact takes part
-    q_bar, v_bar, lam_bar = (random.normal(size=rows.shape) for rows in (found.q, found.v, found.lam))
-    u_bar, start_bar = kernel.adjoint(found, u, q_bar, v_bar, lam_bar)
-
-    def loss(start: np.ndarray, u: np.ndarray) -> float:
-        rollout = run(start, u)
-        return float((q_bar * rollout.q).sum() + (v_bar * rollout.v).sum() + (lam_bar * rollout.lam).sum())
-
+    bars = (*(random.normal(size=rows.shape) for rows in (found.q, found.v, found.lam)), 0.0)
+    u_bar, start_bar = kernel.adjoint(found, u, *bars)
     for _ in range(3):
         ds, du, h = random.normal(size=start.shape), random.normal(size=u.shape), 1e-7
-        difference = (loss(start + h * ds, u + h * du) - loss(start - h * ds, u - h * du)) / (2 * h)
+        ahead, behind = (_loss(kernel, start + way * ds, u + way * du, task.step, law, eps, bars) for way in (h, -h))
+        difference = (ahead - behind) / (2 * h)
         assert float(start_bar @ ds + (u_bar * du).sum()) == pytest.approx(difference, rel=2e-5)
 
 
