@@ -70,10 +70,6 @@ def test_columns_are_the_base64_of_their_bytes():
     assert found.model_dump()["history"]["loss"] == values
     assert StageRecord.model_validate_json(found.model_dump_json()) == found
     assert stage(history={"loss": [1.0, 2.0]}).history["loss"] == (1.0, 2.0)
-    nan = base64.b64encode(struct.pack("<d", float("nan"))).decode()
-    for broken in ("###", base64.b64encode(b"123").decode(), nan, [float("inf")]):
-        with pytest.raises(ValidationError):
-            stage(history={"loss": broken})
 
 
 def test_files_of_the_last_stage_have_no_number():
