@@ -85,7 +85,8 @@ class ForeignTask:
     """What a plan on somebody's FMU is to do.
 
     start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
-    500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often however few rows its plan has. horizon: how long a plan of this task lasts [s], None where the map does not say.
+    500 steps, so that a plan may be a thousandth of its duration off and a motion is seen as often however few rows its plan has.
+    horizon: how long a plan of this task lasts [s], None where the map does not say.
     """
 
     start: tuple[float | None, ...]

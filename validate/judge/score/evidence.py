@@ -37,9 +37,8 @@ class Evidence:
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
         self._own_steps: dict[bytes, OwnSteps] = {}  # by velocities: three metrics ask for the same ones
-        self._own_motions: dict[
-            int, tuple[np.ndarray, np.ndarray]
-        ] = {}  # by parts: a metric and the sentence ask for the same, 7 s each by collocation
+        # By parts: a metric and the sentence ask for the same ones, 7 s each by collocation.
+        self._own_motions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     @property
     def equations(self) -> Scene:

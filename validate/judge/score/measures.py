@@ -267,7 +267,10 @@ def grid_order(case: Evidence) -> float:
 
 
 def halved(case: Evidence, near: float) -> Iterator[float]:
-    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad]: until it is at most `near`, two halvings in a row changed next to nothing of what is left, or seven times. Raises Unmeasured."""
+    """The grid error with the plan's step halved once, twice, ... its inputs held [m or rad].
+
+    Until it is at most `near`, two halvings in a row change next to nothing of what is left, or seven times. Raises Unmeasured.
+    """
     before, idle = case.true_motion[0], 0
     for halvings in range(1, _HALVINGS + 1):
         q = case.own_motion(2**halvings)[0]
