@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 from itertools import product
 from pathlib import Path
 
@@ -39,7 +38,7 @@ from validate.judge.simulator import (
     named_engines,
     run_engine,
 )
-from validate.store.provenance import command_line
+from validate.store.provenance import command_line, installed
 from validate.store.results import table_text
 from validate.stress.case import chart
 from validate.truth.problems import TruthProblem, problems
@@ -109,20 +108,14 @@ def reference_is_right(rows: Sequence[TruthRow]) -> bool:
 def recorded(engines: tuple[str, ...], rows: Sequence[TruthRow]) -> TruthRecord:
     """What is written of it."""
     about = {name: describe_engine(name) for name in engines}
-    told = {name: f"{' '.join((item.title, _version(item.package))).rstrip()}; {item.law}" for name, item in about.items()}
+    versions = {name: installed(item.package, "") if item.package else "" for name, item in about.items()}
+    told = {name: f"{item.title} {versions[name]}".rstrip() + f"; {item.law}" for name, item in about.items()}
     summary = f"{len({row.phenomenon for row in rows})} phenomena in {len(rows) // len(engines)} problems, by {', '.join(engines)}."
     own = [row.error for row in rows if row.engine == REFERENCE and row.error is not None]
     if own:
         summary += f" Our reference is within {max(own):.1g} of every answer ({NEAR:g} is asked of it)."
     charts = tuple(chart for name in _DRAWN if (chart := _chart(name, rows)) is not None)
     return TruthRecord(engines=told, rows=tuple(rows), summary=summary, charts=charts)
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package) if package else ""
-    except metadata.PackageNotFoundError:
-        return ""
 
 
 def _chart(phenomenon: str, rows: Sequence[TruthRow]) -> ChartRecord | None:

@@ -315,11 +315,10 @@ def _scene_mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
 
 def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
     """Everything that is changed, by section and name, with its values."""
-    changes: dict[_Change, list[Any]] = {("parameters", name): list(values) for name, values in entry.parameters.items()}
-    changes |= {("start", name): list(values) for name, values in entry.start.items()}
-    changes |= {("goal", name): list(values) for name, values in entry.goal.items()}
-    changes |= {} if entry.steps is None else {("steps", ""): list(entry.steps)}
-    return changes | ({} if entry.step is None else {("step", ""): list(entry.step)})
+    sections = {"parameters": entry.parameters, "start": entry.start, "goal": entry.goal}
+    changes: dict[_Change, list[Any]] = {(part, name): values for part, given in sections.items() for name, values in given.items()}
+    changes |= {} if entry.steps is None else {("steps", ""): entry.steps}
+    return changes | ({} if entry.step is None else {("step", ""): entry.step})
 
 
 def _variants(entry: SceneEntry, base: SceneReference) -> tuple[list[SceneReference], list[str]]:

@@ -42,31 +42,27 @@ def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
                 yield sentence
 
 
-def _deep_starts(scene: Scene) -> list[str]:
+def _deep_starts(scene: Scene) -> Iterator[str]:
     start = {**scene.parameter_values, **{item.symbol: value for item, value in zip(scene.coordinates, scene.task.start, strict=False)}}
-    found = []
     for contact in scene.contacts:
         depth = float(contact.penetration.subs(start).evalf())
         if depth > DEEP * contact.nominal:
-            found.append(
+            yield (
                 f"scene {scene.name}: contact {contact.name} is {depth:.3g} deep at the start, {depth / contact.nominal:.3g} times its nominal "
                 f"{contact.nominal:.3g}; is the sign of its penetration right? It is positive in contact."
             )
-    return found
 
 
-def _deep_goals(scene: Scene) -> list[str]:
+def _deep_goals(scene: Scene) -> Iterator[str]:
     """Contacts into which the goal leads deeper than their model reaches; of a goal that leaves a body free nothing is known."""
     goal = {item.symbol: value for item, value in zip(scene.coordinates, scene.task.goal, strict=False) if value is not None}
-    found = []
     for contact, most in zip(scene.contacts, scene.depths, strict=True):
         penetration = contact.penetration.subs(scene.parameter_values).subs(goal)
         if penetration.is_number and (depth := float(penetration.evalf())) > most:
-            found.append(
+            yield (
                 f"scene {scene.name}: contact {contact.name} is {depth:.3g} m deep at the goal, and its model ends at {most:.3g} m (depth): no plan that "
                 "gets there can hold; is the goal right?"
             )
-    return found
 
 
 def _idle(scene: Scene) -> list[str]:

@@ -6,6 +6,7 @@ times, paths or hosts: equal content, equal key, wherever it runs.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -87,13 +88,15 @@ def _digests_with(methods: Iterable[str]) -> dict[str, str]:
 @lru_cache(maxsize=1)
 def library_versions() -> dict[str, str]:
     """Installed versions of the libraries that decide numbers, and of Python."""
-    versions = {"python": platform.python_version()}
-    for name in LIBRARIES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
+    return {"python": platform.python_version(), **{name: installed(name, "not installed") for name in LIBRARIES}}
+
+
+def installed(package: str, otherwise: str) -> str:
+    """The version of a package, or what is said where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return otherwise
 
 
 def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "", *, robust: bool = False) -> str:
@@ -160,12 +163,10 @@ def commit() -> str:
 
 
 def _cpu() -> str:
-    try:
+    with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
-    except OSError:
-        pass
     return platform.processor() or platform.machine()
 
 
@@ -176,12 +177,8 @@ def now() -> str:
 
 def gather(command: str) -> ProvenanceRecord:
     """The provenance of a campaign that starts now."""
-    try:
-        version = metadata.version("touchstone-contact")
-    except metadata.PackageNotFoundError:
-        version = "0 (not installed)"
     return ProvenanceRecord(
-        touchstone=version,
+        touchstone=installed("touchstone-contact", "0 (not installed)"),
         commit=commit(),
         python=f"{platform.python_implementation()} {platform.python_version()}",
         threads=THREADS,

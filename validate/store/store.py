@@ -65,11 +65,6 @@ class Store:
         self.folder = folder
         self.runs, self.legs, self.surveys = folder / "runs", folder / "legs", folder / "surveys"
 
-    @classmethod
-    def of_partial(cls, partial: Path) -> Store:
-        """The store that a task's unfinished folder lies in."""
-        return cls(partial.parents[1])
-
     def prepare(self) -> None:
         """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
         if self.folder.exists() and not self.folder.is_dir():

@@ -105,7 +105,8 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
     why = f"The certificate is missing{' because time ran out: the run' if is_late else ':'} {child.message}"
     stages = [
-        _without_certificate(stage, why) if stage.certificate_missing else stage for stage in _stages_in(folder, task, found, len(plan))
+        stage.model_copy(update={"message": f"{stage.message} {why}".strip()}) if stage.certificate_missing else stage
+        for stage in _stages_in(folder, task, found, len(plan))
     ]
     rest = plan[len(stages) :]
     in_certificate = not rest and stages[-1].certificate_missing
@@ -131,10 +132,6 @@ def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecor
     )
 
 
-def _without_certificate(stage: StageRecord, why: str) -> StageRecord:
-    return stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
-
-
 def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
     """The stages of these legs as those of a run of so many stages; their files under the names they have there."""
     number = 0
@@ -157,7 +154,7 @@ def _surveyed(stage: StageRecord, scene: Scene, task: RunTask, folder: Path, sta
     followed = stage.verdict != HOLD[0]
     numbers = hashlib.sha256(b"".join(array.tobytes() for array in (plan.t, plan.q, plan.v, plan.u, plan.u_end) if array is not None))
     asked = ["survey", numbers.hexdigest(), plan.hold.value, limits, followed]
-    stored = Store.of_partial(folder).surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
+    stored = Store(folder.parents[1]).surveys / f"{content_key(scene, asked, (), plugin_source(task.plugin), robust=True)}.json"
     with contextlib.suppress(OSError, ValueError):  # not stored, or damaged
         return stage.model_copy(update={"survey": SurveyRecord.model_validate_json(stored.read_bytes())})
     progress(folder, f"stage {stage.index + 1} ({stage.method}) in perturbed worlds")
@@ -190,7 +187,7 @@ class _Path:
     def __init__(self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float) -> None:
         self._task, self._scene, self._plan, self._folder, self._profile = task, loaded.scene, loaded.plan, folder, profile
         self._plugin, self._deadline = load_plugin(task.plugin), deadline
-        self._stored = Store.of_partial(folder).legs
+        self._stored = Store(folder.parents[1]).legs  # a run is unfinished in DIR/runs
         self._judge = Judge(self._plugin, self._scene, profile)
         self._start: Trajectory | None = None
         self._is_prepared = False

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from formulations.solution import Bound, Outcome, Solution
+from formulations.solution import Outcome, Solution
 from reports.records.record import (
     BoundRecord,
     CertificateRecord,
@@ -66,11 +66,6 @@ def _copied(record: type[_Record], source: object, **own: Any) -> _Record:
 
 def _plain_number(value: Any) -> Any:
     return finite(value) if isinstance(value, float) else value
-
-
-def start_records(solution: Solution) -> tuple[StartRecord, ...]:
-    """The record of each start that a search tried."""
-    return tuple(_copied(StartRecord, start, outcome=start.outcome.name.lower()) for start in solution.starts)
 
 
 def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, ...]:
@@ -133,14 +128,14 @@ def stage_record(
         message=solution.message,
         cost=finite(solution.cost),
         iterations=int(solution.iterations),
-        residuals=_finite_values(solution.residuals),
-        bound=_bound(solution.bound),
+        residuals={name: float(value) for name, value in solution.residuals.items() if finite(value) is not None},
+        bound=None if solution.bound is None else BoundRecord(**asdict(solution.bound)),
         size=_size(solution),
         solver=solution.solver,
         options=_options(solution.options or asdict(planned.options)),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
-        starts=start_records(solution),
+        starts=tuple(_copied(StartRecord, start, outcome=start.outcome.name.lower()) for start in solution.starts),
         front=front_records(scene, solution),
         seconds=_copied(SecondsRecord, solution.seconds, stage=wall, stage_cpu=cpu, total=before + wall, replay=judged.seconds),
         verdict=verdict,
@@ -256,10 +251,6 @@ def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
     return judged.score.verdict.value, judged.score.why
 
 
-def _bound(bound: Bound | None) -> BoundRecord | None:
-    return None if bound is None else BoundRecord(**asdict(bound))
-
-
 def _size(solution: Solution) -> SizeRecord | None:
     size, paper = solution.size, solution.paper_size
     if size is None or paper is None:
@@ -315,10 +306,6 @@ def _of_score(judged: Judged) -> dict[str, Any]:
             "cause": judged.score.cause,
         }
     return found
-
-
-def _finite_values(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items() if finite(value) is not None}
 
 
 def _options(options: Mapping[str, object]) -> dict[str, Any]:

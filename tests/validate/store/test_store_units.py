@@ -163,7 +163,7 @@ def test_a_task_is_stored_under_its_key_with_the_sizes_of_its_files(store: Store
     for text in ("one", "another"):
         partial = store.open_partial("0123456789abcdef", "token")
         assert re.fullmatch(rf"\.partial-0123456789ab-token[0-9a-f]{{27}}-{os.getpid()}-{re.escape(HOST)}", partial.name)
-        assert Store.of_partial(partial).folder == store.folder
+        assert Store(partial.parents[1]).folder == store.folder
         (partial / "plan.nc").write_text(text)
         progress(partial, "halfway")
         assert (partial / PROGRESS).read_text() == "halfway"
