@@ -75,6 +75,16 @@ def test_every_room_has_files_and_tests():
             assert any(True for pattern in patterns for _ in ROOT.glob(pattern)), room
 
 
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository of one file and a folder for its tests."""
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")
+    monkeypatch.setattr("tests.planted.ROOT", tmp_path)
+    monkeypatch.setitem(ROOMS, "own", (("own.py",), ("tests/test_*.py",)))
+    return tmp_path
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "says"),
@@ -83,30 +93,22 @@ def test_every_room_has_files_and_tests():
         ("X = 3\n", "tests/test_x.py::test_x"), ("X = 1\n", ""),
     ],
 )  # fmt: skip
-def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(source, says, tmp_path, monkeypatch):
-    (tmp_path / "tests").mkdir()
-    (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")
-    (tmp_path / "tests" / "test_x.py").write_text(
+def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(source, says, own):
+    (own / "tests" / "test_x.py").write_text(
         'import os, pytest\nfrom own import X\n\n@pytest.mark.parametrize("y", [1], ids=["a name, of - words"])\ndef test_x(y):\n'
         "    if X == 3:\n        os.abort()\n    assert X == y\n",
         encoding="utf-8",
     )
-    monkeypatch.setattr("tests.planted.ROOT", tmp_path)
-    monkeypatch.setitem(ROOMS, "own", (("own.py",), ("tests/test_*.py",)))
-    found = tried(Defect("own", "own.py", 1, "constant", "1", "2", source), tmp_path)
+    found = tried(Defect("own", "own.py", 1, "constant", "1", "2", source), own)
     assert (None if found is None else found.found_by) == says
-    assert (tmp_path / "own.py").read_text(encoding="utf-8") == "X = 1\n"
+    assert (own / "own.py").read_text(encoding="utf-8") == "X = 1\n"
 
 
 @pytest.mark.slow
-def test_a_test_that_fails_anyway_ends_the_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "tests").mkdir()
-    (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")
-    (tmp_path / "tests" / "test_x.py").write_text("from own import X\n\ndef test_x():\n    assert X == 3\n", encoding="utf-8")
-    monkeypatch.setattr("tests.planted.ROOT", tmp_path)
-    monkeypatch.setitem(ROOMS, "own", (("own.py",), ("tests/test_*.py",)))
+def test_a_test_that_fails_anyway_ends_the_draw(own: Path):
+    (own / "tests" / "test_x.py").write_text("from own import X\n\ndef test_x():\n    assert X == 3\n", encoding="utf-8")
     with pytest.raises(SystemExit, match="fails without any defect too"):
-        tried(Defect("own", "own.py", 1, "constant", "1", "2", "X = 2\n"), tmp_path)
+        tried(Defect("own", "own.py", 1, "constant", "1", "2", "X = 2\n"), own)
 
 
 def test_the_tests_start_as_a_draw_starts_them():

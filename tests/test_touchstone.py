@@ -241,7 +241,6 @@ def test_the_installed_command_works_beside_them(tmp_path: Path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError")
     code = "import sys; sys.argv = ['touchstone', 'list']; sys.path.remove(''); from validate.__main__ import main; main()"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    found = python(code, tmp_path)
     assert found.returncode == 0, found.stderr
     assert "three_cart" in found.stdout

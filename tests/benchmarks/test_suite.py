@@ -2,7 +2,6 @@
 
 import importlib
 import platform
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -175,12 +174,8 @@ def test_growth_leaves_out_what_was_cut_off():
 def test_importing_pyomo_to_list_is_a_miss():
     light = row("list", n=0, steps=0, cpu=(0.2,) * 3)
     assert [figure.met for figure in figures([light])] == [True]
-    heavy = replace_outcome(light, "imports pyomo")
+    heavy = light.model_copy(update={"outcome": "imports pyomo"})
     assert [(figure.met, figure.why) for figure in figures([heavy])] == [(False, "imports pyomo")]
-
-
-def replace_outcome(given: SuiteRow, outcome: str) -> SuiteRow:
-    return given.model_copy(update={"outcome": outcome})
 
 
 def test_every_target_of_a_ratio_names_stages_that_exist():
@@ -188,4 +183,3 @@ def test_every_target_of_a_ratio_names_stages_that_exist():
     for ratio in RATIOS:
         assert {*ratio.over, ratio.under} <= known
     assert len(known) == len(CASES), "a row is known by its stage and who runs it"
-    assert replace(CASES[0]) == CASES[0]

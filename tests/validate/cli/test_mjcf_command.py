@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import signal
 from contextlib import chdir, contextmanager
 from pathlib import Path
 
@@ -29,13 +28,10 @@ ROBOT = """
 
 @contextmanager
 def within(place: Path):
-    """In a folder with robot.xml; signal handlers are put back."""
+    """In a folder with robot.xml."""
     (place / "robot.xml").write_text(ROBOT, encoding="utf-8")
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     with chdir(place):
         yield place
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

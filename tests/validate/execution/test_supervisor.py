@@ -170,7 +170,6 @@ def test_how_it_ended_and_what_it_cost_are_told(start, way, act, code):
     assert ended.space > ended.memory or "busy" not in act, "as of the last look"
     assert (0.4 if "busy" in act else 0.0) <= ended.cpu < 10.0
     assert ("Segmentation fault" in (folder / "log.txt").read_text()) == ("crash" in act)
-    child.close()
 
 
 def test_a_child_is_ended_with_its_family(start, way):
@@ -183,7 +182,6 @@ def test_a_child_is_ended_with_its_family(start, way):
     assert (ended.code, ended.strays) == (-signal.SIGKILL, 2)
     assert _sleepers() <= before
     assert not psutil.pid_exists(_told(folder)["number"])
-    child.close()
 
 
 @pytest.mark.parametrize("act", ["daemon", "fork"])
@@ -195,7 +193,6 @@ def test_what_it_leaves_behind_is_found_wherever_it_went(start, way, act):
     assert (ended.code, ended.strays) == (0, 1)
     assert _sleepers() <= before
     assert not any(psutil.pid_exists(int(line)) for line in (folder / "log.txt").read_text().splitlines() if line.isdigit())
-    child.close()
 
 
 def test_what_was_left_and_has_ended_is_not_kept_as_a_zombie(start, way):
@@ -207,7 +204,6 @@ def test_what_was_left_and_has_ended_is_not_kept_as_a_zombie(start, way):
     assert not child.wait(0.0)
     ended = child.end()
     assert (ended.code, ended.strays) == (-signal.SIGKILL, 0)
-    child.close()
 
 
 @pytest.mark.slow

@@ -102,10 +102,6 @@ def test_another_linear_solver_or_library_has_another_key(monkeypatch: pytest.Mo
         assert key(STRICT) != ours, name
 
 
-def _sources_with(changed: str) -> dict[str, str]:
-    return {**SOURCES, changed: "another digest"}
-
-
 SOURCES = provenance._source_digests()
 # A file of ours, and whether it decides: a run of strict_lcp, a check of nothing but models/fmu, one that names no sources, which has all.
 DECIDES = {
@@ -126,7 +122,7 @@ def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monk
         return key(STRICT), provenance.check_key(one), provenance.check_key(whole)
 
     before = keys()
-    monkeypatch.setattr(provenance, "_source_digests", lambda: _sources_with(changed))
+    monkeypatch.setattr(provenance, "_source_digests", lambda: {**SOURCES, changed: "another digest"})
     monkeypatch.setattr(provenance, "_digest_of_sources", provenance._digest_of_sources.__wrapped__)
     assert tuple(now != then for now, then in zip(keys(), before, strict=True)) == DECIDES[changed]
 

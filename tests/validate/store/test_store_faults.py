@@ -17,9 +17,10 @@ import pytest
 
 from models.errors import MachineError
 from reports.records.record import RunRecord
+from tests.reports import record_factory as factory
 from validate.cli.narrator import PlainNarrator
 from validate.execution.campaign import run_campaign
-from validate.plan.runs import CampaignSettings, select
+from validate.plan.runs import CampaignSettings
 from validate.store import disk as disk_module
 from validate.store import store as store_module
 from validate.store.disk import (
@@ -32,12 +33,10 @@ from validate.store.disk import (
     remove,
     write_durably,
 )
-from validate.store.provenance import gather
 from validate.store.store import RECORD, Store
-from validate.tasks.records import run_record, unfinished_stage
-from validate.tasks.scene_record import scene_record
 
 FAKES = {"plugin": "campaign_fakes:PLUGIN", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
+RUN = factory.runs()[0]
 _ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")
 
 
@@ -89,18 +88,8 @@ def disk(monkeypatch, tmp_path) -> Disk:
     return Disk(monkeypatch, tmp_path)
 
 
-@pytest.fixture(scope="module")
-def record() -> Callable[[str], RunRecord]:
-    """record("the message") is one of three_cart x relu_gd."""
-    (entry,), _ = select(CampaignSettings(out=Path(), scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
-
-    def made(message: str) -> RunRecord:
-        from formulations.solution import Outcome
-
-        stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome.INFEASIBLE, message) for planned in entry.loaded.plan]
-        return run_record(entry.task, scene_record(entry.loaded.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
-
-    return made
+def record(message: str) -> RunRecord:
+    return RUN.model_copy(update={"message": message})
 
 
 def _put(store: Store, record: RunRecord) -> None:
@@ -139,7 +128,7 @@ def _refused(act: Callable[[], object]) -> MachineError | None:
 
 
 @pytest.mark.slow
-def test_an_older_run_outlives_every_refusal(tmp_path, disk, record):
+def test_an_older_run_outlives_every_refusal(tmp_path, disk):
     store, old, new = Store(tmp_path), record("old"), record("new")
     store.prepare()
     _put(store, old)
@@ -181,19 +170,6 @@ def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
         assert [path for path in settings.out.rglob(".*") if path.is_file()] == []
 
 
-def test_a_run_that_was_to_be_replaced_when_the_campaign_was_killed_is_put_back(tmp_path, record):
-    store, old = Store(tmp_path), record("old")
-    store.prepare()
-    _put(store, old)
-    gone = f".partial-{old.key[:12]}-token-{2**22 + 1}-{store_module.socket.gethostname()}"
-    (tmp_path / "runs" / old.key).rename(tmp_path / "runs" / f"{gone}-old")
-    (tmp_path / "runs" / gone).mkdir()
-    assert store.read(old.key) is None
-    store.prepare()
-    assert store.read(old.key) == old
-    assert [path.name for path in (tmp_path / "runs").iterdir()] == [old.key]
-
-
 @pytest.mark.parametrize("key", ["../escaped", "..", ".partial-x", 7, None])
 def test_what_is_put_back_stays_in_the_store(tmp_path, key):
     runs = tmp_path / "out" / "runs"
@@ -205,7 +181,7 @@ def test_what_is_put_back_stays_in_the_store(tmp_path, key):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_many_may_store_the_same_cell_at_once(tmp_path, record):
+def test_many_may_store_the_same_cell_at_once(tmp_path):
     """Four threads stand for four campaigns; a fifth reads what is there."""
     store, runs = Store(tmp_path), [record(f"of campaign {number}") for number in range(4)]
     store.prepare()

@@ -9,51 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign_fakes import FakeMethod
 
-from formulations.method import Kind, Leg, Pipeline
+from formulations.method import Kind
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import MachineError, TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
 from validate.tasks import stage as module
-from validate.tasks.leg import planned_stages
 from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, prepare
-
-
-def planned_one(answer):
-    (planned,) = planned_stages(Pipeline(name="p", title="p", legs=(Leg(method="m"),)), {"m": FakeMethod("m", lambda: answer)})
-    return planned
-
-
-def run(answer):
-    planned = planned_one(answer)
-    with closing(OpenLeg(load_scene("wall_pendulum"), planned)) as leg:
-        return leg.run(planned, None, 10.0).solution
-
-
-def plan(step: float, steps: int) -> Trajectory:
-    state = np.zeros((steps + 1, 1))
-    return Trajectory(t=uniform_grid(step, steps), q=state, v=state, u=state[1:], lam=state[1:])
-
-
-def test_a_plan_on_another_grid_of_the_same_duration_is_taken():
-    task = load_scene("wall_pendulum").task
-    found = run(Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step / 2, 2 * task.steps)))
-    assert found.trajectory.steps == 2 * task.steps
-
-
-def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pytest.MonkeyPatch):
-    """With clocks that go on by 1 s and by 8 s whenever they are looked at: a stage takes one look, and so do opening and asking before it."""
-    walls, cpus = itertools.count(5.0, 1.0), itertools.count(70.0, 8.0)
-    monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
-    monkeypatch.setattr(module.time, "process_time", lambda: next(cpus))
-    planned = planned_one(Solution(method="m", outcome=Outcome.SOLVED))
-    with closing(OpenLeg(load_scene("wall_pendulum"), planned)) as leg:
-        leg.leaves(None)
-        first, second, third = (leg.run(planned, None, 10.0) for _ in range(3))
-    assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [(3.0, 24.0), (1.0, 8.0), (1.0, 8.0)]
-
 
 SCENE = load_scene("wall_pendulum")
 SOLVED = Solution(method="m", outcome=Outcome.SOLVED)
@@ -64,6 +27,35 @@ def planned_by(solve: Any, kind: Kind = Kind.INDIRECT, **session: Any) -> Any:
     given = {"solve": solve, "start_used": lambda start: start, "close": lambda: None} | session
     method = SimpleNamespace(kind=kind, exact=kind is Kind.DIRECT, open=lambda scene, options: SimpleNamespace(**given))
     return SimpleNamespace(name="m", method=method, options="options", eps=0.125)
+
+
+def run(answer):
+    planned = planned_by(lambda **given: answer, Kind.DIRECT)
+    with closing(OpenLeg(SCENE, planned)) as leg:
+        return leg.run(planned, None, 10.0).solution
+
+
+def plan(step: float, steps: int) -> Trajectory:
+    state = np.zeros((steps + 1, 1))
+    return Trajectory(t=uniform_grid(step, steps), q=state, v=state, u=state[1:], lam=state[1:])
+
+
+def test_a_plan_on_another_grid_of_the_same_duration_is_taken():
+    task = SCENE.task
+    found = run(Solution(method="m", outcome=Outcome.SOLVED, trajectory=plan(task.step / 2, 2 * task.steps)))
+    assert found.trajectory.steps == 2 * task.steps
+
+
+def test_the_first_stage_pays_for_the_opening_and_no_other_does(monkeypatch: pytest.MonkeyPatch):
+    """With clocks that go on by 1 s and by 8 s whenever they are looked at: a stage takes one look, and so do opening and asking before it."""
+    walls, cpus = itertools.count(5.0, 1.0), itertools.count(70.0, 8.0)
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(walls))
+    monkeypatch.setattr(module.time, "process_time", lambda: next(cpus))
+    planned = planned_by(lambda **given: SOLVED)
+    with closing(OpenLeg(SCENE, planned)) as leg:
+        leg.leaves(None)
+        first, second, third = (leg.run(planned, None, 10.0) for _ in range(3))
+    assert [(stage.wall, stage.cpu) for stage in (first, second, third)] == [(3.0, 24.0), (1.0, 8.0), (1.0, 8.0)]
 
 
 @pytest.mark.parametrize(("longer", "refused"), [(1 + 5e-10, False), (1 - 5e-10, False), (1 + 2e-9, True), (1 - 2e-9, True), (100.0, True)])
