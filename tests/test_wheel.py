@@ -62,19 +62,6 @@ def test_its_command_works_in_a_folder_with_packages_of_the_same_names(site: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["models", "formulations", "reports"])
-def test_the_module_says_what_clashes(site: Path, tmp_path: Path, name: str):
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "__init__.py").write_text("raise RuntimeError\n")
-    for command in (("-m", "validate", "list"), ("-c", "import touchstone")):
-        found = called(site, tmp_path, sys.executable, *command)
-        assert found.returncode != 0
-        sentence = found.stderr.splitlines()[-1]
-        for part in (f"own package {name!r} in {site}", str(tmp_path / name), "`touchstone`", "rename yours"):
-            assert part in sentence
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("command", ["touchstone", "touchstone-mpec"])
 @pytest.mark.parametrize("name", ["models", "validate"])
 def test_a_command_says_what_clashes(site: Path, tmp_path: Path, name: str, command: str):

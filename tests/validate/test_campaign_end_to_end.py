@@ -89,10 +89,3 @@ def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):
     done = cli("replay", str(tmp_path / "plan.csv"), "--scene", "three_cart")
     assert done.returncode == 0, done.stderr
     assert "holds" in done.stdout.splitlines()[-1]
-
-
-def test_an_fmu_is_exported(cli, tmp_path):
-    done = cli("fmu", "three_cart", "-o", str(tmp_path / "three_cart.fmu"))
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "three_cart.fmu").read_bytes()[:2] == b"PK"
-    assert cli("fmu", "three_cart", "-o", "/proc/no.fmu").returncode == 3

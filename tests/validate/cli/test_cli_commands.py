@@ -18,7 +18,6 @@ from models.catalog import load_scene
 from models.trajectory import Trajectory, uniform_grid, write_csv
 from reports.rule import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
-from validate.cli.table import short
 
 PLUGIN = ("--plugin", "campaign_fakes:PLUGIN")
 FAKES = (*PLUGIN, "--scene", "three_cart")
@@ -296,11 +295,6 @@ def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
     assert done.returncode == 2
     assert "scene misspelt: there is a limit on 'defct'" in done.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_numbers_too_large_for_decimals_are_short():
-    assert short(490.554, ".2f") == "490.55"
-    assert short(-1e200, ".2f") == "-1e+200"
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,19 +24,23 @@ COMMANDS = {
 CASES = [(command, True) for command in COMMANDS] + [("list", False), ("a campaign", False)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("command", "together"), CASES)
-def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli_environment, tmp_path):
+@pytest.fixture
+def gone() -> Iterator[int]:
+    """The end to write to of a pipe that nobody reads."""
     reads, writes = os.pipe()
     os.close(reads)
+    yield writes
+    os.close(writes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "together"), CASES)
+def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, gone: int, cli_environment, tmp_path):
     out = ("--out", str(tmp_path / "out")) if "--plugin" in COMMANDS[command] else ()
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "validate", *COMMANDS[command], *out], stdout=writes,
-            stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL, env=cli_environment, check=False,
-        )  # fmt: skip
-    finally:
-        os.close(writes)
+    done = subprocess.run(
+        [sys.executable, "-m", "validate", *COMMANDS[command], *out], stdout=gone,
+        stderr=subprocess.STDOUT if together else subprocess.PIPE, stdin=subprocess.DEVNULL, env=cli_environment, check=False,
+    )  # fmt: skip
     assert done.returncode == READER_GONE == 141
     said = (done.stderr or b"").decode()
     assert "Traceback" not in said
@@ -68,16 +73,9 @@ def test_streams_that_are_closed_are_none_to_write_to(closed: str, cli_environme
 
 
 @pytest.mark.slow
-def test_what_finished_is_stored_and_used_again(cli, cli_environment, tmp_path):
+def test_what_finished_is_stored_and_used_again(gone: int, cli, cli_environment, tmp_path):
     command = ("all", *FAKES, "-k", "only_good", "--out", str(tmp_path / "out"))
-    reads, writes = os.pipe()
-    os.close(reads)
-    try:
-        subprocess.run(
-            [sys.executable, "-m", "validate", *command], stdout=writes, stderr=subprocess.DEVNULL, env=cli_environment, check=False
-        )
-    finally:
-        os.close(writes)
+    subprocess.run([sys.executable, "-m", "validate", *command], stdout=gone, stderr=subprocess.DEVNULL, env=cli_environment, check=False)
     again = cli(*command)
     assert "1 stored, 0 to run" in again.stderr
     assert again.returncode == 0

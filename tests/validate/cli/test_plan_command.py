@@ -71,13 +71,6 @@ def test_damaged_requests_are_passed_over(cli, ran):
     assert told(cli, ran, "-k", "only_good")["stored"] >= 1
 
 
-def test_bad_words_are_one_sentence(cli, tmp_path):
-    for words in (("--time-limit", "nan"), ("--scene", "nosuchscene")):
-        done = cli("plan", "--out", str(tmp_path), *words)
-        assert done.returncode == 2
-        assert len(done.stderr.strip().splitlines()) == 1
-
-
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     why, counts = done.stdout.splitlines()[-2:]

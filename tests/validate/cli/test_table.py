@@ -102,8 +102,8 @@ def test_the_default_limit_of_what_could_not_be_measured_is_not_known(monkeypatc
     assert row[place.start() - 2 : place.end() + 1].strip() == limit
 
 
-def test_a_zero_has_no_sign():
-    assert short(-0.0, ".4e") == "0.0000e+00"
+def test_a_zero_has_no_sign_and_a_number_too_large_for_decimals_is_short():
+    assert [short(-0.0, ".4e"), short(490.554, ".2f"), short(-1e200, ".2f")] == ["0.0000e+00", "490.55", "-1e+200"]
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])
@@ -137,10 +137,11 @@ def test_a_time_is_told_as_roughly_as_it_is_known(seconds, words):
     assert narrator.in_words(seconds) == words
 
 
-def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(capsys):
-    def refused(pipeline: str, why: str):
-        return factory.run(pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(update={"message": why})
+def refused(pipeline: str, why: str):
+    return factory.run(pipeline, None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(update={"message": why})
 
+
+def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_runs_have_ended(capsys):
     runs = [
         refused("mpcc", "mpcc: it has friction: none."),
         refused("front", "mpcc_front: it has friction: none."),
@@ -159,18 +160,16 @@ def test_what_does_not_apply_to_a_scene_is_told_once_for_each_reason_when_its_ru
 
 def test_what_does_not_apply_is_told_at_the_end_where_the_other_runs_of_its_scene_have_not_ended(capsys):
     """Ctrl-C, or -x: the scene is never whole."""
-    refused = factory.run("mpcc", None, "strict_lcp", outcome="refused", verdict="not applicable").model_copy(
-        update={"message": "m: it has none."}
-    )
+    run = refused("mpcc", "m: it has none.")
     plain = narrator.PlainNarrator()
     plain.begins(3, 0, 0)
-    plain.finished(refused)
+    plain.finished(run)
     plain.ends()
     assert capsys.readouterr().err.splitlines() == ["0 stored, 3 to run", "not applicable: mpcc: it has none."]
     whole = narrator.PlainNarrator()
     whole.begins(1, 0, 0)
-    whole.finished(refused)
-    whole.found([refused])
+    whole.finished(run)
+    whole.found([run])
     capsys.readouterr()
     whole.ends()
     assert capsys.readouterr().err == "", "once is enough"

@@ -27,7 +27,7 @@ def test_a_stable_step_is_stored_without_a_warning(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_step_past_the_limit_is_told_before_the_cells_stored_and_shown(cli, tmp_path):
+def test_a_step_past_the_limit_is_told_before_the_cells_stored_shown_and_used_again(cli, tmp_path, monkeypatch):
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
     done = cli("all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out"))
@@ -40,13 +40,6 @@ def test_a_step_past_the_limit_is_told_before_the_cells_stored_and_shown(cli, tm
     (step,) = stored["time_steps"]
     assert step["radius"] > 1.0
     assert "past the stability limit" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.slow
-def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch):
-    path = tmp_path / "stiff_pair.py"
-    path.write_text(UNSTABLE)
-    cli("all", "--scene", str(path), "-k", "free_motion and stiff", "--out", str(tmp_path / "out"))
     monkeypatch.setattr(campaign, "step_stability", lambda scene: None)  # asked again, it would fail
     (found,) = time_steps([load_scene(str(path))], campaign_of(tmp_path / "out").time_steps)
     assert found.warning

@@ -12,7 +12,6 @@ from wording import unsaid
 from validate.cli.narrator import PlainNarrator
 from validate.execution.campaign import run_campaign
 from validate.plan.runs import CampaignSettings, reasons, select, with_stored
-from validate.plan.selection import matches
 from validate.store.provenance import command_line
 from validate.store.store import Store
 
@@ -128,18 +127,6 @@ def test_show_of_no_run_or_several(cli, ran, name, words):
     assert done.returncode == 2
     assert not unsaid(done.stderr, words)
     assert len(done.stderr.splitlines()) == 1
-
-
-def test_a_whole_name():
-    names = ("three_cart", "relaxed+strict", "strict_lcp", "in one leap")
-    assert matches("strict", names)
-    assert not matches("=strict", names)
-    assert matches('=three_cart and ="in one leap"', names)
-    assert not matches('="one leap"', names)
-    assert matches('="so-called ""leap""" or =none', ['so-called "leap"'])
-    assert matches('="three_cart x relaxed+strict"', names, "three_cart x relaxed+strict")
-    assert not matches('="three_cart x strict"', names, "three_cart x relaxed+strict")
-    assert not matches("x", ("strict",), "two x strict")  # a title is no name of which a part would do
 
 
 def test_the_command_can_be_typed_again_in_any_shell():

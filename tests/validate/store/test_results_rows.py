@@ -154,14 +154,3 @@ def test_a_violation_stands_beside_its_closed_form():
     assert tables((), (), points)[VIOLATION].splitlines() == [
         "law,eps,measured,closed_form,relative_difference", "softplus,0.01,5.0,4.0,0.25", "softplus,0.01,3.0,4.0,0.25",
     ]  # fmt: skip
-
-
-def test_files_hold_the_texts(template: RunRecord, tmp_path: Path):
-    check = CheckRecord(
-        key="k", kind="fmu", name="n", outcome="passed", passed=True, wall_seconds=1.5, cpu_seconds=2.5, expected="",
-        provenance=factory.provenance(),
-    )  # fmt: skip
-    asked = ([run_of(template, stage())], [check], ())
-    write_tables(tmp_path, *asked)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: text for name, text in tables(*asked).items() if text}
-    assert (tmp_path / CHECKS).exists()
