@@ -170,6 +170,19 @@ def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
         assert [path for path in settings.out.rglob(".*") if path.is_file()] == []
 
 
+def test_a_run_that_was_to_be_replaced_when_the_campaign_was_killed_is_put_back(tmp_path):
+    store, old = Store(tmp_path), record("old")
+    store.prepare()
+    _put(store, old)
+    gone = f".partial-{old.key[:12]}-token-{2**22 + 1}-{store_module.socket.gethostname()}"
+    (tmp_path / "runs" / old.key).rename(tmp_path / "runs" / f"{gone}-old")
+    (tmp_path / "runs" / gone).mkdir()
+    assert store.read(old.key) is None
+    store.prepare()
+    assert store.read(old.key) == old
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [old.key]
+
+
 @pytest.mark.parametrize("key", ["../escaped", "..", ".partial-x", 7, None])
 def test_what_is_put_back_stays_in_the_store(tmp_path, key):
     runs = tmp_path / "out" / "runs"
