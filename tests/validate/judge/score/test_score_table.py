@@ -206,6 +206,7 @@ SCENES_OWN, WAIVED = Limit(metric="x", value=2.0, reason="of the scene"), Limit(
         ((0.4, 0.011), {}, (0.4, 0.011, 0.5, "of the table", None, True)),
         ((0.48, 0.011), {"question": Question.JUDGE}, (0.48, 0.011, 0.5, "of the table", True, True)),  # as good as its error, not a tenth of it
         ((0.49, 0.011), {"question": Question.JUDGE}, (0.49, 0.011, 0.5, "of the table", None, True)),
+        ((0.52, 0.011), {"question": Question.JUDGE}, (0.52, 0.011, 0.5, "of the table", False, True)),
         (1.5, {"limit": SCENES_OWN}, (1.5, 0.0, 2.0, "of the scene", True, False)),
         (2.5, {"limit": SCENES_OWN, "default": None}, (2.5, 0.0, 2.0, "of the scene", False, False)),
         (2.5, {"limit": WAIVED}, (2.5, 0.0, None, "waived", None, True)), (2.5, {"default": None}, (2.5, 0.0, None, "", None, True)),

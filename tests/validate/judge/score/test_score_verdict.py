@@ -80,6 +80,10 @@ def test_truth_table(metrics: tuple[Metric, ...], verdict: Verdict):
     assert verdict_of(answers(metrics[::-1])) is verdict
 
 
+def test_good_verdicts():
+    assert {verdict for verdict in Verdict if verdict.is_good} == {Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK}
+
+
 def test_a_question_is_as_good_as_its_worst_metric():
     found = answers((BELOW, ABOVE, OPEN, START))
     assert found[Question.MOTION] == "no"
@@ -227,7 +231,7 @@ def test_what_is_undecided_says_why():
     assert not unsaid(why, "replay_error … not be measured: … not replayed.")
     blurred = metric("replay_error", None, value=0.0599, error=1e-4)
     why = told(blurred, OPEN, verdict=Verdict.UNDECIDED)
-    assert not unsaid(why, "by 0.0599 m, limit 0.06 m, but … own error of 0.0001 m")
+    assert not unsaid(why, "by 0.0599 m, limit 0.06 m, but … own error of 0.0001 m is not 10 times below the distance between them")
     assert "nor decided: max_penetration" in why
     endless = metric("replay_error", None, value=0.01, error=math.inf)
     assert "the replay has no error estimate" in told(endless, verdict=Verdict.UNDECIDED)
