@@ -83,9 +83,9 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
     n, shape = len(a), a.shape
     size = a[0].size
     columns = np.arange(size)
-    lost = ~(np.abs(a).max(axis=(1, 2)) < _LARGEST)
+    lost, found = ~(np.abs(a).max(axis=(1, 2)) < _LARGEST), np.zeros(n, bool)
     for _ in range(_ITERATIONS):
-        a[lost] = 0.0  # which has a mass matrix
+        a[lost] = 0.0  # where positions are numbers, as those of the motion are
         # All columns of the Jacobian at once: a call of the kernel takes 40 us, a row of it 1.
         moved = np.repeat(a.reshape(1, n, size), size + 1, axis=0)
         delta = _DIFFERENCE * (1.0 + np.abs(moved[0].T))
@@ -100,10 +100,11 @@ def _newton(residual: Callable[[np.ndarray], np.ndarray], a: np.ndarray) -> np.n
             lost |= np.linalg.slogdet(jacobian)[0] == 0.0
             jacobian[lost] = np.eye(size)
             step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
+        step[found] = 0.0  # as if it were alone: rounding might open it again
         a = a - step
         lost |= ~(np.abs(a).max(axis=(1, 2)) < _LARGEST)
-        open_rows = np.abs(step).max(axis=(1, 2)) > _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
-        if not open_rows[~lost].any():
+        found = np.abs(step).max(axis=(1, 2)) <= _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
+        if (found | lost).all():
             break
     else:  # Rounding of large accelerations keeps a row open; only a step that means something is no solution.
         lost |= np.abs(step).max(axis=(1, 2)) > 1e-9 * (1.0 + np.abs(a).max(axis=(1, 2)))

@@ -44,15 +44,13 @@ _OWN = {
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 for an answer that nobody can be told."""
+    """Run the command; the exit code is 0 where an answer was written or printed, 2 for what cannot be read, 3 where the answer cannot be written."""
     given = list(sys.argv[1:] if words is None else words)
     flags, rest = [word for word in given if word.startswith("-")], [word for word in given if not word.startswith("-")]
     if "-v" in flags or "--version" in flags:
-        print(f"{NAME} {metadata.version('touchstone-contact')}")
-        return 0
+        return _told(f"{NAME} {metadata.version('touchstone-contact')}")
     if "-=" in flags:
-        print(_options_in_words())
-        return 0
+        return _told(_options_in_words())
     stubs = [word for word in rest if "=" not in word]
     if len(stubs) != 1 or set(flags) - {"-AMPL", "-s"} or "-?" in flags:
         print(_USAGE, file=sys.stderr)
@@ -64,10 +62,19 @@ def main(words: Sequence[str] | None = None) -> int:
     except _RefusedError as refused:
         print(f"{NAME}: {refused}", file=sys.stderr)
         return 2
-    if not message:
-        return 0
+    except _UnwrittenError as unwritten:
+        print(f"{NAME}: {unwritten}", file=sys.stderr)
+        return 3
+    return _told(message) if message else 0
+
+
+def _told(text: str) -> int:
+    """Print it; the exit code."""
+    if sys.stdout is None:  # Python's way to say that it was closed
+        print(f"{NAME}: the answer cannot be written: standard output is closed.", file=sys.stderr)
+        return 3
     try:
-        print(message, flush=True)
+        print(text, flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what the stream still holds is not tried again as Python ends
         print(f"{NAME}: the answer cannot be written: {error.strerror}.", file=sys.stderr)
@@ -77,6 +84,10 @@ def main(words: Sequence[str] | None = None) -> int:
 
 class _RefusedError(Exception):
     """What ends the command with exit code 2, in one sentence."""
+
+
+class _UnwrittenError(Exception):
+    """What ends the command with exit code 3, in one sentence."""
 
 
 def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
@@ -105,7 +116,7 @@ def _solved(stub: Path, words: list[str], for_ampl: bool) -> str:
                 target, problem.header, message=message, code=code, duals=duals, values=values, objective=own["objno"], of_rows=of_rows
             )
         except OSError as error:
-            raise _RefusedError(f"{target} cannot be written: {error.strerror}.") from error
+            raise _UnwrittenError(f"{target} cannot be written: {error.strerror}.") from error
     return message if not for_ampl or own["outlev"] else ""
 
 

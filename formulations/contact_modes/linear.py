@@ -307,7 +307,7 @@ class BandedKKT:
         width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
         self._lu = BandedLU(self.size, width)
-        self.solve, self.product = self._lu.solve, self._lu.product  # of the matrix that `factor` made last
+        self.solve, self.product = self._lu.solve, self._lu.product  # as there, of the matrix that `factor` made last
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)

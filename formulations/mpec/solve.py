@@ -203,7 +203,7 @@ def _run_strategy(work: Workspace, number: int, steps: list[Step], searched: lis
     branch, last, outcome, message = None, None, Outcome.SOLVED, ""
     if not work.lifted.pairs:
         branch = branching.polish(start)
-        searched = [] if branch is None else [branch]
+        searched = [] if branch is None else [branch]  # without pairs there are no others
     else:
         before: np.ndarray | None = None
         for last in path.points(start, is_tried=is_tried):

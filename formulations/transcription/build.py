@@ -35,6 +35,7 @@ variable_friction without friction, no variable_spring without damping.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -66,7 +67,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 
 def build_model(
-    scene: Scene | str,
+    scene: Scene | str | Path,
     contact: ContactFormulation = ContactFormulation.COMPLEMENTARITY,
     *,
     eps: float | None = None,
@@ -92,7 +93,9 @@ def build_model(
     ModelError
         for a contact that is none, and a scene that has no collocation
     SceneError
-        for a function that Pyomo does not have
+        for what is no scene, and a function that Pyomo does not have
+    UnknownNameError
+        for a name that no scene has
 
     Examples
     --------
@@ -114,7 +117,7 @@ def build_model(
 
 def build_block(
     block: Any,
-    scene: Scene | str,
+    scene: Scene | str | Path,
     contact: ContactFormulation = ContactFormulation.COMPLEMENTARITY,
     *,
     eps: float | None = None,

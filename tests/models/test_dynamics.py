@@ -267,6 +267,20 @@ def test_a_step_without_a_solution_is_no_number_and_leaves_the_others_alone(sche
         assert np.isnan(found[1]).all()
 
 
+@pytest.mark.parametrize("scheme", COLLOCATIONS)
+def test_a_step_is_the_same_alone_and_beside_others(scheme: Scheme) -> None:
+    """Rows that take longer, or have no solution, leave one that is found where it was: once it moved on, and some ended as no number."""
+    kernel, random = load_kernel(load_scene("cart_pole_walls")), np.random.default_rng(5)
+    q, v, u = (
+        random.normal(size=(12, 2)),
+        10.0 ** random.uniform(0, 6, size=(12, 1)) * random.normal(size=(12, 2)),
+        random.normal(size=(12, 1)),
+    )
+    together = advance(kernel, scheme, q, v, u, 0.1)
+    alone = [advance(kernel, scheme, *row, 0.1) for row in zip(q[:, None], v[:, None], u[:, None], strict=True)]
+    np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
+
+
 def test_the_defect_is_that_of_the_plans_own_step() -> None:
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)

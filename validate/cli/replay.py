@@ -143,9 +143,10 @@ def command(
         from validate.judge.judgement import wire_fmu
 
         wire = partial(wire_fmu, fmu, plan, **wired)
-        # All of them first: what cannot be varied is refused before anything is replayed.
+        # All are wired before anything is replayed, the map as it stands first: what is wrong there, and what cannot be varied, is refused at once.
+        stated = wire()
         others = [(wire(factors={name: factor}), name, factor) for name, factor in factors.items()]
-        judgement, warnings = wire().judge(track), []
+        judgement, warnings = stated.judge(track), []
         changes = [_change(judgement, other.judge(track), name, factor) for other, name, factor in others]
     else:
         judgement, warnings = _of_scene(str(scene), plan, wired["hold"], wired["limits"], track)

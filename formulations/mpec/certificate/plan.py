@@ -10,6 +10,7 @@ nothing transformed - and judged there by `certify`. Multipliers are computed an
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, cast
 
 from formulations.grids import scene_of
@@ -27,7 +28,7 @@ PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 class PlanJudge:
     """Judges plans of one scene; its strict model is built once for a goal that is a point, once for one that is a ball, and for each grid."""
 
-    def __init__(self, scene: Scene | str) -> None:
+    def __init__(self, scene: Scene | str | Path) -> None:
         self._scene = as_scene(scene)
         self._models: dict[tuple[bool, int], Any] = {}
 
@@ -43,12 +44,12 @@ class PlanJudge:
         return certify(model, tolerances=PLAN_TOLERANCES)
 
 
-def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
+def certify_plan(scene: Scene | str | Path, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
     """Judge a plan as a solution of the scene's exact problem.
 
     Parameters
     ----------
-    scene : a scene, or its name
+    scene : a scene, its name or the path of its file
     plan : on the scene's grid, or on one so many times as fine: its problem is the same task on that grid
     goal_tolerance : norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal
 
@@ -56,6 +57,8 @@ def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float 
     ------
     TrajectoryError
         where the plan does not fit the scene
+    SceneError, UnknownNameError
+        for what is no scene
     """
     return PlanJudge(scene).certify(plan, goal_tolerance=goal_tolerance)
 

@@ -2,6 +2,7 @@
 
 import math
 import os
+import shlex
 import struct
 import subprocess
 import sys
@@ -326,13 +327,26 @@ def stub(tmp_path):
     return write
 
 
-def test_an_answer_that_a_full_disk_does_not_take_ends_with_3(stub):
-    with open("/dev/full", "w") as full:
-        ended = subprocess.run(
-            [sys.executable, "-c", "from formulations.ampl.command import main; raise SystemExit(main())", str(stub())],
-            stdout=full, stderr=subprocess.PIPE, text=True, env={key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"},
-        )  # fmt: skip
-    assert (ended.returncode, ended.stderr) == (3, "touchstone-mpec: the answer cannot be written: No space left on device.\n")
+@pytest.mark.parametrize("asked", ["STUB", "-v", "-="])
+@pytest.mark.parametrize(("out", "why"), [("> /dev/full", "No space left on device"), (">&-", "standard output is closed")])
+def test_an_answer_that_cannot_be_printed_ends_with_3(stub, asked: str, out: str, why: str):
+    command = [
+        sys.executable,
+        "-c",
+        "from formulations.ampl.command import main; raise SystemExit(main())",
+        asked.replace("STUB", str(stub())),
+    ]
+    ended = subprocess.run(
+        f"exec {shlex.join(command)} {out}", shell=True, stderr=subprocess.PIPE, text=True, env={key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"},
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (3, f"touchstone-mpec: the answer cannot be written: {why}.\n")
+
+
+def test_a_solution_file_that_cannot_be_written_ends_with_3(stub, capsys):
+    problem = stub()
+    problem.with_suffix(".sol").mkdir()
+    assert main([str(problem), "-AMPL"]) == 3
+    assert capsys.readouterr().err == f"touchstone-mpec: {problem}.sol cannot be written: Is a directory.\n"
 
 
 def read_sol(stub: Path) -> tuple[str, list[float], list[float], int]:

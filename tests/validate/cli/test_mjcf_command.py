@@ -131,6 +131,14 @@ def test_what_cannot_be_varied_is_refused_before_anything_is_replayed(
 
 
 @pytest.mark.slow
+def test_a_mistake_of_the_map_is_told_with_the_number_that_stands_there(robot: Path, capfd: pytest.CaptureFixture[str]):
+    with Path("robot.toml").open("a") as file:
+        file.write("\n[parameters]\nmass_ball = -5\n")
+    assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--vary", "mass_ball=2"]) == 2
+    assert "mass_ball: -5 is not possible" in capfd.readouterr().err
+
+
+@pytest.mark.slow
 def test_own_step_is_for_fmus_and_for_inputs_that_are_held(robot: Path, capfd: pytest.CaptureFixture[str]):
     assert run(["replay", "plan.csv", "--fmu", "robot.fmu", "--map", "robot.toml", "--own-step", "--hold", "linear"]) == 2
     said = capfd.readouterr().err

@@ -18,6 +18,7 @@ from models.schemes import Scheme, tableau
 from models.trajectory import Hold, Trajectory
 from validate.judge.replay.result import Replay
 from validate.judge.replay.subject import Subject
+from validate.judge.score.measures import IDLE
 from validate.judge.score.table import FEEDBACK, TABLE
 from validate.judge.score.verdict import EFFORT, MARGIN, SHARE, TRACKED, Answer, Metric, Question, Unmeasured, Verdict, is_of_feedback
 
@@ -368,10 +369,14 @@ def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
     order = 1.0 if first_order else min(2, tableau(plan.scheme).order)
     step, error, near = plan.duration / plan.steps, grid, _SAFETY * first.limit * min(1.0, grid / max(grid, first.value or 0.0))
     # A step that is far too long says little of shorter ones: it is halved first, its inputs held.
+    nearer = True
     with suppress(Unmeasured):
         for finer in scored.halved(near):
             order = max(order, math.log2(error / finer)) if finer <= near and 0.0 < finer < error else order
+            nearer = finer <= max(near, (1.0 - IDLE) * error)
             step, error = step / 2.0, finer
+    if not nearer:
+        return "; half the step, these inputs held, brings it no nearer"
     if error > 0.0:
         step *= min(2.0 if error <= near else 1.0, (near / error) ** (1.0 / order))
     smooth = isinstance(scored.scene, Scene) and not scored.scene.nf and not scored.scene.damped and scored.scene.relaxation_index is None

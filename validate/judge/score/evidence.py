@@ -411,7 +411,7 @@ class Evidence:
                 q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
         if reached < len(steps):
             raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}.")
-        return self._own_motions.setdefault(parts, (q[::parts], v[::parts]))
+        return self._own_motions.setdefault(parts, (q[::parts].copy(), v[::parts].copy()))  # a view would keep all parts
 
     @property
     def true_end(self) -> np.ndarray:

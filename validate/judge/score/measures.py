@@ -22,8 +22,9 @@ from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
-# A halving that moves the motion by less than this share of what is missing does not bring it nearer: the rest is no error of the grid.
-_IDLE = 0.01
+# A halving that moves the motion by less than this share of what is missing does not bring it nearer; after two in a row the rest is taken for no error
+# of the grid.
+IDLE = 0.01
 # Below this share of the largest a force or a gap is nothing.
 _CLEARLY = 1e-2
 # Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
@@ -255,7 +256,7 @@ def grid_error(case: Evidence) -> tuple[float, float]:
 
 
 def grid_order(case: Evidence) -> float:
-    """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
+    """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved as `halved` does."""
     error, near = grid_error(case)[0], float(replay_limits(case.scene).min()) / 4.0
     if error <= near:
         raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
@@ -276,7 +277,7 @@ def halved(case: Evidence, near: float) -> Iterator[float]:
         q = case.own_motion(2**halvings)[0]
         error, _ = eq.largest_difference(q, case.replay_q)
         yield error
-        idle = idle + 1 if eq.largest_difference(q, before)[0] < _IDLE * (error - near) else 0
+        idle = idle + 1 if eq.largest_difference(q, before)[0] < IDLE * (error - near) else 0
         if error <= near or idle == 2:
             return
         before = q

@@ -236,7 +236,7 @@ def verdict_with_feedback(alone: Verdict, followed: dict[Question, Answer]) -> V
     with_feedback = verdict_of(followed)
     if with_feedback is Verdict.HOLDS:
         return Verdict.HOLDS_WITH_FEEDBACK
-    # Else one of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
+    # Where they differ, one of the two is undecided: what fails for the inputs alone may hold with feedback, or the other way round.
     return alone if with_feedback is alone else Verdict.UNDECIDED
 
 

@@ -101,7 +101,7 @@ def refined(errors: list[float], limit: float | None = 0.4, waived: bool = False
 
 
 def test_the_order_of_a_grid_is_that_of_its_last_halving():
-    """Until a quarter of the limit is reached, or seven times."""
+    """Until a quarter of the limit is reached, two halvings move next to nothing, or seven times."""
     assert refined([0.8, 0.4, 0.05]) == (pytest.approx(3.0), [2, 4])
     assert refined([0.8, 0.101, 0.0505]) == (pytest.approx(1.0), [2, 4])
     assert refined([0.8, 0.1]) == (pytest.approx(3.0), [2])

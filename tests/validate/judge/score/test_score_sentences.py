@@ -172,6 +172,18 @@ def test_a_step_that_is_far_too_long_is_halved_before_its_order_is_trusted(error
     assert not unsaid(why, f"Try h = {factor * STEP:.2g} s")
 
 
+@pytest.mark.parametrize(
+    ("errors", "helps"),
+    [((0.5, 0.5), False), ((0.5, 0.496), False), ((0.5, 0.494), True), ((0.5, 0.0481), True), ((0.5, 0.6), False), ((0.047, 0.047), True)],
+)
+def test_no_step_is_named_where_shorter_ones_bring_it_no_nearer(errors: tuple[float, ...], helps: bool):
+    first = metric("replay_error", False, value=0.4, limit=0.06)
+    why = told(
+        first, metric("grid_error", None, value=0.5, limit=None), scheme=Scheme.SEMI_IMPLICIT_EULER, halved=lambda near: iter(errors)
+    )
+    assert ("Try h = " in why, "half the step, these inputs held, brings it no nearer" in why) == (helps, not helps)
+
+
 @pytest.mark.parametrize("name", ["physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error"])
 def test_contact_forces_that_fail_are_not_called_correct(name: str):
     why = told(MISS, GRID, metric(name, False), metric_of_growth(500.0), questions={})
