@@ -112,12 +112,15 @@ def test_the_cheapest_plan_that_is_followed_is_taken(monkeypatch: pytest.MonkeyP
 def test_a_scene_with_friction_ends_where_the_best_known_way_does():
     """Relaxed contact from 1e-2 ends at 0.916; that of a loose first eps, and softplus contact, leave the choice where friction holds.
 
-    Either ends at 0.701, or at 0.818, as the processor rounds; so one way alone is not enough.
+    Either ends at 0.701, at 0.704 or at 0.818, as the processor rounds; so one way alone is not enough. That of 0.704 is not followed, and on finer steps
+    costs 0.706.
     """
     found = solved(load_scene("transport"))
     costs = [attempt.cost for attempt in found.starts if attempt.cost is not None]
     assert found.outcome is Outcome.SOLVED
-    assert found.cost == min(costs) <= 0.7063
+    assert found.cost == (costs[-1] if "steps" in found.starts[-1].start else min(costs))
+    assert found.cost <= 0.7063
+    assert found.residuals["departure"] <= 1.0
     assert max(costs) > 0.9
 
 
