@@ -126,7 +126,8 @@ def _judged(
     """
     replayed = run(plan, track=track)
     result = next((known for opened, known in scored if opened is replayed), None) or score(subject, plan, replayed)
-    if plan.scheme is None and plan.u.shape[1] > 0 and dict(result.questions).get(Question.MOTION) == "no" and not result.verdict.is_good:
+    fails = dict(result.questions).get(Question.MOTION) == "no" or result.verdict is Verdict.HOLDS_WITH_FEEDBACK
+    if plan.scheme is None and plan.u.shape[1] > 0 and fails:
         other = run(replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER))
         result = score(subject, plan, replayed, other_hold=other)
     return Judgement(scene=subject, plan=plan, replay=replayed, score=result)

@@ -297,7 +297,8 @@ def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
         (Hold.ZERO_ORDER, None, 1, "no", Verdict.VIOLATES, True), (Hold.LINEAR, None, 1, "no", Verdict.UNDECIDED, True),
         (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "no", Verdict.VIOLATES, False), (Hold.ZERO_ORDER, None, 0, "no", Verdict.VIOLATES, False),
         (Hold.ZERO_ORDER, None, 1, "undecided", Verdict.UNDECIDED, False), (Hold.ZERO_ORDER, None, 1, "yes", Verdict.VIOLATES, False),
-        (Hold.ZERO_ORDER, None, 1, "no", Verdict.HOLDS_WITH_FEEDBACK, False),
+        (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS_WITH_FEEDBACK, True), (Hold.ZERO_ORDER, None, 1, "yes", Verdict.HOLDS, False),
+        (Hold.ZERO_ORDER, Scheme.SEMI_IMPLICIT_EULER, 1, "yes", Verdict.HOLDS_WITH_FEEDBACK, False),
     ],
 )  # fmt: skip
 def test_a_motion_that_is_missed_is_tried_with_its_inputs_held_the_other_way(hold, scheme, inputs, motion, verdict, again, monkeypatch):

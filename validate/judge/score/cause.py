@@ -236,7 +236,9 @@ def _holds_with_feedback(scored: ScoredPlan) -> str:
     failing = [metric for metric in (*_judged(scored, False), *_judged(scored, None)) if metric.question is Question.MOTION]
     text = f"not for the inputs alone: {_quote(failing[0])}" if failing else "not for the inputs alone"
     growth = scored.value("amplification")
-    if growth is not None and growth > _UNSTABLE:
+    if scored.other_hold:
+        text += f" ({_held_the_other_way(scored)})"
+    elif growth is not None and growth > _UNSTABLE:
         text += f", unstable in the open loop (amplification {rounded(growth)})"
     effort, share = scored.value(EFFORT), scored.value(SHARE)
     took = [] if effort is None else [f"{percent(effort)} of the half-range"]
@@ -260,7 +262,9 @@ def _cause(first: Metric, scored: ScoredPlan) -> str:
     if first.name in ("physics_scaled", "contact_law_error") and (multiple := _multiple_of_the_law(scored)):
         return multiple
     if first.name in _CAUSES:
-        return _CAUSES[first.name] + (_few_digits(scored.trajectory) if first.name == "contact_law_error" else "")
+        return _CAUSES[first.name] + (
+            f", or {few}" if first.name == "contact_law_error" and (few := _few_digits(scored.trajectory)) else ""
+        )
     if first.name == "max_penetration":
         return _of_depth(scored)
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
@@ -282,10 +286,13 @@ def _jumps_by_turns(scored: ScoredPlan) -> bool:
     plan, scene = scored.trajectory, scored.scene
     if not isinstance(scene, Scene) or not plan.has_states:
         return False
-    moved = np.diff(plan.q, axis=0) - np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
-    moved = np.vstack([plan.start[: scene.nq] - np.array(scene.task.start[: scene.nq]), moved])
+    jumps = np.vstack([plan.start[: scene.nq] - np.array(scene.task.start[: scene.nq]), np.diff(plan.q, axis=0)])
+    moved = jumps.copy()
+    moved[1:] -= np.diff(plan.t)[:, None] * (plan.v[:-1] + plan.v[1:]) / 2.0 * ("v" not in plan.missing)
     turns = np.round(moved / (2.0 * math.pi)) * [item.unit == "rad" for item in scene.coordinates]
-    return bool(((turns != 0.0) & (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN)).any())
+    # It is the angle that jumps, not a velocity of another unit that would have it turn.
+    near = (np.abs(moved - 2.0 * math.pi * turns) < _NEAR_A_TURN) & (np.abs(jumps - 2.0 * math.pi * turns) < math.pi)
+    return bool(((turns != 0.0) & near).any())
 
 
 def _multiple_of_the_law(scored: ScoredPlan) -> str:
@@ -305,7 +312,7 @@ def _multiple_of_the_law(scored: ScoredPlan) -> str:
 def _few_digits(plan: Trajectory) -> str:
     """Whether the plan's own digits may be the cause: numbers with so few are taken as they stand."""
     few = next((digits for digits in range(4) if np.allclose(plan.q, np.round(plan.q, digits), rtol=0.0, atol=1e-12)), None)
-    return "" if few is None else f", or the plan's own digits: its positions are given to {10.0**-few:g}"
+    return "" if few is None else f"the plan's own digits: its positions are given to {10.0**-few:g}"
 
 
 def _of_depth(scored: ScoredPlan) -> str:
@@ -316,12 +323,16 @@ def _of_depth(scored: ScoredPlan) -> str:
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 
 
+def _held_the_other_way(scored: ScoredPlan) -> str:
+    other = "linear" if scored.trajectory.hold is Hold.ZERO_ORDER else "zero"
+    return f"with its inputs held the other way it does not: declare `# hold: {other}`"
+
+
 def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     """Why the inputs do not give the motion, by what the metrics show."""
     plan = scored.trajectory
     if scored.other_hold:
-        other = "linear" if plan.hold is Hold.ZERO_ORDER else "zero"
-        return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
+        return f"; {_held_the_other_way(scored)}"
     if scored.other_velocities:
         return "; with the velocities that its positions take it does not: its own are those of another motion, or of other times"
     if not plan.has_states or first.value is None:
@@ -335,7 +346,8 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
     if plan.scheme is None:
         if scored.fails("unexplained_force") and first.name != "unexplained_force":
             return f": {_ENTRIES['unexplained_force'].quote(percent(scored.value('unexplained_force') or 0.0))}"
-        return unstable
+        few = _few_digits(plan) if first.name == "unexplained_force" else ""
+        return unstable + (f"; it may be {few}" if few else "")
     grid = scored.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable

@@ -29,6 +29,8 @@ IDLE = 0.01
 _CLEARLY = 1e-2
 # Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
 _EXPLAINED = 0.1
+# Of the deepest penetration of a contact: less than this share says nothing of its stiffness.
+_SHALLOW = 1e-2
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
 _AT_REST = 1e-3
 
@@ -351,7 +353,8 @@ def _impulse_error(case: Evidence) -> float:
     """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities; but for the lag's."""
     touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
     if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
-        pressed = case.replay_gap < 0.0
+        # Where a contact begins, a damper's force stands over a depth of nothing.
+        pressed = case.replay_gap < np.minimum(_SHALLOW * case.replay_gap.min(axis=0), 0.0)
         stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
         return float(stiffness) * touching * case.error.gap if touching else 0.0
     lag = case.replay.error.lag or Difference(position=0.0, state=0.0, gap=0.0)

@@ -54,6 +54,10 @@ def test_the_stiffness_of_somebodys_fmu_is_what_its_forces_and_gaps_say():
     lam[1, 0], lam[2, 1], gap[1:3] = 6.0, 8.0, [[-0.02, 0.1], [-0.05, -0.1]]
     # 6 N at 0.02 m are 300 N/m, 8 N at 0.1 m are 80; they touch for 1 + 2 s and for 2 + 3 s.
     assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(300.0 * 8.0 * 0.01)
+    lam[1, 1], gap[1, 1] = 5e4, -0.00099  # of a damper, where a contact begins that goes a hundred times as deep: it touches for 1 s more
+    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(300.0 * 9.0 * 0.01)
+    gap[1, 1] = -0.00101
+    assert measures._impulse_error(foreign(lam, gap, error=error)) == pytest.approx(5e4 / 0.00101 * 9.0 * 0.01)
     assert measures._impulse_error(foreign(lam, np.abs(gap), error=error)) == 0.0, "a force over an open gap says nothing of stiffness"
 
 

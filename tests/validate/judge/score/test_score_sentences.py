@@ -81,9 +81,13 @@ def test_a_number_and_its_limit_have_the_digits_that_tell_them_apart(name: str, 
 
 def test_digits_that_are_few_may_be_why_forces_are_not_those_of_the_motion():
     few, many = (SimpleNamespace(q=np.array([[0.25, 2.0], [0.31, last]])) for last in (2.5, 2.50041))
-    assert cause._few_digits(few) == ", or the plan's own digits: its positions are given to 0.01"
+    assert cause._few_digits(few) == "the plan's own digits: its positions are given to 0.01"
     assert cause._few_digits(many) == ""
     assert ", or forces of another motion, or the plan's own digits: its" in told(metric("contact_law_error", False, unit="N s"))
+    assert "; it may be the plan's own digits: its positions are given to" in told(
+        metric("unexplained_force", False, value=0.42, limit=0.1), scheme=None
+    )
+    assert "digits" not in told(metric("replay_error", False, value=0.42, limit=0.1), scheme=None)
 
 
 def test_a_law_that_the_motion_contradicts_is_not_blamed():
@@ -319,5 +323,11 @@ def test_angles_that_are_wrapped_are_told():
         for missing in (frozenset[str](), frozenset({"v", "lam"})):
             why = judge(scene, replace(plan, q=wrapped, missing=missing)).score.why
             assert "its angles are wrapped, where those of a plan run on from the task's start (numpy.unwrap)" in why, why
-    for right in (plan, replace(plan, u=-plan.u), replace(plan, q=plan.q + 0.2 * turn)):
+    for right in (
+        plan,
+        replace(plan, u=-plan.u),
+        replace(plan, q=plan.q + 0.2 * turn),
+        replace(plan, v=1e3 * plan.v),
+        replace(plan, v=3e5 * plan.v),
+    ):
         assert "wrapped" not in judge(scene, right).score.why

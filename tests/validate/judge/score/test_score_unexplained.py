@@ -5,6 +5,7 @@ The exact motions are SciPy's, of equations written down here once more.
 
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from validate.judge.judgement import judge
 from validate.judge.score import unexplained as module
 from validate.judge.score.evidence import Evidence
 from validate.judge.score.unexplained import LIMIT, _by_departures, _by_velocities, _of_friction, _without_inertia, unexplained_force
+from validate.judge.score.verdict import Unmeasured
 
 # Carts of 1 kg with c = 2 N s/m and contacts of 30 N/m; 0.5 m long.
 K, C, LENGTH, SECONDS = 30.0, 2.0, 0.5, 1.0
@@ -273,6 +275,29 @@ def test_a_position_beyond_both_its_velocities_and_the_true_motion_is_missed(sid
     assert _by_velocities(case, H2, v, 0.02) == pytest.approx([3.0 * first / 0.5, 3.0 * second / 0.25])
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_velocities_that_would_move_it_ten_times_further_are_not_its_own_whatever_the_true_motion(side: float):
+    """It moves by 1 m in 1/2 s and again in 1/4 s; speeds of 60, 50 and 40 m/s would take it 24 and 9 m too far. The other coordinate has its own."""
+
+    def lost(v: np.ndarray) -> Any:
+        raise Unmeasured("no number of parts settles.")
+
+    case = by_hand(np.zeros((2, 4)), own_steps=lost, reference_force=2879.0)
+    case.q = side * case.q
+    far = side * np.array([[60.0, -2.0], [50.0, 6.0], [40.0, 6.0]])
+    assert _by_velocities(case, H2, far, 0.0) == pytest.approx([2.0 * 24.0 / 0.5**2, 2.0 * 9.0 / 0.25**2])
+    case.equations = SimpleNamespace(relaxation_index=0, parameters=[SimpleNamespace(value=0.125)])
+    assert _by_velocities(case, H2, far, 0.0) == pytest.approx([2.0 * 24.0 / 0.5 / 0.125, 2.0 * 9.0 / 0.25 / 0.125])
+    case.equations, case.reference_force = SimpleNamespace(relaxation_index=None), 2881.0
+    with pytest.raises(Unmeasured):  # a tenth of what counts as large is not reached
+        _by_velocities(case, H2, far, 0.0)
+    case.reference_force = 1.0
+    near = far * [0.0, 1.0] + side * np.array([30.0, 0.0])
+    assert _by_velocities(case, H2, near, 0.0) == pytest.approx([2.0 * 14.0 / 0.5**2, 2.0 * 6.5 / 0.25**2])
+    with pytest.raises(Unmeasured):  # 19 m too far where it moves 2
+        _by_velocities(case, H2, far * [0.0, 1.0] + side * np.array([28.0, 0.0]), 0.0)
+
+
 def test_without_inertia_a_position_beyond_its_velocities_counts_too():
     case = by_hand(np.array([[1.0, -0.6, 9.0, 9.0], [2.0, 0.5, 9.0, 9.0]]))
     case.equations = SimpleNamespace(relaxation_index=0, parameters=[SimpleNamespace(value=0.5)])
@@ -333,6 +358,11 @@ def test_friction_is_asked_only_where_it_is_claimed_without_a_scheme(monkeypatch
     monkeypatch.setattr(module, "_of_friction", lambda case: np.array([3.0, 2.0]))
     case = by_hand(np.zeros((2, 4)))
     assert module._forces(case, 0.0).tolist() == [3.0, 5.0]
+    monkeypatch.setattr(module, "_of_friction", lambda case: case.own_steps(None))  # which cannot be had
+    case.own_steps = Mock(side_effect=Unmeasured("no number of parts settles."))
+    assert module._forces(case, 4.9).tolist() == [1.0, 5.0]
+    with pytest.raises(Unmeasured):
+        module._forces(case, 5.0)
     for missing, scheme, nf in (({"friction"}, None, 1), ({"lam"}, None, 1), ((), "euler", 1), ((), None, 0)):
         case.trajectory, case.scene.nf = SimpleNamespace(missing=frozenset(missing), scheme=scheme), nf
         assert module._forces(case, 0.0).tolist() == [1.0, 5.0]

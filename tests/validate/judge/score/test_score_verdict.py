@@ -207,7 +207,7 @@ def test_what_declares_no_scheme_hears_nothing_of_grids():
     assert not unsaid(why, "neither inputs nor contact give, 40 %")
     assert "grid" not in why
     assert "time step" not in why
-    assert not unsaid(told(hidden, scheme=None), "neither inputs nor contact give, 40 % … limit 10 %.")
+    assert not unsaid(told(hidden, scheme=None), "neither inputs nor contact give, 40 % … limit 10 %; it may be the plan's own digits")
     unstable = told(STRAY, metric_of_growth(549.0), scheme=None)
     assert not unsaid(unstable, "departs … by 0.2 m, limit 0.06 m; unstable … (amplification 550).")
 
@@ -256,6 +256,8 @@ def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took
     assert not unsaid(why, "not for the inputs alone: … ends 0.07 m … limit 0.06 m, unstable")
     assert not unsaid(why, "RMS effort 7 % … and 7 % of what the plan's own inputs do")
     assert "it holds: with feedback" in why
+    why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK, scheme=None, other_hold=True)
+    assert not unsaid(why, "limit 0.06 m (with its inputs held the other way it does not: declare `# hold: linear`); with LQR feedback")
 
 
 def test_what_is_waived_stands_in_every_sentence():
