@@ -22,15 +22,12 @@ from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
-# A halving that moves the motion by less than this share of what is missing does not bring it nearer; after two in a row the rest is taken for no error
-# of the grid.
+# A halving that moves the motion by less than this share of what is missing does not bring it nearer: after two in a row the rest is not the grid's.
 IDLE = 0.01
 # Below this share of the largest a force or a gap is nothing.
 _CLEARLY = 1e-2
 # Forces are a multiple of the law's where that leaves this share of what the law itself leaves, or less.
 _EXPLAINED = 0.1
-# Of the deepest penetration of a contact: less than this share says nothing of its stiffness.
-_SHALLOW = 1e-2
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
 _AT_REST = 1e-3
 
@@ -354,7 +351,7 @@ def _impulse_error(case: Evidence) -> float:
     touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
     if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
         # Where a contact begins, a damper's force stands over a depth of nothing.
-        pressed = case.replay_gap < np.minimum(_SHALLOW * case.replay_gap.min(axis=0), 0.0)
+        pressed = case.replay_gap < np.minimum(_CLEARLY * case.replay_gap.min(axis=0), 0.0)
         stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
         return float(stiffness) * touching * case.error.gap if touching else 0.0
     lag = case.replay.error.lag or Difference(position=0.0, state=0.0, gap=0.0)
