@@ -101,6 +101,14 @@ def _has_goal(scene: Subject) -> bool:
     return scene.task.has_goal
 
 
+def _goal_positions(scene: Subject) -> tuple[str, ...]:
+    return tuple(unit for unit, value in zip(_positions(scene), scene.task.goal[: scene.nq], strict=True) if value is not None)
+
+
+def _goal_velocities(scene: Subject) -> tuple[str, ...]:
+    return tuple(unit for unit, value in zip(_velocities(scene), scene.task.goal[scene.nq :], strict=True) if value is not None)
+
+
 def _has_goal_position(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[: scene.nq])
 
@@ -137,12 +145,12 @@ TABLE = (
         quoted="the plan's velocities leave their bounds by {}",
     ),
     MetricEntry(
-        name="terminal_position_error", question=Question.GOAL, units=_positions, measure=measures.terminal_position_error, applies=_has_goal_position,
+        name="terminal_position_error", question=Question.GOAL, units=_goal_positions, measure=measures.terminal_position_error, applies=_has_goal_position,
         needs=("q",), meaning="norm of q_T - q_f in the plan",
         quoted="the plan itself ends {} from the goal",
     ),
     MetricEntry(
-        name="terminal_velocity_error", question=Question.GOAL, units=_velocities, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
+        name="terminal_velocity_error", question=Question.GOAL, units=_goal_velocities, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
         needs=("v",), meaning="norm of v_T - v_f in the plan",
         quoted="the plan itself ends with {} more or less than the goal's velocity",
     ),
@@ -188,12 +196,12 @@ TABLE = (
         quoted="driven by its inputs the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="replay_terminal_position_error", question=Question.MOTION, units=_positions, measure=measures.replay_terminal_position_error,
+        name="replay_terminal_position_error", question=Question.MOTION, units=_goal_positions, measure=measures.replay_terminal_position_error,
         applies=_has_goal_position, of_replay=True, meaning="norm of q_T - q_f in the replay",
         quoted="driven by its inputs the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="replay_terminal_velocity_error", question=Question.MOTION, units=_velocities, measure=measures.replay_terminal_velocity_error,
+        name="replay_terminal_velocity_error", question=Question.MOTION, units=_goal_velocities, measure=measures.replay_terminal_velocity_error,
         applies=_has_goal_velocity, of_replay=True, meaning="norm of v_T - v_f in the replay",
         quoted="driven by its inputs the motion ends with {} more or less than the goal's velocity",
     ),
@@ -245,14 +253,14 @@ TABLE = (
         quoted="with exact contact on its own grid the motion departs from the plan by {}",
     ),
     MetricEntry(
-        name="discrete_terminal_position_error", question=Question.SCHEME, units=_positions,
+        name="discrete_terminal_position_error", question=Question.SCHEME, units=_goal_positions,
         measure=lambda case: measures.discrete_terminal(case, "position"), applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
         needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
         meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
         quoted="with exact contact on its own grid the motion ends {} from the goal",
     ),
     MetricEntry(
-        name="discrete_terminal_velocity_error", question=Question.SCHEME, units=_velocities,
+        name="discrete_terminal_velocity_error", question=Question.SCHEME, units=_goal_velocities,
         measure=lambda case: measures.discrete_terminal(case, "velocity"), applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
         needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
         meaning="norm of v_T - v_f in the plan's own time step with the true contact law",

@@ -122,10 +122,13 @@ def test_an_fmu_is_asked_only_what_it_can_show(asked: dict[str, Any], rows: set[
 
 def test_units_of_several_components_are_told_once_each():
     items = [SimpleNamespace(unit=unit, velocity_unit=f"{unit}/s") for unit in ("m", "rad", "m")]
-    scene = foreign(coordinates=items, inputs=[SimpleNamespace(unit=unit) for unit in ("N", "N m", "N")])
+    asked = goal(0.5, None, 0.7, None, 0.0, None)
+    scene = foreign(nq=3, coordinates=items, inputs=[SimpleNamespace(unit=unit) for unit in ("N", "N m", "N")], task=asked)
     units = {row.name: row.unit(scene) for row in TABLE}
     assert (units["replay_error"], units["velocity_bound_violation"], units["bound_violation"]) == ("m, rad", "m/s, rad/s", "N, N m")
     assert units["defect"] == "m, rad, m/s, rad/s"
+    for of in ("", "replay_", "discrete_"):  # of what the goal asks for
+        assert (units[f"{of}terminal_position_error"], units[f"{of}terminal_velocity_error"]) == ("m", "rad/s")
 
 
 def test_each_row_measures_what_it_is_called():
