@@ -161,9 +161,7 @@ def _linear_models(scene: Scene) -> list[_Linear]:
             # The derivatives of v' = v + a do not depend on the step they are taken with: one second makes them those of a itself.
             try:
                 jacobian, _ = kernel.end_derivatives(np.concatenate([closed, at_rest]), u[None], 1.0)
-            except (
-                KernelError
-            ):  # singular masses, as where only the search for a closed position leads, or accelerations that are no number
+            except KernelError:  # singular masses, where only the search for a closed position led, or a step that is no number
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
             inertia = scene.relaxation_time is None
